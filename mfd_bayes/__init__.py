@@ -1,0 +1,61 @@
+"""Bayesian calibration, with honest uncertainty, of variable-friction dampers with a gap."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mfd_bayes.calibration.posterior import Posterior
+    from mfd_bayes.calibration.sampling import Draws, sample
+    from mfd_bayes.errors import MfdError
+    from mfd_bayes.friction.baselines import LuGre
+    from mfd_bayes.friction.three_stage import ThreeStage
+    from mfd_bayes.pipeline import Run, open_run
+    from mfd_bayes.population.predict import Band
+    from mfd_bayes.records.record import Record, read_record
+    from mfd_bayes.records.trace import Trace
+
+# Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
+_HOMES = {
+    "Band": "mfd_bayes.population.predict",
+    "Draws": "mfd_bayes.calibration.sampling",
+    "LuGre": "mfd_bayes.friction.baselines",
+    "MfdError": "mfd_bayes.errors",
+    "Posterior": "mfd_bayes.calibration.posterior",
+    "Record": "mfd_bayes.records.record",
+    "Run": "mfd_bayes.pipeline",
+    "ThreeStage": "mfd_bayes.friction.three_stage",
+    "Trace": "mfd_bayes.records.trace",
+    "open_run": "mfd_bayes.pipeline",
+    "read_record": "mfd_bayes.records.record",
+    "sample": "mfd_bayes.calibration.sampling",
+}
+
+__all__ = [
+    "Band",
+    "Draws",
+    "LuGre",
+    "MfdError",
+    "Posterior",
+    "Record",
+    "Run",
+    "ThreeStage",
+    "Trace",
+    "open_run",
+    "read_record",
+    "sample",
+]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's attributes have any type
+    if name == "__version__":
+        return version("mfd_bayes")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'mfd_bayes' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -1,0 +1,1 @@
+"""One test: priors, likelihood, posterior, its mode and its draws."""

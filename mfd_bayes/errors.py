@@ -1,0 +1,29 @@
+"""The errors that a user can cause, each with one sentence that says what was expected."""
+
+
+class MfdError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class RecordError(MfdError):
+    """A test file cannot be used as it is."""
+
+
+class CampaignError(MfdError):
+    """A campaign file, or a setting, cannot be used as it is."""
+
+
+class UnitError(MfdError):
+    """A unit is unknown, or does not measure what it is used for."""
+
+
+class PriorError(MfdError):
+    """A prior file, or a prior in it, cannot be used as it is."""
+
+
+class FitError(MfdError):
+    """A calibration cannot be started with these data, priors and model."""
+
+
+class StoreError(MfdError):
+    """A run folder, or a file in it, cannot be read or written."""

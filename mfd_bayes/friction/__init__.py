@@ -1,0 +1,1 @@
+"""The batched forward models: motion and parameters in, force out."""

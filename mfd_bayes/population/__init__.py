@@ -1,0 +1,1 @@
+"""All tests together: pressure laws, scatter and force bands."""
