@@ -112,7 +112,7 @@ class Trace:
 
 
 def turning_points(displacement: Array, hysteresis: float) -> NDArray[np.intp]:
-    """Samples at which the motion turns by more than `hysteresis`, ends left out.
+    """Where the motion turns by more than `hysteresis`, ends left out.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def turning_points(displacement: Array, hysteresis: float) -> NDArray[np.intp]:
     Returns
     -------
     (K,) int
-        Alternating maxima and minima. Of equal extremes the last counts.
+        Samples: alternating maxima and minima. Of equal extremes the last counts.
     """
     corners = _corners(displacement)
     values = displacement[corners]
@@ -148,7 +148,7 @@ def turning_points(displacement: Array, hysteresis: float) -> NDArray[np.intp]:
 
 
 def _corners(displacement: Array) -> NDArray[np.intp]:
-    """Samples at which the sign of the motion changes, with both ends."""
+    """Where the sign of the motion changes, with both ends."""
     moving = np.flatnonzero(np.diff(displacement))
     signs = np.sign(np.diff(displacement)[moving])
     changes = moving[1:][signs[1:] != signs[:-1]]

@@ -1,0 +1,98 @@
+"""What draws say about their own convergence, and what the data say about parameters."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """R̂ and effective sample sizes of every coordinate, (dim,) each."""
+
+    r_hat: Array
+    ess_bulk: Array
+    ess_tail: Array
+
+    @property
+    def worst_r_hat(self) -> float:
+        """Largest R̂."""
+        return float(np.max(self.r_hat))
+
+    @property
+    def worst_ess(self) -> float:
+        """Smallest effective sample size, bulk or tail."""
+        return float(min(self.ess_bulk.min(), self.ess_tail.min()))
+
+    def reached(self, r_hat: float, ess: float) -> bool:
+        """Whether every coordinate keeps both limits."""
+        return self.worst_r_hat <= r_hat and self.worst_ess >= ess
+
+
+def measure(chains: Array) -> Convergence:
+    """Convergence of ensembles.
+
+    R̂ compares ensembles and their halves in time, for the walkers of one ensemble are not
+    independent chains. The effective sample size follows each walker along its steps.
+
+    Parameters
+    ----------
+    chains : (ensemble, step, walker, dim)
+    """
+    r_hat, ess = _arviz()
+    ensembles, steps, walkers, dim = chains.shape
+    by_time = chains.reshape(ensembles, steps * walkers, dim)
+    by_walker = np.swapaxes(chains, 1, 2).reshape(ensembles * walkers, steps, dim)
+    if steps < 8:
+        nothing = np.zeros(dim)
+        return Convergence(np.full(dim, np.inf), nothing, nothing)
+    return Convergence(
+        r_hat=np.array([r_hat(by_time[..., k]) for k in range(dim)]),
+        ess_bulk=np.array([ess(by_walker[..., k], "bulk") for k in range(dim)]),
+        ess_tail=np.array([ess(by_walker[..., k], "tail") for k in range(dim)]),
+    )
+
+
+def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
+    """Rank-normalised split R̂ and ESS of an array (chain, draw), from either ArviZ."""
+    with warnings.catch_warnings():
+        # 0.23 announces its refactoring on the first import of a day
+        warnings.simplefilter("ignore", FutureWarning)
+        try:
+            import arviz
+        except OSError:  # it writes to the user's cache, which may be read-only
+            os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="mfd_bayes-cache-")
+            import arviz
+    if int(arviz.__version__.split(".")[0]) < 1:
+        return (
+            lambda x: float(arviz.rhat(x, method="rank")),
+            lambda x, kind: float(arviz.ess(x, method=kind)),
+        )
+    from arviz_stats.base import array_stats
+
+    return (
+        lambda x: float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")),
+        lambda x, kind: float(array_stats.ess(x, chain_axis=0, draw_axis=1, method=kind)),
+    )
+
+
+def contraction(prior_sd: Array, draws: Array) -> Array:
+    """Share of the prior's variance that the data removed, 1 − var_post/var_prior, (dim,).
+
+    Parameters
+    ----------
+    prior_sd : (dim,)
+        Of the coordinates under the prior.
+    draws : (n, dim)
+        Of the coordinates under the posterior.
+    """
+    shrunk: Array = 1.0 - draws.var(axis=0) / prior_sd**2
+    return shrunk

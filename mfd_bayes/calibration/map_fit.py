@@ -1,0 +1,199 @@
+"""Modes of a posterior, found from several starts, each with its Laplace covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError
+
+Array = NDArray[np.float64]
+Density = Callable[[Array], Array]
+
+STEP = 1e-4
+"""Finite-difference step, in prior standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A local maximum of the log posterior.
+
+    Attributes
+    ----------
+    q : (dim,)
+    log_prob : float
+    covariance : (dim, dim)
+        Inverse curvature at the mode, made positive definite in prior units.
+    """
+
+    q: Array
+    log_prob: float
+    covariance: Array
+
+    @property
+    def log_evidence(self) -> float:
+        """Laplace's approximation to the log mass of the mode."""
+        _, log_det = np.linalg.slogdet(self.covariance)
+        return self.log_prob + 0.5 * (len(self.q) * float(np.log(2 * np.pi)) + float(log_det))
+
+
+def find_modes(
+    posterior: Posterior, rng: np.random.Generator, *, starts: int = 6, candidates: int = 384
+) -> tuple[Mode, ...]:
+    """Distinct modes, best first.
+
+    The best of many prior draws, least squares on residual and prior from each, then BFGS on
+    the log posterior from each distinct end.
+
+    Raises
+    ------
+    FitError
+        When no prior draw has any posterior density.
+    """
+    scale = prior_scale(posterior, rng)
+    begin = _starting_points(posterior, rng, starts, candidates)
+    fits = [_least_squares(posterior, q, *scale) for q in begin]
+    order = np.argsort([-posterior.log_prob(q[None])[0] for q in fits])
+    modes: list[Mode] = []
+    for i in order[: max(2, starts // 2)]:
+        mode = climb(posterior.log_prob, fits[i], scale[1])
+        if not any(_same(mode, other) for other in modes):
+            modes.append(mode)
+    return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
+
+
+def prior_scale(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Mean and standard deviation of each coordinate under the prior, (dim,) each."""
+    q = posterior.coordinates(posterior.draw_prior(rng, 2000))
+    return q.mean(axis=0), q.std(axis=0)
+
+
+def _starting_points(
+    posterior: Posterior, rng: np.random.Generator, starts: int, candidates: int
+) -> Array:
+    """Prior draws whose loops fit best, (starts, dim)."""
+    draws = posterior.coordinates(posterior.draw_prior(rng, candidates))
+    draws = draws[np.isfinite(posterior.log_prior(draws))]
+    if len(draws) == 0:
+        raise FitError("the prior has no mass at any start: widen the priors of this device")
+    misfit = np.mean(posterior.residual(draws)[:, posterior.first :] ** 2, axis=1)
+    return draws[np.argsort(misfit)[:starts]]
+
+
+def _least_squares(posterior: Posterior, begin: Array, mean: Array, sd: Array) -> Array:
+    """Mode of an iid fit with a Gaussian prior, its noise then read off the residual, (dim,)."""
+    moves = np.array([not name.startswith("noise") for name in posterior.names])
+    force = np.asarray(posterior.trace.force)[posterior.first :]
+    unit = 0.1 * float(np.std(force)) + 1e-12
+    inflation = np.sqrt(min(1.0, 200.0 / force.size))  # neighbours are correlated
+
+    def residuals(points: Array) -> Array:
+        q = np.tile(begin, (len(points), 1))
+        q[:, moves] = mean[moves] + sd[moves] * points
+        misfit = posterior.residual(q)[:, posterior.first :] * (inflation / unit)
+        return np.concatenate([misfit, points], axis=1)
+
+    def jacobian(point: Array) -> Array:
+        shifted = point + STEP * np.eye(len(point))
+        both = residuals(np.concatenate([shifted, point - STEP * np.eye(len(point))]))
+        ahead, behind = np.split(both, 2)
+        return (ahead - behind).T / (2 * STEP)
+
+    w0 = (begin[moves] - mean[moves]) / sd[moves]
+    fit = optimize.least_squares(
+        lambda w: residuals(w[None])[0],
+        np.clip(w0, -5, 5),
+        jac=jacobian,
+        bounds=(-8.0, 8.0),
+        max_nfev=60,
+        ftol=1e-6,
+        xtol=1e-6,
+    )
+    q = begin.copy()
+    q[moves] = mean[moves] + sd[moves] * fit.x
+    return _read_noise(posterior, q)
+
+
+def _read_noise(posterior: Posterior, q: Array) -> Array:
+    """The coordinates with noise_sd and noise_time set from the residual, (dim,)."""
+    residual = posterior.residual(q[None])[0, posterior.first :]
+    values = {name: value.copy() for name, value in posterior.values(q[None]).items()}
+    sd = float(np.std(residual)) + 1e-12
+    values["noise_sd"][:] = sd
+    if "noise_time" in values:
+        lag_one = float(np.mean(residual[1:] * residual[:-1])) / sd**2
+        step = float(np.median(np.diff(posterior.trace.time)))
+        values["noise_time"][:] = -step / np.log(np.clip(lag_one, 0.05, 0.98))
+    fitted = posterior.coordinates(values)[0]
+    noisy = [name.startswith("noise_") and name != "noise_dof" for name in posterior.names]
+    return np.where(noisy, fitted, q)
+
+
+def climb(density: Density, begin: Array, sd: Array) -> Mode:
+    """Mode that BFGS reaches from `begin`, in coordinates whitened by the curvature near it.
+
+    Parameters
+    ----------
+    density : callable
+        Log density, (n, dim) -> (n,).
+    begin, sd : (dim,)
+        Start, and the scale of each coordinate under its prior.
+    """
+    q, factor = begin, np.diag(sd * 0.1)
+    for _ in range(2):  # the second time whitened by the curvature near the mode
+
+        def whitened(w: Array, origin: Array = q, axes: Array = factor) -> Array:
+            return np.maximum(density(origin + w @ axes.T), -1e15)
+
+        fit = optimize.minimize(
+            lambda w, f=whitened: -float(f(w[None])[0]),
+            np.zeros_like(q),
+            jac=lambda w, f=whitened: -_gradient(f, w[None], STEP)[0],
+            method="BFGS",
+            options={"maxiter": 150, "gtol": 1e-2},
+        )
+        q = q + factor @ fit.x
+        factor = np.linalg.cholesky(laplace_covariance(density, q, sd))
+    return Mode(q, float(density(q[None])[0]), factor @ factor.T)
+
+
+def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
+    """Inverse of the negative Hessian of a log density at q, (dim, dim).
+
+    Eigenvalues are taken in prior units and kept between that of a prior four times as
+    wide and that of one 1e4 times as narrow, so that it is positive definite.
+    """
+
+    def scaled(w: Array) -> Array:
+        return np.maximum(density(q + w * sd), -1e15)
+
+    dim, step = len(q), 3e-3
+    corners = np.concatenate([step * np.eye(dim), -step * np.eye(dim)])
+    gradients = _gradient(scaled, corners, step)
+    curvature = -(gradients[:dim] - gradients[dim:]) / (2 * step)
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    values = np.clip(values, 1.0 / 16.0, 1e8)
+    covariance = (vectors / values) @ vectors.T
+    return covariance * sd * sd[:, None]
+
+
+def _gradient(density: Density, points: Array, step: float) -> Array:
+    """Central differences at all points in one batch, (n, dim) -> (n, dim)."""
+    n, dim = points.shape
+    shift = step * np.eye(dim)
+    batch = np.concatenate([points[:, None] + shift, points[:, None] - shift], axis=1)
+    values = density(batch.reshape(-1, dim)).reshape(n, 2, dim)
+    gradient: Array = (values[:, 0] - values[:, 1]) / (2 * step)
+    return gradient
+
+
+def _same(mode: Mode, other: Mode) -> bool:
+    """Whether two ends are one mode: near in the metric of the other, and as high."""
+    gap = mode.q - other.q
+    distance = gap @ np.linalg.solve(other.covariance, gap)
+    return bool(distance < 4.0 * len(gap) and abs(mode.log_prob - other.log_prob) < 5.0)

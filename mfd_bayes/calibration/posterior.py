@@ -1,0 +1,233 @@
+"""The posterior of one test, on unconstrained coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.calibration.likelihood import Noise, find_noise
+from mfd_bayes.calibration.priors import KINDS, Prior, PriorFile, load_priors
+from mfd_bayes.errors import FitError, PriorError
+from mfd_bayes.friction.baselines import LuGre
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+MODELS: dict[str, Model] = {model.name: model for model in (ThreeStage(), LuGre())}
+
+# How a model's parameters follow from what is sampled: F_s = F_c (1 + excess), γ2 = ℓ γ1.
+_SOURCES = {
+    "Fs_fwd": "static_excess_fwd",
+    "Fs_bwd": "static_excess_bwd",
+    "gamma2": "ell",
+}
+UNIDENTIFIABLE = "gamma1"
+"""Does not reach the force but through ℓ = γ2/γ1; it keeps its prior exactly."""
+
+
+@dataclass(frozen=True, init=False)
+class Posterior:
+    """Density of the parameters of one test, given its record (model.md section 5).
+
+    Parameters
+    ----------
+    trace : Trace
+        With a force.
+    priors : str or PriorFile
+        A name such as "brfd", a path, or priors already read.
+    noise : {"ou", "iid", "student_t"}
+    model : Model or str, optional
+        The three-stage model when left out.
+    start : {"sample", "mask"}
+        What is done about the unknown place in the gap at the first sample: it is
+        sampled, or the samples up to the first slip are left out of the likelihood.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What q's columns stand for, in order; the coordinates are those of its priors.
+
+    Raises
+    ------
+    FitError
+        When the trace has no force, or a name is unknown.
+    PriorError
+        When a parameter has no prior.
+    """
+
+    trace: Trace
+    model: Model
+    noise: Noise
+    priors: Mapping[str, Prior]
+    names: tuple[str, ...]
+    first: int = field(default=0)
+
+    def __init__(
+        self,
+        trace: Trace,
+        priors: str | PriorFile = "mfd",
+        noise: str = "ou",
+        model: Model | str = "three_stage",
+        *,
+        start: str = "sample",
+        folder: Path | None = None,
+    ) -> None:
+        if trace.force is None:
+            raise FitError("a posterior needs a trace with a measured force")
+        if isinstance(model, str) and model not in MODELS:
+            raise FitError(f"unknown model {model!r}: expected one of {', '.join(MODELS)}")
+        file = load_priors(priors, folder) if isinstance(priors, str) else priors
+        chosen = MODELS[model] if isinstance(model, str) else model
+        noise_model = find_noise(noise)
+        wanted = _quantities(chosen, noise_model, sampled_start=start == "sample")
+        missing = [name for name in wanted if name not in file.parameters]
+        if missing:
+            raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
+        chosen_priors = {name: file.parameters[name] for name in wanted}
+        values = {
+            "trace": trace,
+            "model": chosen,
+            "noise": noise_model,
+            "priors": chosen_priors,
+            "names": tuple(
+                name
+                for name in wanted
+                if name != UNIDENTIFIABLE and not chosen_priors[name].fixed
+            ),
+            "first": _first_slip(trace, chosen_priors) if start == "mask" else 0,
+        }
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def dim(self) -> int:
+        """Number of sampled coordinates."""
+        return len(self.names)
+
+    @cached_property
+    def _defaults(self) -> dict[str, float]:
+        """Values of what is not sampled: fixed ones, and 1 for γ1."""
+        fixed = {k: p.figures["value"] for k, p in self.priors.items() if p.fixed}
+        return {UNIDENTIFIABLE: 1.0, "start": 0.5} | fixed
+
+    def log_prob(self, q: ArrayLike) -> Array:
+        """Log posterior density of q, unnormalised, (n, dim) -> (n,).
+
+        Raises
+        ------
+        FitError
+            When the shape does not fit or q holds NaN.
+        """
+        points = self._check(q)
+        density = self.log_prior(points)
+        inside = np.isfinite(density)
+        if np.any(inside):
+            density[inside] += self.log_likelihood(points[inside])
+        if np.any(np.isnan(density)):
+            raise FitError("the log posterior is not a number: please report this as a bug")
+        return density
+
+    def log_prior(self, q: ArrayLike) -> Array:
+        """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
+        points = self._check(q)
+        density = np.zeros(len(points))
+        for name, column in zip(self.names, points.T, strict=True):
+            density += self.priors[name].log_density(column)
+        return density
+
+    def log_likelihood(self, q: ArrayLike) -> Array:
+        """Log likelihood of q, (n, dim) -> (n,); −inf where the force is beyond all range."""
+        points = self._check(q)
+        values = self.values(points)
+        kept = slice(self.first, None)
+        with np.errstate(over="ignore", invalid="ignore"):
+            residual = self.residual(points)[:, kept]
+            density = self.noise.log_density(residual, self.trace.time[kept], values)
+        return np.where(np.isnan(density), -np.inf, density)
+
+    def residual(self, q: ArrayLike) -> Array:
+        """What the model leaves over, F_obs − F0 − F, (n, T), kip."""
+        values = self.values(q)
+        force = self.force(values)
+        return np.asarray(self.trace.force) - values["offset"][:, None] - force
+
+    def force(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array:
+        """Force of the model without the load cell's offset, (n, T), kip."""
+        return self.model.force(
+            self.theta(values), self.trace if trace is None else trace, values["start"]
+        )
+
+    def values(self, q: ArrayLike) -> dict[str, Array]:
+        """Values of all quantities of q by name, (n,) each, internal units.
+
+        γ1 is 1 here: it does not matter to the force.
+        """
+        points = self._check(q)
+        values = {name: np.full(len(points), value) for name, value in self._defaults.items()}
+        for name, column in zip(self.names, points.T, strict=True):
+            values[name] = self.priors[name].value(column)
+        return values
+
+    def coordinates(self, values: Mapping[str, Array]) -> Array:
+        """Coordinates q of values by name, (n, dim), the inverse of `values`."""
+        return np.stack([self.priors[n].coordinate(values[n]) for n in self.names], axis=1)
+
+    def theta(self, values: Mapping[str, Array]) -> Array:
+        """Parameters of the model in its own order, (n, p)."""
+        return theta_of(self.model, values)
+
+    def draw_prior(self, rng: np.random.Generator, n: int) -> dict[str, Array]:
+        """Independent draws of all quantities from the prior, by name, (n,) each."""
+        defaults = {k: np.full(n, v) for k, v in self._defaults.items()}
+        return defaults | {name: prior.draw(rng, n) for name, prior in self.priors.items()}
+
+    def _check(self, q: ArrayLike) -> Array:
+        points = np.asarray(q, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != self.dim:
+            raise FitError(f"q must have shape (n, {self.dim}), got {points.shape}")
+        if np.any(np.isnan(points)):
+            raise FitError("q holds NaN")
+        return points
+
+
+def theta_of(model: Model, values: Mapping[str, Array]) -> Array:
+    """Parameters of a model in its own order, of values by name, (n, p)."""
+    columns = []
+    for name in model.parameters:
+        if name == "gamma2":
+            column = values["ell"] * values["gamma1"]
+        elif name in _SOURCES:
+            column = values[name.replace("Fs", "Fc")] * (1.0 + values[_SOURCES[name]])
+        else:
+            column = values[name]
+        columns.append(column)
+    return np.stack(columns, axis=1)
+
+
+def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[str]:
+    """Names of all quantities of a fit, in the order of `KINDS`."""
+    needed = {_SOURCES.get(name, name) for name in model.parameters}
+    needed |= {"offset", *noise.parameters}
+    if model.has_gap and sampled_start:
+        needed.add("start")
+    return [name for name in KINDS if name in needed]
+
+
+def _first_slip(trace: Trace, priors: Mapping[str, Prior]) -> int:
+    """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
+    if "d2" not in priors:
+        return 0
+    rng = np.random.default_rng(0)
+    gap = sum(float(np.median(priors[name].draw(rng, 1001))) for name in ("d2", "d3"))
+    ends = [0, *trace.turning_points.tolist(), trace.samples - 1]
+    for begin, end in zip(ends[:-1], ends[1:], strict=True):
+        if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
+            return int(end)
+    raise FitError("start = 'mask' needs a record that slips: no stroke is twice the prior's gap")

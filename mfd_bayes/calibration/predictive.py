@@ -1,0 +1,142 @@
+"""Posterior predictive records of a calibrated test, and checks on them (model.md section 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+COVERAGES = (0.5, 0.9, 0.95)
+
+
+@dataclass(frozen=True, eq=False)
+class Replicas:
+    """Records that the posterior predicts for the motion of its own test.
+
+    Attributes
+    ----------
+    force : (n, T), kip
+        Model and offset, of posterior draws.
+    observed : (n, T), kip
+        The same with noise.
+    """
+
+    force: Array
+    observed: Array
+
+
+@dataclass(frozen=True)
+class PredictiveCheck:
+    """A test statistic: observed value, mean and p-value under the posterior predictive."""
+
+    name: str
+    observed: float
+    expected: float
+    p_value: float
+
+
+def replicate(
+    posterior: Posterior, values: Mapping[str, Array], rng: np.random.Generator, n: int = 1000
+) -> Replicas:
+    """Replicated records.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    values : mapping of str to (draws,)
+        Posterior draws of all quantities; n of them are taken, evenly.
+    rng : numpy.random.Generator
+    n : int
+    """
+    total = len(values["offset"])
+    pick = np.linspace(0, total - 1, min(n, total)).astype(np.intp)
+    taken = {name: column[pick] for name, column in values.items()}
+    force = posterior.force(taken) + taken["offset"][:, None]
+    noise = posterior.noise.draw(rng, posterior.trace.time, taken)
+    return Replicas(force, force + noise)
+
+
+def check_predictive(
+    posterior: Posterior, replicas: Replicas, gap: float | None
+) -> tuple[PredictiveCheck, ...]:
+    """Posterior predictive p-values of the test statistics, P(T(replica) ≥ T(record)).
+
+    Parameters
+    ----------
+    posterior : Posterior
+    replicas : Replicas
+    gap : float, in, or None
+        Width at half of which the force at mid-gap is read, where there is a gap.
+    """
+    kept = slice(posterior.first, None)
+    force, replica = replicas.force[:, kept], replicas.observed[:, kept]
+    record = np.broadcast_to(np.asarray(posterior.trace.force)[kept], force.shape)
+    x = posterior.trace.displacement[kept]
+    cycles = max(posterior.trace.turning_points.size / 2.0, 0.5)
+    pairs = {
+        "residual rms, kip": (_rms(record - force), _rms(replica - force)),
+        "lag-one residual correlation": (_lag_one(record - force), _lag_one(replica - force)),
+        "energy per cycle, kip·in": (_energy(record, x) / cycles, _energy(replica, x) / cycles),
+        "peak force forward, kip": (record.max(axis=1), replica.max(axis=1)),
+        "peak force backward, kip": (-record.min(axis=1), -replica.min(axis=1)),
+    }
+    if gap is not None:
+        at = _mid_gap(posterior.trace, gap) - posterior.first
+        at = at[at >= 0]
+        if at.size:
+            pairs["force at mid-gap, kip"] = (_rms(record[:, at]), _rms(replica[:, at]))
+    checks = [_check(name, *pair) for name, pair in pairs.items()]
+    return (*checks, *_coverage_checks(record[0], replica))
+
+
+def _check(name: str, observed: Array, replicated: Array) -> PredictiveCheck:
+    ties = np.mean(replicated == observed)
+    p_value = float(np.mean(replicated > observed) + 0.5 * ties)
+    return PredictiveCheck(name, float(observed.mean()), float(replicated.mean()), p_value)
+
+
+def _coverage_checks(record: Array, replica: Array) -> list[PredictiveCheck]:
+    """Coverage of bands made from one half of the replicas, against that of the other half."""
+    band, held = replica[::2], replica[1::2]
+    checks = []
+    for probability in COVERAGES:
+        tail = 0.5 * (1.0 - probability)
+        lower, upper = np.quantile(band, [tail, 1.0 - tail], axis=0)
+        observed = np.mean((record >= lower) & (record <= upper))
+        replicated = np.mean((held >= lower) & (held <= upper), axis=1)
+        name = f"coverage of the {probability:.0%} band".replace("%", " %")
+        checks.append(_check(name, np.full(len(held), observed), replicated))
+    return checks
+
+
+def _rms(values: Array) -> Array:
+    return np.sqrt(np.mean(values**2, axis=1))
+
+
+def _lag_one(values: Array) -> Array:
+    centred = values - values.mean(axis=1, keepdims=True)
+    products = np.sum(centred[:, 1:] * centred[:, :-1], axis=1)
+    correlation: Array = products / np.maximum(np.sum(centred**2, axis=1), 1e-300)
+    return correlation
+
+
+def _energy(force: Array, displacement: Array) -> Array:
+    return np.asarray(np.trapezoid(force, displacement, axis=1))
+
+
+def _mid_gap(trace: Trace, gap: float) -> NDArray[np.intp]:
+    """Samples nearest to half the gap after each turning point that is followed by a crossing."""
+    ends = [*trace.turning_points.tolist(), trace.samples - 1]
+    samples = []
+    for begin, end in zip(ends[:-1], ends[1:], strict=True):
+        travel = np.abs(trace.displacement[begin : end + 1] - trace.displacement[begin])
+        if travel.max() >= gap:
+            samples.append(begin + int(np.argmax(travel >= 0.5 * gap)))
+    return np.array(samples, dtype=np.intp)

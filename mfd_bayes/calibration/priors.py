@@ -1,0 +1,349 @@
+"""Priors: families on their natural support, read from TOML, sampled without constraints."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from mfd_bayes.errors import PriorError, UnitError
+from mfd_bayes.units import parse_quantity
+
+Array = NDArray[np.float64]
+
+KINDS = {
+    "sigma0": "stiffness",
+    "sigma1": "damping",
+    "sigma2": "damping",
+    "Fc_fwd": "force",
+    "Fc_bwd": "force",
+    "static_excess_fwd": "dimensionless",
+    "static_excess_bwd": "dimensionless",
+    "k2": "stiffness",
+    "k3": "stiffness",
+    "d2": "displacement",
+    "d3": "displacement",
+    "ell": "displacement",
+    "gamma1": "dimensionless",
+    "v_s": "velocity",
+    "start": "dimensionless",
+    "offset": "force",
+    "noise_sd": "force",
+    "noise_time": "time",
+    "noise_dof": "dimensionless",
+}
+"""What each sampled quantity measures."""
+
+_LOG_2PI = float(np.log(2 * np.pi))
+_RANGE = 1e15  # values beyond this are out of support: no damper has them
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Density of one quantity x > `lower`, < `upper`, sampled as an unconstrained q.
+
+    q is x itself on the whole line, log(x − lower) on a half line, and the logit of the
+    place between two bounds.
+
+    Attributes
+    ----------
+    family : str
+    figures : mapping of str to float, internal units
+    reason : str
+    """
+
+    family: str
+    figures: Mapping[str, float]
+    reason: str = ""
+    lower: float = field(init=False)
+    upper: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        _check_figures(self.family, self.figures)
+        lower, upper = _SUPPORTS[self.family](self.figures)
+        object.__setattr__(self, "lower", lower)
+        object.__setattr__(self, "upper", upper)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the quantity has one value and is not sampled."""
+        return self.family == "fixed"
+
+    def value(self, q: Array) -> Array:
+        """Quantity x at coordinate q, same shape; inf where q is beyond all range."""
+        if np.isinf(self.lower):
+            return q
+        if np.isinf(self.upper):
+            return self.lower + np.exp(np.minimum(q, 700.0))
+        return self.lower + (self.upper - self.lower) * special.expit(q)
+
+    def coordinate(self, x: Array) -> Array:
+        """Coordinate q of quantity x, the inverse of `value`."""
+        if np.isinf(self.lower):
+            return x
+        if np.isinf(self.upper):
+            return np.log(x - self.lower)
+        return special.logit((x - self.lower) / (self.upper - self.lower))
+
+    def log_density(self, q: Array) -> Array:
+        """Log density of q, with the Jacobian; −inf where x is out of range, same shape."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            x = self.value(q)
+            density = _LOG_DENSITIES[self.family](x, self.figures) + self._log_jacobian(q)
+        return np.where((np.abs(x) < _RANGE) & np.isfinite(density), density, -np.inf)
+
+    def _log_jacobian(self, q: Array) -> Array:
+        if np.isinf(self.lower):
+            return np.zeros_like(q)
+        if np.isinf(self.upper):
+            return q
+        width = np.log(self.upper - self.lower)
+        return width + special.log_expit(q) + special.log_expit(-q)
+
+    def draw(self, rng: np.random.Generator, n: int) -> Array:
+        """Independent draws of x, (n,)."""
+        return _DRAWS[self.family](rng, n, self.figures)
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Half-normal prior of a group's test-to-test scatter.
+
+    `sd` is that of the logarithm, or in internal units for a quantity of either sign.
+    """
+
+    parameters: tuple[str, ...]
+    sd: float
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class PriorFile:
+    """One device family's priors.
+
+    Attributes
+    ----------
+    path : Path
+    title : str
+    parameters : mapping of str to Prior
+    scatter : mapping of str to Scatter
+    """
+
+    path: Path
+    title: str
+    parameters: Mapping[str, Prior]
+    scatter: Mapping[str, Scatter]
+
+
+def find_priors(name: str, folder: Path | None = None) -> Path:
+    """Path of a prior file named "mfd", "brfd", … or given by its path, relative to `folder`.
+
+    Raises
+    ------
+    PriorError
+        When there is no such file; the names that there are are listed.
+    """
+    home = _home()
+    shipped = home / f"{name}.toml"
+    if shipped.parent == home and shipped.is_file():
+        return shipped
+    path = (folder or Path()) / name
+    if path.is_file():
+        return path
+    known = ", ".join(sorted(p.stem for p in home.glob("*.toml")))
+    raise PriorError(f"no prior file '{name}': expected one of {known}, or the path of a TOML file")
+
+
+def _home() -> Path:
+    package = Path(__file__).parents[1]
+    installed = package / "priors"
+    return installed if installed.is_dir() else package.parent / "priors"
+
+
+def load_priors(name: str, folder: Path | None = None) -> PriorFile:
+    """Priors of a file, checked.
+
+    Raises
+    ------
+    PriorError
+        When the file is missing, is no TOML, or a prior in it has an unknown name, family,
+        figure or unit.
+    """
+    path = find_priors(name, folder)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PriorError(f"prior file {path.name} is not valid TOML: {error}") from error
+    unknown = set(content) - {"title", "parameters", "scatter"}
+    if unknown:
+        raise PriorError(
+            f"unknown key '{sorted(unknown)[0]}' in prior file {path.name}; "
+            "it may hold title, parameters and scatter"
+        )
+    tables = _tables(path, content, "parameters"), _tables(path, content, "scatter")
+    return PriorFile(
+        path=path,
+        title=str(content.get("title", path.stem)),
+        parameters={key: _prior(path, key, table) for key, table in tables[0].items()},
+        scatter={key: _scatter(path, key, table) for key, table in tables[1].items()},
+    )
+
+
+def _tables(path: Path, content: dict[str, object], key: str) -> dict[str, dict[str, object]]:
+    tables = content.get(key, {})
+    if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
+        raise PriorError(f"[{key}] of prior file {path.name} must hold tables")
+    return tables
+
+
+def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
+    where = f"prior of {name} in {path.name}"
+    if name not in KINDS:
+        raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(KINDS)}")
+    family = table.get("family")
+    if family not in _FIGURES:
+        raise PriorError(f"{where}: family must be one of {', '.join(_FIGURES)}, got {family!r}")
+    figures = {
+        key: _figure(f"{where}, {key}", value, KINDS[name] if key in _DIMENSIONAL else None)
+        for key, value in table.items()
+        if key not in ("family", "reason")
+    }
+    try:
+        return Prior(str(family), figures, str(table.get("reason", "")))
+    except PriorError as error:
+        raise PriorError(f"{where}: {error}") from error
+
+
+def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
+    where = f"scatter {name} in {path.name}"
+    members = table.get("parameters")
+    if set(table) - {"parameters", "sd", "reason"} or not isinstance(members, list):
+        raise PriorError(f"{where}: expected the keys parameters (a list), sd and reason")
+    unknown = [m for m in members if m not in KINDS]
+    if unknown:
+        raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
+    kind = KINDS["offset"] if members == ["offset"] else None
+    sd = _figure(f"{where}, sd", table.get("sd"), kind)
+    if not sd > 0:
+        raise PriorError(f"{where}: sd must be positive, got {sd:g}")
+    return Scatter(tuple(members), sd, str(table.get("reason", "")))
+
+
+def _figure(where: str, value: object, kind: str | None) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise PriorError(f"{where}: expected a number or a quantity such as '2 kip', got {value!r}")
+    if isinstance(value, str):
+        try:
+            number = parse_quantity(value, kind or "dimensionless")
+        except UnitError as error:
+            raise PriorError(f"{where}: {error}") from error
+    elif kind in (None, "dimensionless"):
+        number = float(value)
+    else:
+        raise PriorError(f"{where}: expected a quantity with its unit ({kind}), got {value!r}")
+    if not np.isfinite(number):
+        raise PriorError(f"{where}: must be finite, got {value!r}")
+    return number
+
+
+_DIMENSIONAL = frozenset({"median", "mean", "sd", "lower", "upper", "scale", "value"})
+_FIGURES: dict[str, tuple[set[str], set[str]]] = {  # family: needed, allowed besides
+    "lognormal": ({"median", "spread"}, set()),
+    "normal": ({"mean", "sd"}, set()),
+    "truncated_normal": ({"mean", "sd"}, {"lower", "upper"}),
+    "half_normal": ({"sd"}, set()),
+    "uniform": ({"lower", "upper"}, set()),
+    "gamma": ({"shape", "scale"}, set()),
+    "fixed": ({"value"}, set()),
+}
+_POSITIVE = frozenset({"median", "spread", "sd", "shape", "scale"})
+
+
+def _check_figures(family: str, figures: Mapping[str, float]) -> None:
+    needed, optional = _FIGURES[family]
+    if not needed <= set(figures) <= needed | optional:
+        raise PriorError(
+            f"{family} needs {' and '.join(sorted(needed))}, got {', '.join(sorted(figures))}"
+        )
+    for key in _POSITIVE & set(figures):
+        if not figures[key] > 0:
+            raise PriorError(f"{key} must be positive, got {figures[key]:g}")
+    if "upper" in figures and not figures["upper"] > figures.get("lower", -np.inf):
+        raise PriorError("upper must be above lower")
+    if family == "truncated_normal" and "lower" not in figures:
+        raise PriorError("truncated_normal needs lower, and may have upper")
+
+
+def _half_line(_: Mapping[str, float]) -> tuple[float, float]:
+    return 0.0, np.inf
+
+
+def _whole_line(_: Mapping[str, float]) -> tuple[float, float]:
+    return -np.inf, np.inf
+
+
+_SUPPORTS: dict[str, Callable[[Mapping[str, float]], tuple[float, float]]] = {
+    "lognormal": _half_line,
+    "normal": _whole_line,
+    "truncated_normal": lambda f: (f["lower"], f.get("upper", np.inf)),
+    "half_normal": _half_line,
+    "uniform": lambda f: (f["lower"], f["upper"]),
+    "gamma": _half_line,
+    "fixed": _whole_line,
+}
+
+
+def _normal(x: Array, mean: float, sd: float) -> Array:
+    density: Array = -0.5 * ((x - mean) / sd) ** 2 - np.log(sd) - 0.5 * _LOG_2PI
+    return density
+
+
+def _log_mass(f: Mapping[str, float]) -> float:
+    """Log of a normal's mass between its bounds, in the tail where it keeps its digits."""
+    a = (f["lower"] - f["mean"]) / f["sd"]
+    b = (f.get("upper", np.inf) - f["mean"]) / f["sd"]
+    if a > 0:
+        a, b = -b, -a
+    low, high = special.log_ndtr(a), special.log_ndtr(b)
+    return float(high + np.log1p(-np.exp(low - high)))
+
+
+_LOG_DENSITIES: dict[str, Callable[[Array, Mapping[str, float]], Array]] = {
+    "lognormal": lambda x, f: _normal(np.log(x), np.log(f["median"]), f["spread"]) - np.log(x),
+    "normal": lambda x, f: _normal(x, f["mean"], f["sd"]),
+    "truncated_normal": lambda x, f: _normal(x, f["mean"], f["sd"]) - _log_mass(f),
+    "half_normal": lambda x, f: _normal(x, 0.0, f["sd"]) + np.log(2.0),
+    "uniform": lambda x, f: np.full_like(x, -np.log(f["upper"] - f["lower"])),
+    "gamma": lambda x, f: (
+        (f["shape"] - 1) * np.log(x)
+        - x / f["scale"]
+        - special.gammaln(f["shape"])
+        - f["shape"] * np.log(f["scale"])
+    ),
+    "fixed": lambda x, _: np.zeros_like(x),
+}
+
+
+def _truncated_draws(rng: np.random.Generator, n: int, f: Mapping[str, float]) -> Array:
+    from scipy.stats import truncnorm
+
+    a = (f["lower"] - f["mean"]) / f["sd"]
+    b = (f.get("upper", np.inf) - f["mean"]) / f["sd"]
+    draws = truncnorm.rvs(a, b, loc=f["mean"], scale=f["sd"], size=n, random_state=rng)
+    return np.asarray(draws, dtype=np.float64)
+
+
+_DRAWS: dict[str, Callable[[np.random.Generator, int, Mapping[str, float]], Array]] = {
+    "lognormal": lambda rng, n, f: rng.lognormal(np.log(f["median"]), f["spread"], n),
+    "normal": lambda rng, n, f: rng.normal(f["mean"], f["sd"], n),
+    "truncated_normal": _truncated_draws,
+    "half_normal": lambda rng, n, f: np.abs(rng.normal(0.0, f["sd"], n)),
+    "uniform": lambda rng, n, f: rng.uniform(f["lower"], f["upper"], n),
+    "gamma": lambda rng, n, f: rng.gamma(f["shape"], f["scale"], n),
+    "fixed": lambda _, n, f: np.full(n, f["value"]),
+}

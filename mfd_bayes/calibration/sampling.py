@@ -1,0 +1,306 @@
+"""Draws from a density by emcee, in independent ensembles that run until they agree."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.diagnostics import Convergence, measure
+from mfd_bayes.calibration.map_fit import Density, Mode, find_modes
+from mfd_bayes.calibration.posterior import UNIDENTIFIABLE, Posterior
+from mfd_bayes.errors import FitError
+
+Array = NDArray[np.float64]
+Report = Callable[["Progress"], None]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a sampling goes.
+
+    Attributes
+    ----------
+    ess : float
+        Bulk and tail effective sample size that every coordinate must reach.
+    r_hat : float
+        Largest R̂ across ensembles.
+    block : int
+        Steps between two looks at the convergence.
+    limit : int
+        Steps of each ensemble after which it stops in any case, and says what fell short.
+    ensembles : int
+        Independent ensembles, each a chain.
+    kept : int
+        Draws of each ensemble that are kept, about.
+    """
+
+    ess: float
+    block: int
+    limit: int
+    r_hat: float = 1.01
+    ensembles: int = 4
+    kept: int = 3000
+
+
+EFFORTS = {
+    "quick": Effort(ess=100, block=150, limit=1500, r_hat=1.03, kept=1200),
+    "standard": Effort(ess=400, block=400, limit=8000),
+    "thorough": Effort(ess=2000, block=1000, limit=40000, kept=8000),
+}
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a sampling stands: steps done, the limit, and the worst figures so far."""
+
+    steps: int
+    limit: int
+    r_hat: float
+    ess: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Draws of a density, ensembles as chains.
+
+    Attributes
+    ----------
+    q : (chain, draw, dim)
+        A chain's draws are ordered by walker, and along a walker by step, so that the
+        autocorrelation of a chain is that of its walkers.
+    log_prob : (chain, draw)
+    walkers : int
+    steps, thin, discarded : int
+        Steps of each ensemble, every which is kept, and how many at the start are not.
+    acceptance : (chain,)
+    autocorrelation : (dim,)
+        Integrated autocorrelation time, steps.
+    convergence : Convergence
+    """
+
+    q: Array
+    log_prob: Array
+    walkers: int
+    steps: int
+    thin: int
+    discarded: int
+    acceptance: Array
+    autocorrelation: Array
+    convergence: Convergence
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Posterior draws of one test.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What q's columns stand for.
+    q : (chain, draw, dim)
+        Unconstrained coordinates.
+    theta : (chain, draw, p)
+        Parameters of the model in its own order, internal units.
+    values : mapping of str to (chain, draw)
+        All quantities by name, γ1 drawn from its prior.
+    log_prob, log_prior, log_likelihood : (chain, draw)
+    chains : Chains
+    modes : tuple of Mode
+    wall_time : float, s
+    """
+
+    names: tuple[str, ...]
+    q: Array
+    theta: Array
+    values: Mapping[str, Array]
+    log_prob: Array
+    log_prior: Array
+    log_likelihood: Array
+    chains: Chains
+    modes: tuple[Mode, ...]
+    wall_time: float
+
+    @property
+    def convergence(self) -> Convergence:
+        """R̂ and effective sample sizes of every coordinate."""
+        return self.chains.convergence
+
+
+def find_effort(effort: str | Effort) -> Effort:
+    """Effort of that name.
+
+    Raises
+    ------
+    FitError
+        When there is none; the names that there are are listed.
+    """
+    if isinstance(effort, Effort):
+        return effort
+    if effort not in EFFORTS:
+        raise FitError(f"unknown effort {effort!r}: expected one of {', '.join(EFFORTS)}")
+    return EFFORTS[effort]
+
+
+def sample(
+    posterior: Posterior,
+    effort: str | Effort = "standard",
+    seed: int | Sequence[int] = 0,
+    *,
+    report: Report | None = None,
+) -> Draws:
+    """Posterior draws of one test, in four independent ensembles or more.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    effort : {"quick", "standard", "thorough"} or Effort
+    seed : int or sequence of int
+        The same seed gives the same draws.
+    report : callable, optional
+        Called with a `Progress` after every block of steps.
+
+    Raises
+    ------
+    FitError
+        When the prior has no mass at any start, or the effort is unknown.
+    """
+    began = time.perf_counter()
+    chosen = find_effort(effort)
+    rng = np.random.default_rng(seed)
+    modes = find_modes(posterior, rng)
+    chains = sample_density(posterior.log_prob, modes, chosen, rng, report=report)
+    flat = chains.q.reshape(-1, posterior.dim)
+    shape = chains.q.shape[:2]
+    values = posterior.values(flat)
+    if UNIDENTIFIABLE in posterior.priors:
+        values[UNIDENTIFIABLE] = posterior.priors[UNIDENTIFIABLE].draw(rng, len(flat))
+    log_prior = posterior.log_prior(flat).reshape(shape)
+    return Draws(
+        names=posterior.names,
+        q=chains.q,
+        theta=posterior.theta(values).reshape(*shape, -1),
+        values={name: value.reshape(shape) for name, value in values.items()},
+        log_prob=chains.log_prob,
+        log_prior=log_prior,
+        log_likelihood=chains.log_prob - log_prior,
+        chains=chains,
+        modes=modes,
+        wall_time=time.perf_counter() - began,
+    )
+
+
+def sample_density(
+    density: Density,
+    modes: Sequence[Mode],
+    effort: Effort,
+    rng: np.random.Generator,
+    *,
+    report: Report | None = None,
+) -> Chains:
+    """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes."""
+    began = time.perf_counter()
+    samplers, states = _ensembles(density, modes, effort, rng)
+    steps, wait = 0, effort.block
+    while True:
+        states = [
+            sampler.run_mcmc(state, wait, skip_initial_state_check=True)
+            for sampler, state in zip(samplers, states, strict=True)
+        ]
+        steps += wait
+        chains = _gather(samplers, steps, effort)
+        found = chains.convergence
+        if report is not None:
+            seconds = time.perf_counter() - began
+            report(Progress(steps, effort.limit, found.worst_r_hat, found.worst_ess, seconds))
+        if found.reached(effort.r_hat, effort.ess) or steps >= effort.limit:
+            return chains
+        wait = min(effort.block, effort.limit - steps)
+
+
+def _ensembles(
+    density: Density, modes: Sequence[Mode], effort: Effort, rng: np.random.Generator
+) -> tuple[list[emcee.EnsembleSampler], list[emcee.State]]:
+    dim = len(modes[0].q)
+    walkers = 2 * max(16, dim + 3)
+    samplers, states = [], []
+    for _ in range(effort.ensembles):
+        sampler = emcee.EnsembleSampler(
+            walkers, dim, density, moves=_moves(dim), vectorize=True
+        )
+        seed = int(rng.integers(2**32))
+        # emcee takes a RandomState's state and silently ignores anything else
+        twister = np.random.RandomState(seed)  # noqa: NPY002
+        sampler.random_state = twister.get_state()
+        begin = _disperse(density, modes, walkers, rng)
+        states.append(emcee.State(begin, random_state=twister.get_state()))
+        samplers.append(sampler)
+    return samplers, states
+
+
+def _moves(dim: int) -> list[tuple[emcee.moves.Move, float]]:
+    """Differential evolution, now and then a full jump between walkers or a stretch.
+
+    emcee 3.1.6's DESnookerMove does not sample the target and is not used.
+    """
+    usual = 2.38 / np.sqrt(2 * dim)
+    return [
+        (emcee.moves.DEMove(sigma=1e-3, gamma0=usual), 0.8),
+        (emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), 0.1),
+        (emcee.moves.StretchMove(), 0.1),
+    ]
+
+
+def _disperse(
+    density: Density, modes: Sequence[Mode], walkers: int, rng: np.random.Generator
+) -> Array:
+    """Walkers around the modes that hold mass, a little wider than Laplace's covariance."""
+    evidence = np.array([mode.log_evidence for mode in modes])
+    weights = np.exp(evidence - evidence.max())
+    weights[weights < 1e-3] = 0.0
+    weights /= weights.sum()
+    begin = np.empty((walkers, len(modes[0].q)))
+    factors = [np.linalg.cholesky(mode.covariance) for mode in modes]
+    waiting = np.arange(walkers)
+    shrink = 1.0
+    while waiting.size:
+        chosen = rng.choice(len(modes), size=waiting.size, p=weights)
+        for i, k in zip(waiting, chosen, strict=True):
+            begin[i] = modes[k].q + shrink * factors[k] @ rng.standard_normal(len(modes[k].q))
+        values = density(begin[waiting])
+        near = values > modes[0].log_prob - 5.0 * len(modes[0].q)
+        waiting = waiting[~near]
+        shrink *= 0.9
+        if shrink < 1e-3:
+            raise FitError("no density around the modes: the posterior cannot be sampled")
+    return begin
+
+
+def _gather(samplers: Sequence[emcee.EnsembleSampler], steps: int, effort: Effort) -> Chains:
+    """Draws of the second half of the steps, thinned, and what they say of convergence."""
+    discarded = steps // 2
+    walkers = samplers[0].nwalkers
+    thin = max(1, (steps - discarded) * walkers // effort.kept)
+    chains = np.stack([s.get_chain(discard=discarded, thin=thin) for s in samplers])
+    log_prob = np.stack([s.get_log_prob(discard=discarded, thin=thin) for s in samplers])
+    times = [
+        emcee.autocorr.integrated_time(s.get_chain(discard=discarded), tol=0, quiet=True)
+        for s in samplers
+    ]
+    ensembles, _, _, dim = chains.shape
+    return Chains(
+        q=np.swapaxes(chains, 1, 2).reshape(ensembles, -1, dim),
+        log_prob=np.swapaxes(log_prob, 1, 2).reshape(ensembles, -1),
+        walkers=walkers,
+        steps=steps,
+        thin=thin,
+        discarded=discarded,
+        acceptance=np.array([float(np.mean(s.acceptance_fraction)) for s in samplers]),
+        autocorrelation=np.mean(times, axis=0),
+        convergence=measure(chains),
+    )

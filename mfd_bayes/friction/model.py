@@ -1,0 +1,114 @@
+"""What every friction model offers, and the checks that all of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+UNITS = {
+    "sigma0": "kip/in",
+    "sigma1": "kip*s/in",
+    "sigma2": "kip*s/in",
+    "Fs_fwd": "kip",
+    "Fc_fwd": "kip",
+    "Fs_bwd": "kip",
+    "Fc_bwd": "kip",
+    "k2": "kip/in",
+    "k3": "kip/in",
+    "d2": "in",
+    "d3": "in",
+    "gamma1": "1",
+    "gamma2": "in",
+    "v_s": "in/s",
+}
+"""Unit of every parameter, in the paper's order."""
+
+FRICTION_FORCES = ("Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd")
+ACTUATED = ("sigma0", *FRICTION_FORCES)
+"""The parameters that follow the actuation (paper Eq. 5)."""
+
+
+class Model(Protocol):
+    """A friction model: a name, its parameters in order, and their force."""
+
+    @property
+    def name(self) -> str:
+        """Name in campaign files."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of theta's columns."""
+
+    @property
+    def has_gap(self) -> bool:
+        """Whether `start`, the place in the gap at the first sample, matters."""
+
+    def force(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Force of every parameter vector, (n, T), kip."""
+
+
+def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
+    """Columns of theta by name, (1, n) each.
+
+    Raises
+    ------
+    FitError
+        When the shape does not fit, or a value is negative or not finite, or F_s < F_c.
+    """
+    values = np.asarray(theta, dtype=np.float64)
+    width = len(model.parameters)
+    if values.ndim != 2 or values.shape[1] != width:
+        raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
+    for column, name in zip(values.T, model.parameters, strict=True):
+        bad = ~(np.isfinite(column) & (column >= 0.0))
+        if np.any(bad):
+            got = column[np.argmax(bad)]
+            raise FitError(f"parameter {name} must be finite and not negative, got {got}")
+    columns = {
+        name: np.ascontiguousarray(values[:, i])[None]
+        for i, name in enumerate(model.parameters)
+    }
+    for side in ("fwd", "bwd"):
+        short = columns[f"Fs_{side}"] < columns[f"Fc_{side}"] * (1 - 1e-12)
+        if np.any(short):
+            raise FitError(f"static friction Fs_{side} must be at least kinetic Fc_{side}")
+    return columns
+
+
+def actuate(
+    columns: dict[str, Array], trace: Trace, scales: Mapping[str, Array] | None
+) -> dict[str, Array]:
+    """Columns with those that follow a varying actuation made histories, (T, n).
+
+    Parameters
+    ----------
+    columns : dict of (1, n)
+        Values at the trace's reference actuation.
+    trace : Trace
+    scales : mapping of (n, T) or (1, T), optional
+        Factor of each actuated parameter at each sample. When left out and the actuation
+        varies, friction is in proportion to it (paper Eq. 5) and σ0 stays constant, since
+        one test cannot tell σ0's slope from its intercept.
+    """
+    if scales is None:
+        if not trace.varying:
+            return columns
+        reference = trace.reference_actuation
+        share = np.asarray(trace.actuation)[None] / (reference if reference > 0 else 1.0)
+        scales = dict.fromkeys(FRICTION_FORCES, share)
+    return columns | {name: columns[name] * factor.T for name, factor in scales.items()}

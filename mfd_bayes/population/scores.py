@@ -1,0 +1,67 @@
+"""How well a predicted band and its draws met a measured force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PROBABILITIES = (0.5, 0.9, 0.95)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Scores of one record.
+
+    Attributes
+    ----------
+    coverage : tuple of float
+        Share of samples inside the equal-tailed bands of `PROBABILITIES`.
+    width : float, kip
+        Mean width of the 95 % band.
+    crps : float, kip
+        Mean continuous ranked probability score.
+    rrse : float
+        Root relative squared error of the median.
+    """
+
+    coverage: tuple[float, ...]
+    width: float
+    crps: float
+    rrse: float
+
+
+def score(draws: Array, observed: Array) -> Score:
+    """Scores of draws (n, T) against an observed force (T,), kip."""
+    coverage = []
+    width = np.nan
+    for probability in PROBABILITIES:
+        tail = 0.5 * (1.0 - probability)
+        lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
+        coverage.append(float(np.mean((observed >= lower) & (observed <= upper))))
+        width = float(np.mean(upper - lower))
+    return Score(
+        coverage=tuple(coverage),
+        width=width,
+        crps=float(np.mean(crps(draws, observed))),
+        rrse=rrse(np.median(draws, axis=0), observed),
+    )
+
+
+def crps(draws: Array, observed: Array) -> Array:
+    """Continuous ranked probability score E|X − y| − ½ E|X − X'| of each sample, (T,), kip."""
+    n = len(draws)
+    ordered = np.sort(draws, axis=0)
+    weights = (2.0 * np.arange(1, n + 1) - n - 1.0)[:, None] / n**2
+    spread = np.sum(weights * ordered, axis=0)
+    score: Array = np.mean(np.abs(draws - observed), axis=0) - spread
+    return score
+
+
+def rrse(predicted: Array, observed: Array) -> float:
+    """Root relative squared error √(Σ(F − F̂)² / Σ(F − F̄)²)."""
+    error = np.sum((observed - predicted) ** 2)
+    return float(np.sqrt(error / np.sum((observed - observed.mean()) ** 2)))

@@ -1,0 +1,351 @@
+"""A test file, checked and in internal units, and the traces cut from it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers import Table, read_table
+from mfd_bayes.records.resampling import decimate, default_rate
+from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
+from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
+
+Array = NDArray[np.float64]
+Window = tuple[float, float]
+
+ROLES = ("time", "displacement", "force", "velocity", "actuation")
+"""What a column can be; time and displacement must be there."""
+
+SAMPLES = 20
+"""Fewest samples that a record, or a window of it, may have."""
+
+GAP = 10.0
+"""A step longer than this many median steps is a gap in time."""
+
+JITTER = 0.01
+"""Samples further than this share of a step from a uniform grid are interpolated onto one."""
+
+_EXAMPLES = {"time": "time_s", "displacement": "displacement_in"}
+_SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A test as measured, in internal units. Made by `read_record`, which checks it.
+
+    Attributes
+    ----------
+    path : Path
+    sha256 : str
+        Of the file's bytes.
+    time : (T,), s
+        Strictly increasing, without a gap.
+    displacement : (T,), in
+    force : (T,), kip, or None
+    velocity : (T,), in/s, or None
+    actuation : float or (T,), ksi (pressure) or kip (tension), or None
+    actuation_unit : "ksi", "kip" or None
+    columns : dict
+        Role to the column's name and unit in the file.
+    rate : float, Hz
+        Samples per second: (T - 1) over the duration, so that rounded time stamps do not drift;
+        one over the median step where the steps are not uniform.
+    jitter : float
+        Largest distance of a sample from a uniform grid through the ends, in steps.
+    turning_points : int
+    fit : (float, float), s, or None
+        Window that `trace` takes when it is given none.
+    """
+
+    path: Path
+    sha256: str
+    time: Array
+    displacement: Array
+    force: Array | None
+    velocity: Array | None
+    actuation: float | Array | None
+    actuation_unit: ActuationUnit | None
+    columns: dict[str, tuple[str, str]]
+    rate: float
+    jitter: float
+    turning_points: int
+    fit: Window | None = None
+
+    def trace(
+        self,
+        rate: float | None = None,
+        *,
+        window: Window | None = None,
+        gap: float | None = None,
+    ) -> Trace:
+        """Trace of this record, or of a window of it, at a rate.
+
+        Parameters
+        ----------
+        rate : float, Hz, optional
+            Anti-aliased without delay down to this rate; left alone where the record's is lower.
+        window : (float, float), s, optional
+            In the record's own time; `fit` when left out.
+        gap : float, in, optional
+            Without a rate: take `default_rate` for this gap. Without either: every sample.
+
+        Raises
+        ------
+        RecordError
+            When the window or the rate leaves fewer than 20 samples, or the rate is not positive.
+        """
+        cut = _slice(self, window or self.fit)
+        if rate is None and gap is not None:
+            x = self.displacement[cut]
+            rate = default_rate(self.time[cut], x, _turns(x), gap, rate=self.rate)
+        if rate is not None and not (math.isfinite(rate) and rate > 0):
+            raise RecordError(f"rate must be positive, got {rate:g} Hz")
+        if rate is None or rate >= self.rate * (1 - 1e-9):
+            signals = {role: signal[cut] for role, signal in self._signals().items()}
+            return self._as_trace(self.time[cut], signals)
+        return self._decimated(rate, float(self.time[cut][0]), float(self.time[cut][-1]))
+
+    def _decimated(self, rate: float, start: float, end: float) -> Trace:
+        """Trace from `start` to `end` at a rate below the record's."""
+        grid, signals = self._uniform()
+        inside = np.flatnonzero((grid >= start) & (grid <= end))
+        first, last = int(inside[0]), int(inside[-1])
+        share = 1 / Fraction(self.rate / rate).limit_denominator(1000)
+        count = (last - first) * share.numerator // share.denominator + 1
+        if count < SAMPLES:
+            raise RecordError(f"{rate:g} Hz leaves fewer than {SAMPLES} samples of {self.path}")
+        time = grid[first] + np.arange(count) / (float(share) * self.rate)
+        return self._as_trace(
+            time, {role: decimate(v, share, first, last) for role, v in signals.items()}
+        )
+
+    def _uniform(self) -> tuple[Array, dict[str, Array]]:
+        """Grid of uniform times, and the signals on it: the record's own, where it is one."""
+        signals = self._signals()
+        if self.jitter <= JITTER:
+            return self.time, signals
+        duration = float(self.time[-1] - self.time[0])
+        grid = self.time[0] + np.arange(int(duration * self.rate) + 1) / self.rate
+        return grid, {role: np.interp(grid, self.time, v) for role, v in signals.items()}
+
+    def _signals(self) -> dict[str, Array]:
+        signals = {
+            "displacement": self.displacement,
+            "force": self.force,
+            "velocity": self.velocity,
+            "actuation": self.actuation,
+        }
+        return {k: v for k, v in signals.items() if isinstance(v, np.ndarray)}
+
+    def _as_trace(self, time: Array, signals: dict[str, Array]) -> Trace:
+        history = signals.get("actuation")
+        # The filter may dip below zero beside a jump.
+        actuation = self.actuation if history is None else np.maximum(history, 0.0)
+        return Trace.from_arrays(
+            time,
+            signals["displacement"],
+            actuation,
+            signals.get("force"),
+            signals.get("velocity"),
+        )
+
+
+def read_record(
+    path: str | Path,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    actuation: str | None = None,
+    *,
+    fit: str | Window | None = None,
+) -> Record:
+    """Record of a .csv, .txt, .json or .mat file, checked and in internal units.
+
+    Parameters
+    ----------
+    path : str or Path
+    columns : mapping, optional
+        Role (`ROLES`) to column name. Where it names neither time nor displacement, the other
+        roles are taken from headers such as ``time_s`` or ``displacement_in``.
+    units : mapping, optional
+        Role to unit; by default what follows the column's last underscore.
+    actuation : str, optional
+        Held during the test: ``"500 psi"`` or ``"30 lbf"``. For a measured one, name its column.
+    fit : str or (float, float), s, optional
+        Window that `Record.trace` takes by default: ``"0 s to 60 s"``.
+
+    Raises
+    ------
+    RecordError
+        When the file, a column, a cell, the time or the motion cannot be used.
+    UnitError
+        When a unit is unknown or does not measure what its column should.
+    """
+    path = Path(path)
+    table = read_table(path)
+    roles = _roles(table, columns or {}, units or {}, guess_actuation=actuation is None)
+    if actuation is not None and "actuation" in roles:
+        raise RecordError(f"actuation of {path} is given both as {actuation!r} and as a column")
+    named = {role: _unit_of(table, role, name, units or {}) for role, name in roles.items()}
+    values = table.columns(list(dict.fromkeys(roles.values())))
+    signals, unit = _internal(table, named, values)
+    level: float | None = None
+    if actuation is not None:
+        level, unit = parse_actuation(actuation, of=f"the actuation of {path}")
+    rate, jitter = _check_time(table, signals["time"])
+    fit = parse_window(fit) if isinstance(fit, str) else fit
+    record = Record(
+        path=path,
+        sha256=_sha256(path),
+        time=signals["time"],
+        displacement=signals["displacement"],
+        force=signals.get("force"),
+        velocity=signals.get("velocity"),
+        actuation=signals.get("actuation", level),
+        actuation_unit=unit,
+        columns=named,
+        rate=rate,
+        jitter=jitter,
+        turning_points=_turns(signals["displacement"]).size,
+        fit=fit,
+    )
+    _check_motion(record)
+    return record
+
+
+def header_unit(name: str) -> str | None:
+    """What a column's name ends with as its unit: ``"kip"`` of ``"force_kip"``, or None."""
+    match = re.search(rf"{_SUFFIX}$", name)
+    return match[1].replace("_per_", "/") if match else None
+
+
+def _roles(
+    table: Table, columns: Mapping[str, str], units: Mapping[str, str], *, guess_actuation: bool
+) -> dict[str, str]:
+    """Role → column, as given or from the headers."""
+    for role in (*columns, *units):
+        if role not in ROLES:
+            raise RecordError(f"unknown role {role!r} of a column; expected {', '.join(ROLES)}")
+    roles = dict(columns)
+    if not {"time", "displacement"} & columns.keys():
+        wanted = [r for r in ROLES if r not in roles and (r != "actuation" or guess_actuation)]
+        roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
+    missing = [role for role in ("time", "displacement") if role not in roles]
+    if missing:
+        raise RecordError(
+            f"no column for {missing[0]} in {table.path}: name one, or call it "
+            f"{_EXAMPLES[missing[0]]!r}; it has {', '.join(table.names[:20])}"
+        )
+    return {role: roles[role] for role in ROLES if role in roles}
+
+
+def _guess(table: Table, role: str) -> str | None:
+    """Column called after the role, with a unit or without."""
+    pattern = re.compile(rf"{role}({_SUFFIX})?", re.IGNORECASE)
+    found = [name for name in table.names if pattern.fullmatch(name)]
+    if len(found) > 1:
+        raise RecordError(
+            f"{table.path} has several columns for {role}, {', '.join(found)}; say which"
+        )
+    return found[0] if found else None
+
+
+def _unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> tuple[str, str]:
+    unit = units.get(role) or header_unit(name)
+    if unit is None:
+        raise RecordError(
+            f"column {name!r} of {table.path} has no unit in its name; give the unit of {role}"
+        )
+    return name, unit
+
+
+def _internal(
+    table: Table, named: dict[str, tuple[str, str]], values: dict[str, Array]
+) -> tuple[dict[str, Array], ActuationUnit | None]:
+    """Role → signal in internal units, and the unit of a measured actuation."""
+    signals: dict[str, Array] = {}
+    internal: ActuationUnit | None = None
+    for role, (name, unit) in named.items():
+        of = f"column {name!r} of {table.path}"
+        if role == "actuation":
+            scale, internal = actuation_factor(unit, of=of)
+        else:
+            scale = factor(unit, role, of=of)
+        signals[role] = values[name] * scale
+        if not np.all(np.isfinite(signals[role])):
+            raise RecordError(f"{of} holds numbers too large to use")
+    if "actuation" in signals:
+        if np.mean(signals["actuation"]) < 0:
+            raise RecordError(f"the actuation of {table.path} is negative on average")
+        # What little is below zero is the sensor's noise.
+        signals["actuation"] = np.maximum(signals["actuation"], 0.0)
+    for signal in signals.values():
+        signal.flags.writeable = False
+    return signals, internal
+
+
+def _check_time(table: Table, time: Array) -> tuple[float, float]:
+    """Rate, Hz, and jitter, in steps, of a time that increases without a gap."""
+    if time.size < SAMPLES:
+        raise RecordError(f"{table.path} has {time.size} samples; at least {SAMPLES} are needed")
+    steps = np.diff(time)
+    if not np.all(steps > 0):
+        row = int(np.argmax(steps <= 0)) + 1
+        raise RecordError(
+            f"time in {table.path} does not increase at {table.place(row)}: "
+            f"{time[row]:g} s after {time[row - 1]:g} s"
+        )
+    median, row = float(np.median(steps)), int(np.argmax(steps)) + 1
+    if steps[row - 1] > GAP * median:
+        raise RecordError(
+            f"time in {table.path} has a gap of {steps[row - 1]:.4g} s before {table.place(row)}, "
+            f"after {time[row - 1]:g} s; the median step is {median:.4g} s"
+        )
+    uniform = np.linspace(time[0], time[-1], time.size)
+    step = float(time[-1] - time[0]) / (time.size - 1)
+    jitter = float(np.max(np.abs(time - uniform))) / step
+    return 1 / (median if jitter > JITTER else step), jitter
+
+
+def _check_motion(record: Record) -> None:
+    """Refuse a record, or a fit window, whose motion does not turn twice."""
+    displacement = record.displacement[_slice(record, record.fit)]
+    where = f"{record.path}" + (" in the fit window" if record.fit else "")
+    if np.ptp(displacement) == 0:
+        raise RecordError(f"displacement in {where} is constant")
+    count = _turns(displacement).size
+    if count < 2:
+        raise RecordError(f"motion in {where} has {count} turning points; at least 2 are needed")
+
+
+def _slice(record: Record, window: Window | None) -> slice:
+    """Slice of a window, both ends in."""
+    if window is None:
+        return slice(0, record.time.size)
+    start, end = window
+    first = int(np.searchsorted(record.time, start, side="left"))
+    last = int(np.searchsorted(record.time, end, side="right"))
+    if not last - first >= SAMPLES:
+        raise RecordError(
+            f"window {start:g} s to {end:g} s holds {max(last - first, 0)} samples of "
+            f"{record.path}, which runs from {record.time[0]:g} s to {record.time[-1]:g} s; "
+            f"at least {SAMPLES} are needed"
+        )
+    return slice(first, last)
+
+
+def _turns(displacement: Array) -> NDArray[np.intp]:
+    return turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,106 @@
+"""Lower sampling rates: which one is enough, and how to get there without delay."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
+    """Signal from sample `first` to `last` at a lower rate, without delay.
+
+    A symmetric low-pass filter: flat to 0.7 of the new Nyquist frequency, and at least 40 dB
+    down above it. What lies outside the window enters the filter; beyond the ends of the
+    signal its point reflection does, which keeps value and slope there.
+
+    Parameters
+    ----------
+    values : (T,)
+    share : Fraction
+        New rate over old, at most 1.
+    first, last : int
+        The first sample comes back as the first; nothing comes back from after the last.
+
+    Returns
+    -------
+    (N,)
+    """
+    from scipy.signal import firwin, resample_poly
+
+    up, down = share.numerator, share.denominator
+    # The window's reach is ten new samples; the padding is a whole number of them.
+    blocks = -(-10 // up)
+    pad = blocks * down
+    padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
+    taps = firwin(20 * down + 1, 0.84 / down, window=("kaiser", 5.0))
+    fine = resample_poly(
+        padded[first : last + 2 * pad + 1],
+        up,
+        down,
+        window=taps,  # type: ignore[arg-type]  # the stubs leave out taps, which scipy documents
+        padtype="line",
+    )
+    count = (last - first) * up // down + 1
+    return np.asarray(fine[blocks * up :][:count], dtype=np.float64)
+
+
+def default_rate(
+    time: Array,
+    displacement: Array,
+    turns: NDArray[np.intp],
+    gap: float,
+    *,
+    rate: float | None = None,
+    max_samples: int = 6000,
+) -> float:
+    """Lowest rate that resolves the crossing of a gap and the half-cycles.
+
+    At least 20 samples per crossing of the gap after a turning point (for three crossings of
+    four: the lower quartile of their times), and 40 per median half-cycle, where the record
+    has them. Then up to the next whole divisor of the record's rate. The cap comes last and
+    yields to nothing: with it, a long record gets fewer samples per crossing.
+
+    Parameters
+    ----------
+    time : (T,), s
+    displacement : (T,), in
+    turns : (K,), int
+        Samples at which the motion turns.
+    gap : float, in
+    rate : float, Hz, optional
+        The record's; from `time` when left out.
+    max_samples : int
+
+    Returns
+    -------
+    float, Hz
+        The record's rate over a whole number.
+    """
+    record_rate = (time.size - 1) / float(time[-1] - time[0]) if rate is None else rate
+    crossings = _crossing_times(time, displacement, turns, gap)
+    needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
+    if turns.size > 1:
+        needs.append(40 / float(np.median(np.diff(time[turns]))))
+    wanted = max(needs, default=record_rate)
+    divisor = max(1, int(record_rate / wanted * (1 + 1e-9)))
+    return record_rate / max(divisor, math.ceil(time.size / max_samples))
+
+
+def _crossing_times(
+    time: Array, displacement: Array, turns: NDArray[np.intp], gap: float
+) -> list[float]:
+    """How long, s, it takes to `gap` away from each turning point, if before the next."""
+    times = []
+    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=True):
+        away = np.abs(displacement[start : end + 1] - displacement[start])
+        reached = int(np.argmax(away >= gap))
+        if away[reached] >= gap and reached > 0:
+            part = (gap - away[reached - 1]) / (away[reached] - away[reached - 1])
+            at = start + reached
+            times.append(float(time[at - 1] + part * (time[at] - time[at - 1]) - time[start]))
+    return times

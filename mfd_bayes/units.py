@@ -1,0 +1,209 @@
+"""Factors from the units that people write to the internal ones: s, in, kip, ksi.
+
+pint is met here and nowhere else, and is imported when the first unit is read.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from functools import cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from mfd_bayes.errors import UnitError
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+ActuationUnit = Literal["ksi", "kip"]
+
+
+class Kind(NamedTuple):
+    """What a number measures: its internal unit, its dimension's name, units to suggest."""
+
+    unit: str
+    measure: str
+    examples: str
+
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "time": Kind("s", "time", "'s' or 'ms'"),
+        "displacement": Kind("in", "length", "'in' or 'mm'"),
+        "velocity": Kind("in/s", "velocity", "'in/s' or 'mm/s'"),
+        "force": Kind("kip", "force", "'kip' or 'kN'"),
+        "pressure": Kind("ksi", "pressure", "'psi' or 'MPa'"),
+        "stiffness": Kind("kip/in", "stiffness", "'kip/in' or 'kN/mm'"),
+        "damping": Kind("kip*s/in", "damping", "'kip*s/in' or 'kN*s/mm'"),
+        "area": Kind("in^2", "area", "'in^2' or 'mm^2'"),
+        "rate": Kind("Hz", "rate", "'Hz' or '1/s'"),
+        "dimensionless": Kind("1", "ratio", "'1' or '%'"),
+    }
+)
+"""Every kind of number that a unit can be asked for."""
+
+# Nothing here is a mass, so a laboratory's pound is always a force.
+_ALIASES = {
+    **dict.fromkeys(("lb", "lbs", "pound", "pounds"), "lbf"),
+    **dict.fromkeys(("Kip", "Kips", "KIP", "KIPS"), "kip"),
+    "PSI": "psi",
+    "KSI": "ksi",
+    "KN": "kN",
+}
+
+# Only names, products and small powers reach pint, whose parser evaluates what it is given.
+_TERM = r"\(*[A-Za-zµμ°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
+_UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
+
+
+def factor(unit: str, kind: str, *, of: str = "") -> float:
+    """Factor that turns values in `unit` into the internal unit of `kind`.
+
+    Parameters
+    ----------
+    unit : str
+        As people write it: ``"mm"``, ``"kN"``, ``"lb"`` (always a force), ``"kip*s/in"``.
+    kind : str
+        A key of `KINDS`.
+    of : str
+        What carries the unit, for the message: ``"column 'force_N'"``.
+
+    Raises
+    ------
+    UnitError
+        When the unit is unknown, has an offset, or does not measure this kind.
+    """
+    target = KINDS[kind]
+    named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
+    parsed = _parse(unit, named)
+    measure = _measure(parsed)
+    if measure != target.measure:
+        article = "an" if target.measure == "area" else "a"
+        raise UnitError(
+            f"{named} measures {measure}; {kind} needs {article} {target.measure} "
+            f"such as {target.examples}"
+        )
+    # The checks against 0 and 2 refuse offset and logarithmic units.
+    zero, one, two = (_convert(value, parsed, target.unit, named) for value in (0.0, 1.0, 2.0))
+    if zero != 0 or not math.isfinite(one) or one <= 0 or not math.isclose(two, 2 * one):
+        raise UnitError(f"{named} is not a plain multiple of {target.unit!r}")
+    return one
+
+
+def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
+    """Factor and internal unit of an actuation: a pressure (ksi) or a tension (kip).
+
+    Raises
+    ------
+    UnitError
+        When the unit is unknown or measures neither.
+    """
+    named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
+    measure = _measure(_parse(unit, named))
+    if measure == "pressure":
+        return factor(unit, "pressure", of=of), "ksi"
+    if measure == "force":
+        return factor(unit, "force", of=of), "kip"
+    raise UnitError(
+        f"{named} measures {measure}; actuation needs a pressure such as 'psi' "
+        "or a force such as 'lbf'"
+    )
+
+
+def parse_quantity(text: str, kind: str, *, of: str = "") -> float:
+    """Value of ``"500 psi"`` in the internal unit of `kind`.
+
+    Raises
+    ------
+    UnitError
+        When it is not a number and a unit of that kind.
+    """
+    value, unit = _split(text, of)
+    return value * factor(unit, kind, of=of or f"{text!r}")
+
+
+def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
+    """Value and internal unit of an actuation: ``"500 psi"`` is ``(0.5, "ksi")``.
+
+    Raises
+    ------
+    UnitError
+        When it is not a number and a unit of pressure or force, or is negative.
+    """
+    value, unit = _split(text, of)
+    if value < 0:
+        raise UnitError(f"actuation must not be negative, got {text!r}")
+    scale, internal = actuation_factor(unit, of=of or f"{text!r}")
+    return value * scale, internal
+
+
+def parse_window(text: str) -> tuple[float, float]:
+    """Start and end, in s, of ``"0 s to 60 s"``.
+
+    Raises
+    ------
+    UnitError
+        When it is not two times, the first before the second.
+    """
+    parts = text.split(" to ")
+    if len(parts) != 2:
+        raise UnitError(f"a window reads '0 s to 60 s', got {text!r}")
+    start, end = (parse_quantity(part, "time") for part in parts)
+    if not start < end:
+        raise UnitError(f"a window must end after it starts, got {text!r}")
+    return start, end
+
+
+def _split(text: str, of: str) -> tuple[float, str]:
+    """Split a quantity into its number and its unit."""
+    match = _QUANTITY.fullmatch(text)
+    expected = f"{of + ': ' if of else ''}expected a number and a unit such as '500 psi'"
+    if match is None:
+        raise UnitError(f"{expected}, got {text!r}")
+    value, unit = float(match[1]), match[2]
+    if not math.isfinite(value):
+        raise UnitError(f"{expected}, got {text!r}, which is not finite")
+    if not unit:
+        raise UnitError(f"{expected}, got {text!r}, which has no unit")
+    return value, unit
+
+
+@cache
+def _registry() -> UnitRegistry[Any]:
+    """Build pint's units once; it takes a tenth of a second."""
+    from pint import UnitRegistry
+
+    return UnitRegistry()
+
+
+def _parse(unit: str, named: str) -> Any:
+    """Parse a unit, and nothing else, with pint."""
+    text = unit.strip()
+    if not text or len(text) > 60 or not _UNIT.fullmatch(text):
+        raise UnitError(f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'")
+    plain = re.sub(r"[A-Za-z_]+", lambda word: _ALIASES.get(word[0], word[0]), text)
+    try:
+        return _registry().parse_units(plain)
+    except Exception as error:  # pint raises AssertionError, TypeError, TokenError and its own
+        raise UnitError(
+            f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
+        ) from error
+
+
+def _measure(parsed: Any) -> str:
+    """Name of what a unit measures."""
+    registry = _registry()
+    for kind in KINDS.values():
+        if parsed.dimensionality == registry.get_dimensionality(kind.unit):
+            return kind.measure
+    return str(parsed.dimensionality).replace("[", "").replace("]", "")
+
+
+def _convert(value: float, parsed: Any, target: str, named: str) -> float:
+    try:
+        return float(_registry().convert(value, parsed, _registry().parse_units(target)))
+    except Exception as error:  # offset and logarithmic units fail in several ways
+        raise UnitError(f"{named} is not a plain multiple of {target!r}") from error
