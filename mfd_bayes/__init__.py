@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mfd_bayes.errors import MfdError
     from mfd_bayes.friction.baselines import LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
-    from mfd_bayes.pipeline import Run, open_run
+    from mfd_bayes.run import Run, open_run
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
@@ -25,10 +25,10 @@ _HOMES = {
     "MfdError": "mfd_bayes.errors",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",
-    "Run": "mfd_bayes.pipeline",
+    "Run": "mfd_bayes.run",
     "ThreeStage": "mfd_bayes.friction.three_stage",
     "Trace": "mfd_bayes.records.trace",
-    "open_run": "mfd_bayes.pipeline",
+    "open_run": "mfd_bayes.run",
     "read_record": "mfd_bayes.records.record",
     "sample": "mfd_bayes.calibration.sampling",
 }

@@ -155,9 +155,7 @@ def _csv_columns(
         "skipinitialspace": True,
     }
     try:
-        frame = pd.read_csv(
-            StringIO(text), dtype=np.float64, float_precision="round_trip", **options
-        )
+        frame = pd.read_csv(StringIO(text), dtype=np.float64, **options)
         columns = {name: frame[at].to_numpy() for name, at in zip(wanted, positions, strict=True)}
         if all(np.all(np.isfinite(column)) for column in columns.values()):
             return columns
@@ -166,7 +164,8 @@ def _csv_columns(
     try:
         cells = pd.read_csv(StringIO(text), dtype=str, keep_default_na=False, **options)
     except (ValueError, pd.errors.ParserError) as error:
-        raise RecordError(f"{path} is not a table of comma-separated columns: {error}") from error
+        reason = str(error).splitlines()[0]
+        raise RecordError(f"{path} is not a table of separated columns: {reason}") from error
     row, name = min(
         (_first_bad(cells[at]), name) for name, at in zip(wanted, positions, strict=True)
     )

@@ -222,7 +222,7 @@ def read_record(
 
 
 def header_unit(name: str) -> str | None:
-    """What a column's name ends with as its unit: ``"kip"`` of ``"force_kip"``, or None."""
+    """Read the unit off a column's name: ``"kip"`` of ``"force_kip"``, or None."""
     match = re.search(rf"{_SUFFIX}$", name)
     return match[1].replace("_per_", "/") if match else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,13 +39,9 @@ def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
     pad = blocks * down
     padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
     taps = firwin(20 * down + 1, 0.84 / down, window=("kaiser", 5.0))
-    fine = resample_poly(
-        padded[first : last + 2 * pad + 1],
-        up,
-        down,
-        window=taps,  # type: ignore[arg-type]  # the stubs leave out taps, which scipy documents
-        padtype="line",
-    )
+    window: Any = taps  # scipy documents that taps are taken; its stubs leave them out
+    piece = padded[first : last + 2 * pad + 1]
+    fine = resample_poly(piece, up, down, window=window, padtype="line")
     count = (last - first) * up // down + 1
     return np.asarray(fine[blocks * up :][:count], dtype=np.float64)
 

@@ -1,0 +1,276 @@
+"""Files of a run folder: NetCDF that ArviZ opens, JSON, text; each whole or not there."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import StoreError
+from mfd_bayes.records.trace import Trace
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+MANIFEST = "manifest.json"
+_CHAINS = ("chain", "draw")
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file beside its place and rename it into it.
+
+    Raises
+    ------
+    StoreError
+        When the folder cannot be written to.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        os.close(handle)
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+    part = Path(name)
+    try:
+        write(part)
+        part.chmod(0o644)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8") and None)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a binary file atomically."""
+    write_atomically(path, lambda part: part.write_bytes(content) and None)
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write valid JSON atomically: what is not finite becomes null."""
+    write_text(path, json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Object of a JSON file.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing or holds no JSON object.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise StoreError(f"{path} is not valid JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise StoreError(f"{path} must hold a JSON object")
+    return content
+
+
+def _plain(content: object) -> object:
+    if isinstance(content, Mapping):
+        return {str(key): _plain(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_plain(value) for value in content]
+    if isinstance(content, float | np.floating):
+        return float(content) if np.isfinite(content) else None
+    if isinstance(content, np.integer):
+        return int(content)
+    return str(content) if isinstance(content, Path) else content
+
+
+@dataclass(frozen=True, eq=False)
+class StoredTest:
+    """A calibrated test as stored.
+
+    Attributes
+    ----------
+    draws : xarray.Dataset
+        Named variables (chain, draw) with units, as ArviZ reads them.
+    stats : xarray.Dataset
+        lp, log_prior and log_likelihood (chain, draw).
+    trace : Trace
+    facts : dict
+        Fingerprint, model, noise, sampler's figures.
+    """
+
+    draws: xr.Dataset
+    stats: xr.Dataset
+    trace: Trace
+    facts: dict[str, Any]
+
+    def values(self) -> dict[str, Array]:
+        """All quantities by name, (chain · draw,) each."""
+        return {str(k): v.to_numpy().reshape(-1) for k, v in self.draws.data_vars.items()}
+
+
+def save_test(
+    path: Path,
+    values: Mapping[str, Array],
+    units: Mapping[str, str],
+    stats: Mapping[str, Array],
+    trace: Trace,
+    predictive: Array,
+    facts: Mapping[str, Any],
+) -> None:
+    """Write a posterior as NetCDF with the groups that ArviZ knows.
+
+    Parameters
+    ----------
+    path : Path
+    values : mapping of str to (chain, draw)
+    units : mapping of str to str
+    stats : mapping of str to (chain, draw)
+    trace : Trace
+    predictive : (chain, m, T), kip
+        Replicated records.
+    facts : mapping
+        Kept as JSON in the posterior's attributes.
+    """
+    import xarray as xr
+
+    posterior = xr.Dataset(
+        {name: (_CHAINS, value, {"units": units[name]}) for name, value in values.items()},
+        attrs={"facts": json.dumps(_plain(facts), allow_nan=False)},
+    )
+    replicas = {
+        "force": (("chain", "draw", "time"), predictive.astype(np.float32), {"units": "kip"})
+    }
+    groups = {
+        "posterior": posterior,
+        "sample_stats": xr.Dataset({name: (_CHAINS, value) for name, value in stats.items()}),
+        "posterior_predictive": xr.Dataset(replicas, coords={"time": trace.time}),
+        **_trace_groups(trace),
+    }
+    write_atomically(path, lambda part: _write_groups(part, groups))
+
+
+def load_test(path: Path) -> StoredTest:
+    """Posterior of a file written by `save_test`.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing or is no such file.
+    """
+    groups = _read_groups(path, ("posterior", "sample_stats", "observed_data", "constant_data"))
+    posterior = groups["posterior"]
+    return StoredTest(
+        draws=posterior,
+        stats=groups["sample_stats"],
+        trace=_trace_of(groups),
+        facts=json.loads(posterior.attrs["facts"]),
+    )
+
+
+def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
+    """Write the record of a test that is predicted, never fitted."""
+    groups = _trace_groups(trace)
+    groups["constant_data"].attrs["facts"] = json.dumps(_plain(facts), allow_nan=False)
+    write_atomically(path, lambda part: _write_groups(part, groups))
+
+
+def load_trace(path: Path) -> tuple[Trace, dict[str, Any]]:
+    """Trace and facts written by `save_trace`.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing or is no such file.
+    """
+    groups = _read_groups(path, ("observed_data", "constant_data"))
+    return _trace_of(groups), json.loads(groups["constant_data"].attrs["facts"])
+
+
+def save_arrays(path: Path, arrays: Mapping[str, Array], facts: Mapping[str, Any]) -> None:
+    """Write draws of the population, (chain, draw, …) each, as a posterior group."""
+    import xarray as xr
+
+    data = {}
+    for name, values in arrays.items():
+        extra = tuple(f"{name}_dim_{i}" for i in range(values.ndim - 2))
+        data[name] = ((*_CHAINS, *extra), values)
+    posterior = xr.Dataset(data, attrs={"facts": json.dumps(_plain(facts), allow_nan=False)})
+    write_atomically(path, lambda part: _write_groups(part, {"posterior": posterior}))
+
+
+def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Draws and facts written by `save_arrays`.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing or is no such file.
+    """
+    posterior = _read_groups(path, ("posterior",))["posterior"]
+    arrays = {str(k): v.to_numpy() for k, v in posterior.data_vars.items()}
+    return arrays, json.loads(posterior.attrs["facts"])
+
+
+def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
+    import xarray as xr
+
+    time = {"time": ("time", trace.time, {"units": "s"})}
+    constant = {
+        "displacement": ("time", trace.displacement, {"units": "in"}),
+        "velocity": ("time", trace.velocity, {"units": "in/s"}),
+        "actuation": (("time",) if trace.varying else (), trace.actuation),
+    }
+    observed = {"force": ("time", np.asarray(trace.force), {"units": "kip"})}
+    return {
+        "observed_data": xr.Dataset(observed, coords=time),
+        "constant_data": xr.Dataset(constant, coords=time),
+    }
+
+
+def _trace_of(groups: Mapping[str, xr.Dataset]) -> Trace:
+    constant = groups["constant_data"]
+    actuation = constant["actuation"].to_numpy()
+    return Trace.from_arrays(
+        constant["time"].to_numpy(),
+        constant["displacement"].to_numpy(),
+        actuation if actuation.ndim else (None if np.isnan(actuation) else float(actuation)),
+        groups["observed_data"]["force"].to_numpy(),
+        constant["velocity"].to_numpy(),
+    )
+
+
+def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
+    mode: Any = "w"
+    for name, dataset in groups.items():
+        dataset.to_netcdf(path, mode=mode, group=name, engine="h5netcdf")
+        mode = "a"
+
+
+def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
+    import xarray as xr
+
+    if not path.is_file():
+        raise StoreError(f"{path} does not exist")
+    try:
+        groups = {}
+        for name in names:
+            with xr.open_dataset(path, group=name, engine="h5netcdf") as dataset:
+                groups[name] = dataset.load()
+    except (OSError, ValueError, KeyError) as error:
+        raise StoreError(f"{path} is not a posterior of this program: {error}") from error
+    return groups

@@ -1,0 +1,290 @@
+import hashlib
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import RecordError, UnitError
+from mfd_bayes.records.record import header_unit, read_record
+from mfd_bayes.records.resampling import decimate, default_rate
+from mfd_bayes.records.trace import turning_points
+
+RATE = 200.0
+TIME = np.arange(2001) / RATE
+MOTION = np.sin(np.pi * TIME)  # 0.5 Hz, 1 in
+FORCE = 2.0 + np.cos(np.pi * TIME)
+
+
+def write(folder, name="a.csv", **columns):
+    columns = columns or {"time_s": TIME, "displacement_in": MOTION, "force_kip": FORCE}
+    path = folder / name
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.17g")
+    return path
+
+
+def refused(path, *args, error=RecordError, **options):
+    with pytest.raises(error) as caught:
+        read_record(path, *args, **options)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+def test_headers_say_roles_and_units(tmp_path):
+    path = write(tmp_path)
+    record = read_record(path, actuation="30 lb")
+    np.testing.assert_allclose(record.time, TIME, rtol=1e-15)
+    np.testing.assert_allclose(record.force, FORCE, rtol=1e-15)
+    assert record.actuation == pytest.approx(0.03)
+    assert record.actuation_unit == "kip"
+    assert record.columns["force"] == ("force_kip", "kip")
+    assert record.rate == pytest.approx(RATE)
+    assert record.jitter < 1e-9
+    assert record.turning_points == 10
+    assert record.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_given_columns_and_units_win_over_the_header(tmp_path):
+    path = write(tmp_path, t=TIME * 1000, x_in=MOTION * 25.4, load=FORCE, extra_kip=FORCE * 0)
+    names = {"time": "t", "displacement": "x_in", "force": "load"}
+    record = read_record(path, names, {"time": "ms", "displacement": "mm", "force": "kip"})
+    np.testing.assert_allclose(record.time, TIME, atol=1e-12)
+    np.testing.assert_allclose(record.displacement, MOTION, atol=1e-12)
+    assert record.actuation is None
+    assert record.velocity is None
+
+
+def test_header_units_may_be_quotients():
+    assert header_unit("velocity_in_per_s") == "in/s"
+    assert header_unit("velocity_in/s") == "in/s"
+    assert header_unit("actuator_1_lbf") == "lbf"
+    assert header_unit("force") is None
+
+
+def test_a_measured_actuation_is_clipped_at_zero(tmp_path):
+    pressure = np.where(TIME < 5, -0.01, 500.0)
+    columns = {"time_s": TIME, "displacement_in": MOTION, "pressure_psi": pressure}
+    record = read_record(write(tmp_path, **columns), {"actuation": "pressure_psi"})
+    assert record.actuation_unit == "ksi"
+    assert record.actuation.min() == 0
+    assert record.actuation.max() == pytest.approx(0.5)
+    assert np.all(record.trace(rate=20).actuation >= 0)
+
+
+def test_a_negative_measured_actuation_is_refused(tmp_path):
+    path = write(tmp_path, time_s=TIME, displacement_in=MOTION, actuation_psi=-1 + 0 * TIME)
+    assert "negative on average" in refused(path)
+
+
+def test_an_actuation_given_twice_is_refused(tmp_path):
+    path = write(tmp_path, time_s=TIME, displacement_in=MOTION, p_psi=TIME)
+    assert "both" in refused(path, {"actuation": "p_psi"}, actuation="5 psi")
+
+
+def test_swapped_units_are_a_dimension_error(tmp_path):
+    units = {"displacement": "kip", "force": "in"}
+    message = refused(write(tmp_path), None, units, error=UnitError)
+    assert "'displacement_in'" in message
+    assert "measures force" in message
+
+
+def test_a_column_without_a_unit_says_so(tmp_path):
+    path = write(tmp_path, time=TIME, displacement_in=MOTION)
+    assert "give the unit of time" in refused(path)
+    assert read_record(path, units={"time": "s"}).time[-1] == 10
+
+
+def test_missing_and_ambiguous_roles_are_refused(tmp_path):
+    assert "t, x" in refused(write(tmp_path, t=TIME, x=MOTION))
+    path = write(tmp_path, time_s=TIME, displacement_in=MOTION, displacement_mm=MOTION)
+    assert "displacement_in, displacement_mm" in refused(path)
+    assert "unknown role" in (message := refused_role(path))
+    assert "velocity" in message
+
+
+def refused_role(path):
+    with pytest.raises(RecordError) as caught:
+        read_record(path, {"speed": "time_s"})
+    return str(caught.value)
+
+
+def test_a_missing_named_column_lists_those_there_are(tmp_path):
+    names = {"time": "time_s", "displacement": "x"}
+    message = refused(write(tmp_path), names, {"displacement": "in"})
+    assert "missing column 'x'" in message
+    assert "time_s, displacement_in, force_kip" in message
+
+
+def test_too_few_samples_are_refused(tmp_path):
+    path = write(tmp_path, time_s=TIME[:19], displacement_in=MOTION[:19])
+    assert "19 samples" in refused(path)
+
+
+def test_time_that_does_not_increase_is_refused_with_its_line(tmp_path):
+    time = TIME.copy()
+    time[100] = time[99]
+    assert "line 102" in refused(write(tmp_path, time_s=time, displacement_in=MOTION))
+
+
+def test_a_gap_in_time_is_refused_with_its_place_and_length(tmp_path):
+    time = TIME + np.where(TIME > 3, 1.5, 0)
+    message = refused(write(tmp_path, time_s=time, displacement_in=MOTION))
+    assert "gap of 1.505 s" in message
+    assert "after 3 s" in message
+    assert "line 603" in message
+
+
+def test_constant_displacement_is_refused(tmp_path):
+    assert "constant" in refused(write(tmp_path, time_s=TIME, displacement_in=0 * TIME))
+
+
+def test_fewer_than_two_turning_points_are_refused(tmp_path):
+    path = write(tmp_path, time_s=TIME, displacement_in=np.sin(np.pi * TIME / 10))
+    assert "1 turning points" in refused(path)
+
+
+def test_text_in_a_cell_is_refused(tmp_path):
+    path = write(tmp_path)
+    path.write_text(path.read_text().replace("2.5,", "off,", 1))
+    assert "'off'" in refused(path)
+
+
+def test_a_fit_window_is_checked_and_is_the_default_of_trace(tmp_path):
+    path = write(tmp_path)
+    record = read_record(path, fit="2 s to 6 s")
+    trace = record.trace()
+    assert (trace.time[0], trace.time[-1]) == (2, 6)
+    assert record.trace(window=(0, 10)).samples == TIME.size
+    assert "0 samples" in refused(path, fit="20 s to 30 s")
+    assert "turning points" in refused(path, fit="2 s to 3 s")
+
+
+def test_a_trace_without_rate_or_gap_has_every_sample(tmp_path):
+    record = read_record(write(tmp_path))
+    for trace in (record.trace(), record.trace(rate=RATE), record.trace(rate=1e6)):
+        np.testing.assert_array_equal(trace.time, record.time)
+        np.testing.assert_array_equal(trace.force, record.force)
+
+
+@pytest.mark.parametrize("rate", [20.0, 25.0, 40.0, 64.0, 150.0])
+def test_decimation_has_no_delay_and_no_edge_transient(tmp_path, rate):
+    trace = read_record(write(tmp_path)).trace(rate=rate)
+    assert np.diff(trace.time) == pytest.approx(1 / rate)
+    assert trace.time[0] == 0
+    assert trace.time[-1] <= TIME[-1] < trace.time[-1] + 1.001 / rate
+    np.testing.assert_allclose(trace.displacement, np.sin(np.pi * trace.time), atol=2e-3)
+    np.testing.assert_allclose(trace.force, 2 + np.cos(np.pi * trace.time), atol=6e-3)
+
+
+def test_a_window_is_the_same_cut_of_the_decimated_record(tmp_path):
+    record = read_record(write(tmp_path))
+    whole, part = record.trace(rate=20), record.trace(rate=20, window=(2.0, 6.0))
+    assert (part.time[0], part.time[-1]) == (2.0, 6.0)
+    np.testing.assert_allclose(part.force, whole.force[40:121], atol=1e-12)
+
+
+@pytest.mark.parametrize("share", [1.0, 1.02, 1.2, 1.7, 3.3])
+def test_a_tone_above_the_new_nyquist_is_down_by_40_db(share):
+    tone = np.sin(2 * np.pi * 32 * share * np.arange(8192) / 1024 + 0.7)
+    low = decimate(tone, Fraction(64, 1024), 0, tone.size - 1)
+    assert np.max(np.abs(low[20:-20])) < 0.01
+    # The negative control: without the filter the tone is folded back whole.
+    assert np.max(np.abs(tone[::16])) > 0.5
+
+
+def test_a_tone_well_below_the_new_nyquist_passes_whole():
+    time = np.arange(8192) / 1024
+    tone = np.sin(2 * np.pi * 20 * time)
+    low = decimate(tone, Fraction(64, 1024), 0, tone.size - 1)
+    np.testing.assert_allclose(low[20:-20], tone[::16][20:-20], atol=0.01)
+
+
+def test_uneven_time_is_interpolated_before_decimation(tmp_path):
+    rng = np.random.default_rng(1)
+    time = np.sort(TIME + rng.uniform(-0.4, 0.4, TIME.size) / RATE)
+    path = write(tmp_path, time_s=time, displacement_in=np.sin(np.pi * time))
+    record = read_record(path)
+    assert record.jitter > 0.1
+    trace = record.trace(rate=40)
+    assert np.ptp(np.diff(trace.time)) < 1e-9
+    assert trace.time[0] >= time[0]
+    assert trace.time[-1] <= time[-1]
+    np.testing.assert_allclose(trace.displacement, np.sin(np.pi * trace.time), atol=2e-3)
+
+
+@pytest.mark.parametrize("rate", [0, -1, np.nan, 1e-6, 1.5])
+def test_rates_that_leave_no_trace_are_refused(tmp_path, rate):
+    with pytest.raises(RecordError, match=r"rate must be positive|leaves fewer than 20"):
+        read_record(write(tmp_path)).trace(rate=rate)
+
+
+def test_windows_with_too_few_samples_are_refused(tmp_path):
+    record = read_record(write(tmp_path))
+    for window in ((0, 0.05), (5, 4), (30, 40), (np.nan, 1)):
+        with pytest.raises(RecordError, match="at least 20"):
+            record.trace(window=window)
+
+
+def test_default_rate_puts_20_samples_into_a_crossing():
+    time = np.arange(10_241) / 1024
+    motion = np.sin(np.pi * time)
+    turns = turning_points(motion, 1e-3)
+    rate = default_rate(time, motion, turns, 0.2)
+    crossing = np.arccos(0.8) / np.pi
+    assert 20 / crossing <= rate < 1.1 * 20 / crossing
+    assert 1024 / rate == pytest.approx(round(1024 / rate))
+
+
+def test_default_rate_keeps_40_samples_per_half_cycle_and_the_cap():
+    time = np.arange(10_241) / 1024
+    motion = np.sin(np.pi * time)
+    turns = turning_points(motion, 1e-3)
+    wide = default_rate(time, motion, turns, 5.0)
+    assert 40 <= wide < 42
+    assert default_rate(time, motion, turns, 1e-6) == pytest.approx(1024 / 2)
+    assert time.size * default_rate(time, motion, turns, 1e-6, max_samples=500) / 1024 <= 500
+
+
+def test_every_real_record_is_read_with_few_turning_points(data_folder):
+    for path in sorted(data_folder.glob("20*.csv")):
+        record = read_record(path)
+        assert record.rate == pytest.approx(512 if "SI" in path.name else 1024, rel=1e-4)
+        assert record.jitter < 0.01
+        limit = 200 if "DBE" in path.name else 20
+        assert 10 <= record.turning_points <= limit
+
+
+def test_the_record_in_metres_and_newtons_comes_out_in_inches_and_kips(data_folder):
+    record = read_record(data_folder / "2023_36lb_0.10Hz_1.0in_SI.csv", actuation="36 lb")
+    metres, newtons = np.loadtxt(record.path, delimiter=",", skiprows=1, usecols=(1, 2)).T
+    np.testing.assert_allclose(record.displacement, metres / 0.0254, rtol=1e-12)
+    np.testing.assert_allclose(record.force, newtons / 4448.2216152605, rtol=1e-12)
+    # Called 1.0 in, it moves as the 1.5 in records of its session do.
+    like = read_record(data_folder / "2023_36lb_0.25Hz_1.5in.csv")
+    assert np.ptp(record.displacement) == pytest.approx(np.ptp(like.displacement), rel=0.02)
+    assert np.ptp(record.force) == pytest.approx(np.ptp(like.force), rel=0.3)
+    assert record.actuation == pytest.approx(0.036)
+
+
+def test_a_real_record_is_decimated_without_delay_or_transient(data_folder):
+    record = read_record(data_folder / "2022_80lb_0.50Hz_1.0in.csv", actuation="80 lb")
+    trace = record.trace(rate=64)
+    original = np.interp(trace.time, record.time, record.displacement)
+    np.testing.assert_allclose(trace.displacement, original, atol=2e-3)
+    lags = np.arange(-8, 9)
+    force = record.force - record.force.mean()
+    low = np.interp(record.time, trace.time, trace.force - record.force.mean())
+    match = [np.dot(np.roll(low, lag), force) for lag in lags]
+    assert lags[int(np.argmax(match))] == 0
+    assert trace.force[0] == pytest.approx(record.force[0], abs=0.03)
+    assert np.max(np.abs(trace.force[:20] - record.force[:320:16])) < 0.05
+
+
+def test_a_real_record_gets_a_rate_that_resolves_its_gap(data_folder):
+    record = read_record(data_folder / "2023_30lb_0.25Hz_1.0in.csv")
+    trace = record.trace(gap=0.2)
+    assert 30 < 1 / (trace.time[1] - trace.time[0]) < 110
+    assert trace.samples < 3000
+    assert trace.turning_points.size == record.turning_points

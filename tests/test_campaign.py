@@ -1,0 +1,208 @@
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from mfd_bayes.campaign import load_campaign
+from mfd_bayes.errors import CampaignError
+
+COLUMNS = """
+[columns]
+time = { name = "time_s", unit = "s" }
+displacement = { name = "displacement_in", unit = "in" }
+force = { name = "force_kip", unit = "kip" }
+"""
+TEST = """
+[[test]]
+id = "p500_f0.05"
+file = "a.csv"
+actuation = "500 psi"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    inside = tmp_path / "campaign"
+    inside.mkdir()
+    time = np.arange(1001) / 100
+    table = np.column_stack([time, np.sin(np.pi * time), np.cos(np.pi * time), 500 + 0 * time])
+    for path in (inside / "a.csv", inside / "b.csv", tmp_path / "outside.csv"):
+        header = "time_s,displacement_in,force_kip,pressure_psi"
+        np.savetxt(path, table, delimiter=",", header=header, comments="")
+    return inside
+
+
+def load(folder, text):
+    path = folder / "c.toml"
+    path.write_text(text)
+    return load_campaign(path)
+
+
+def refused(folder, text):
+    with pytest.raises(CampaignError) as caught:
+        load(folder, text)
+    message = str(caught.value)
+    assert "c.toml" in message
+    assert "\n" not in message
+    return message
+
+
+def test_the_defaults_are_the_papers(folder):
+    campaign = load(folder, TEST)
+    assert campaign.title == "c"
+    assert (campaign.priors, campaign.model, campaign.noise) == ("mfd", "three_stage", "ou")
+    assert (campaign.rate, campaign.start, campaign.area) == (None, "sample", None)
+    assert campaign.laws.Fc_fwd == campaign.laws.Fs_bwd == "proportional"
+    assert campaign.laws.sigma0 == "affine"
+    assert campaign.actuation_unit == "ksi"
+    (test,) = campaign.tests
+    assert (test.id, test.path, test.role) == ("p500_f0.05", folder / "a.csv", "calibrate")
+    assert (test.actuation_value, test.actuation_unit) == (pytest.approx(0.5), "ksi")
+    assert test.window is None
+
+
+def test_everything_can_be_said(folder):
+    text = """
+    [campaign]
+    title = "Brake"
+    priors = "my/priors.toml"
+    model = "lugre"
+    noise = "student_t"
+    rate = "64 Hz"
+    start = "mask"
+    area = "645.16 mm^2"
+    [laws]
+    Fc_fwd = "compare"
+    """
+    entry = '\nfit = "1 s to 9 s"\nrole = "validate"\ncolumns.force = { name = "pressure_psi" }\n'
+    second = TEST.replace("p500_f0.05", "other").replace("a.csv", "./b.csv") + entry
+    campaign = load(folder, text + COLUMNS + TEST + second)
+    assert (campaign.title, campaign.rate, campaign.start) == ("Brake", 64, "mask")
+    assert campaign.area == pytest.approx(1)
+    assert campaign.priors == "my/priors.toml"
+    assert campaign.laws.Fc_fwd == "compare"
+    first, other = campaign.tests
+    assert first.columns["force"] == ("force_kip", "kip")
+    assert other.columns["force"] == ("pressure_psi", None)
+    assert other.columns["time"] == ("time_s", "s")
+    assert (other.window, other.role) == ((1, 9), "validate")
+    assert load(folder, "[campaign]\nrate = 50\n" + TEST).rate == 50
+
+
+def test_a_test_reads_its_record(folder):
+    test = load(folder, COLUMNS + TEST + 'fit = "2 s to 8 s"\n').tests[0]
+    record = test.read()
+    assert record.actuation == pytest.approx(0.5)
+    assert record.fit == (2, 8)
+    assert record.force[0] == pytest.approx(1)
+    assert load(folder, TEST).tests[0].read().columns["force"] == ("force_kip", "kip")
+
+
+@pytest.mark.parametrize("unit", [', unit = "psi"', ""])
+def test_a_measured_actuation_is_a_column(folder, unit):
+    table = f'{{ name = "pressure_psi"{unit} }}'
+    for columns in (COLUMNS, ""):
+        (test,) = load(folder, columns + TEST.replace('"500 psi"', table)).tests
+        assert (test.actuation_value, test.actuation_unit) == (None, "ksi")
+        assert test.read().actuation[5] == pytest.approx(0.5)
+
+
+def test_a_campaign_survives_pickling_for_other_processes(folder):
+    campaign = pickle.loads(pickle.dumps(load(folder, COLUMNS + TEST)))
+    assert campaign.tests[0].read().turning_points == 10
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[campaign]\nprors = "mfd"\n' + TEST, "unknown key 'prors' in [campaign] of"),
+        ('[campaign]\nprors = "mfd"\n' + TEST, "did you mean 'priors'?"),
+        ('[campain]\ntitle = "x"\n' + TEST, "unknown key 'campain' of"),
+        (TEST + 'rol = "validate"\n', "in [test 'p500_f0.05'] of"),
+        (TEST + 'rol = "validate"\n', "did you mean 'role'?"),
+        ('[laws]\nFc_fw = "affine"\n' + TEST, "did you mean 'Fc_fwd'?"),
+        ('[columns]\ntimes = { name = "t" }\n' + TEST, "did you mean 'time'?"),
+        ('[columns]\ntime = { nam = "t" }\n' + TEST, "unknown key 'nam' in [columns.time]"),
+        ("[campaign]\nzzzz = 1\n" + TEST, "expected title, priors"),
+    ],
+)
+def test_unknown_keys_name_the_nearest(folder, text, expected):
+    assert expected in refused(folder, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "test is missing"),
+        ("test = []", "test in"),
+        ("[test]\nid = 'a'", "test in"),
+        ("[[test]]\nid = 'a'\n", "test 'a'.file is missing"),
+        ("[[test]]\nfile = 'a.csv'\n", "test 1.id is missing"),
+        ('[campaign]\nmodel = "two"\n' + TEST, "campaign.model in"),
+        ('[campaign]\nmodel = "two"\n' + TEST, "'three_stage' or 'lugre', got 'two'"),
+        ("[campaign]\ntitle = 7\n" + TEST, "got 7"),
+        ('[campaign]\nrate = "64 kip"\n' + TEST, "measures force"),
+        ("[campaign]\nrate = 0\n" + TEST, "greater than 0"),
+        ("[campaign]\nrate = true\n" + TEST, "got True"),
+        ("[campaign]\nrate = nan\n" + TEST, "campaign.rate"),
+        ('[campaign]\narea = "3 in"\n' + TEST, "measures length"),
+        ('[laws]\nsigma0 = "cubic"\n' + TEST, "laws.sigma0"),
+        (TEST + 'fit = "60 s"\n', "0 s to 60 s"),
+        (TEST + "fit = [0, 60]\n", "test 'p500_f0.05'.fit"),
+        (TEST.replace("500 psi", "500 mm"), "measures length"),
+        (TEST.replace("500 psi", "500"), "no unit"),
+        (TEST.replace('"500 psi"', "500"), "valid string, got 500"),
+        (TEST.replace('"500 psi"', '{ unit = "psi" }'), "actuation.name is missing"),
+        (TEST.replace('"500 psi"', '{ name = "p" }'), "needs a unit"),
+        (TEST.replace('"500 psi"', '{ name = "p", unit = "s" }'), "measures time"),
+        (TEST + 'role = "validate"\n', "no test with role 'calibrate'"),
+        (TEST + TEST, "two tests"),
+        (TEST + TEST.replace("p500", "P500"), "two tests"),
+        (TEST + TEST.replace("p500", "x").replace("psi", "lbf"), "all pressures or all forces"),
+    ],
+)
+def test_bad_campaigns_say_where_what_was_expected_and_what_came(folder, text, expected):
+    assert expected in refused(folder, text)
+
+
+def test_several_faults_come_in_one_sentence(folder):
+    message = refused(folder, '[campaign]\nmodel = "x"\nnoise = "y"\n' + TEST)
+    assert message.count("; ") == 1
+
+
+@pytest.mark.parametrize("name", ["", ".hidden", "..", "a/b", "a b", "a\\b", "ä", "a\n", "x" * 101])
+def test_ids_that_are_no_folder_names_are_refused(folder, name):
+    assert "names a folder" in refused(folder, TEST.replace('"p500_f0.05"', json.dumps(name)))
+
+
+@pytest.mark.parametrize(
+    "file", ["../outside.csv", "../campaign/../outside.csv", "/etc/hostname", "link.csv"]
+)
+def test_files_outside_the_campaigns_folder_are_refused(folder, file):
+    (folder / "link.csv").symlink_to(folder.parent / "outside.csv")
+    assert "lies outside the campaign's folder" in refused(folder, TEST.replace("a.csv", file))
+
+
+def test_a_campaign_reached_by_a_link_still_owns_its_folder(folder, tmp_path):
+    load(folder, TEST)
+    (tmp_path / "link").symlink_to(folder, target_is_directory=True)
+    assert load_campaign(tmp_path / "link" / "c.toml").tests[0].path == folder / "a.csv"
+
+
+@pytest.mark.parametrize("file", ["none.csv", ".", "x\\u0000y", "x" * 300, "loop.csv"])
+def test_files_that_are_not_there_are_refused(folder, file):
+    (folder / "loop.csv").symlink_to(folder / "loop.csv")
+    refused(folder, TEST.replace("a.csv", file))
+
+
+def test_toml_that_does_not_parse_is_refused_with_its_line(folder):
+    assert "line 2" in refused(folder, "[campaign]\ntitle = oops\n")
+    (folder / "c.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(CampaignError, match="not valid TOML"):
+        load_campaign(folder / "c.toml")
+
+
+def test_a_campaign_that_is_not_there_is_refused(folder):
+    with pytest.raises(CampaignError, match=r"cannot read .*none\.toml"):
+        load_campaign(folder / "none.toml")

@@ -1,0 +1,116 @@
+import subprocess
+import sys
+
+import pytest
+
+from mfd_bayes.errors import UnitError
+from mfd_bayes.units import KINDS, factor, parse_actuation, parse_quantity, parse_window
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_internal_units_have_factor_one(kind):
+    assert factor(KINDS[kind].unit, kind) == 1
+
+
+@pytest.mark.parametrize(
+    ("unit", "kind", "expected"),
+    [
+        ("mm", "displacement", 1 / 25.4),
+        ("m", "displacement", 1 / 0.0254),
+        ("ms", "time", 1e-3),
+        ("N", "force", 1 / 4448.2216152605),
+        ("kN", "force", 1 / 4.4482216152605),
+        ("kips", "force", 1.0),
+        ("klbf", "force", 1.0),
+        ("lbf", "force", 1e-3),
+        ("psi", "pressure", 1e-3),
+        ("MPa", "pressure", 1 / 6.894757293168361),
+        ("bar", "pressure", 0.1 / 6.894757293168361),
+        ("kN/mm", "stiffness", 25.4 / 4.4482216152605),
+        ("mm^2", "area", 1 / 25.4**2),
+        ("mm/s", "velocity", 1 / 25.4),
+        ("%", "dimensionless", 0.01),
+    ],
+)
+def test_factors_match_the_definitions(unit, kind, expected):
+    assert factor(unit, kind) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", ["lb", "lbs", "pounds"])
+def test_a_pound_is_a_force(unit):
+    assert factor(unit, "force") == pytest.approx(1e-3)
+    assert factor(f"{unit}/in^2", "pressure") == pytest.approx(1e-3)
+
+
+def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():
+    with pytest.raises(UnitError) as caught:
+        factor("kip", "displacement", of="column 'displacement_in'")
+    assert str(caught.value) == (
+        "unit 'kip' of column 'displacement_in' measures force; "
+        "displacement needs a length such as 'in' or 'mm'"
+    )
+
+
+@pytest.mark.parametrize(
+    "unit",
+    [
+        "",
+        " ",
+        "furlongz",
+        "(",
+        ")",
+        "#",
+        '"',
+        "s**",
+        "in**s",
+        "1/0",
+        "2 psi",
+        "9**9**9",
+        "m" * 99,
+        "degC",
+        "degF",
+        "kg",
+        "__import__",
+    ],
+)
+def test_malformed_and_offset_units_are_unit_errors(unit):
+    for kind in KINDS:
+        with pytest.raises(UnitError):
+            factor(unit, kind)
+
+
+def test_a_logarithmic_unit_is_refused():
+    with pytest.raises(UnitError, match="plain multiple"):
+        factor("dB", "dimensionless")
+
+
+def test_quantities_come_out_in_internal_units():
+    assert parse_quantity("500 psi", "pressure") == pytest.approx(0.5)
+    assert parse_quantity("-25.4mm", "displacement") == pytest.approx(-1)
+    assert parse_quantity("64 Hz", "rate") == 64
+
+
+def test_an_actuation_is_a_pressure_or_a_force():
+    assert parse_actuation("500 psi") == (pytest.approx(0.5), "ksi")
+    assert parse_actuation("30 lbf") == (pytest.approx(0.030), "kip")
+    assert parse_actuation("30 lb") == (pytest.approx(0.030), "kip")
+
+
+@pytest.mark.parametrize(
+    "text", ["500", "psi", "", "five psi", "1e999 psi", "nan psi", "-5 psi", "5 mm", "5 5 psi"]
+)
+def test_bad_actuations_are_unit_errors(text):
+    with pytest.raises(UnitError):
+        parse_actuation(text)
+
+
+def test_windows_are_two_increasing_times():
+    assert parse_window("0 s to 1500 ms") == (0, 1.5)
+    for text in ("0 to 60 s", "60 s to 0 s", "1 s", "1 s to 2 kip"):
+        with pytest.raises(UnitError):
+            parse_window(text)
+
+
+def test_importing_the_package_and_its_units_does_not_import_pint():
+    code = "import sys, mfd_bayes, mfd_bayes.units; sys.exit('pint' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
