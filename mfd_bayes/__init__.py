@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from mfd_bayes.errors import MfdError
     from mfd_bayes.friction.baselines import LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
-    from mfd_bayes.run import Run, open_run
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
+    from mfd_bayes.run import Run, open_run
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
@@ -49,7 +49,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's attributes have any type
+def __getattr__(name: str) -> Any:
     if name == "__version__":
         return version("mfd_bayes")
     if name not in _HOMES:

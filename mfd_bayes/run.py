@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import PriorFile, load_priors
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.predict import Band, Forecast, predict
@@ -167,11 +167,12 @@ def open_run(folder: str | Path) -> Run:
         if entry["role"] == "validate":
             held_out[test_id] = load_trace(home / "record.nc")[0]
         elif entry["status"] == "done":
-            tests[test_id] = _load_result(test_id, home / "posterior.nc", priors)
+            tests[test_id] = load_result(test_id, home / "posterior.nc", priors)
     return Run(folder, manifest, priors, tests, held_out)
 
 
-def _load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
+def load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
+    """Calibrated test of its stored posterior."""
     stored = load_test(path)
     facts = stored.facts
     posterior = Posterior(

@@ -37,6 +37,34 @@ class Convergence:
         return self.worst_r_hat <= r_hat and self.worst_ess >= ess
 
 
+def autocorrelation_time(chains: Array) -> Array:
+    """Integrated autocorrelation time of every coordinate, in steps, (dim,).
+
+    Walkers are centred on the mean over all ensembles and steps, not on their own: a walker
+    that hardly moves then counts as fully correlated, however few its steps. The sum is cut
+    where the lag exceeds five times its value (Sokal's window).
+
+    Parameters
+    ----------
+    chains : (ensemble, step, walker, dim)
+    """
+    steps = chains.shape[1]
+    size = 2 ** int(np.ceil(np.log2(2 * steps)))
+    times = np.empty(chains.shape[-1])
+    for k in range(times.size):
+        centred = chains[..., k] - chains[..., k].mean()
+        spectrum = np.abs(np.fft.rfft(centred, n=size, axis=1)) ** 2
+        products = np.fft.irfft(spectrum.mean(axis=(0, 2)), n=size)[:steps]
+        correlation = products / np.arange(steps, 0, -1)
+        if correlation[0] <= 0:
+            times[k] = np.inf
+            continue
+        sums = 2.0 * np.cumsum(correlation / correlation[0]) - 1.0
+        inside = np.arange(steps) >= 5.0 * sums
+        times[k] = sums[np.argmax(inside)] if np.any(inside) else max(sums[-1], steps / 5.0)
+    return times
+
+
 def measure(chains: Array) -> Convergence:
     """Convergence of ensembles.
 
@@ -96,3 +124,10 @@ def contraction(prior_sd: Array, draws: Array) -> Array:
     """
     shrunk: Array = 1.0 - draws.var(axis=0) / prior_sd**2
     return shrunk
+
+
+def log_if_positive(*samples: Array) -> tuple[Array, ...]:
+    """The logarithm of every sample if all of them are positive, else as they are."""
+    if all(np.all(sample > 0) for sample in samples):
+        return tuple(np.log(sample) for sample in samples)
+    return samples

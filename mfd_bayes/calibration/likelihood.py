@@ -51,8 +51,8 @@ class Noise:
         standard = innovation / (scale * np.sqrt(shrink))
         first = residual[:, :1] / scale
         log_scale = residual.shape[1] * np.log(scale[:, 0])
-        log_scale += 0.5 * np.log(shrink).sum(axis=1) * (
-            1 if shrink.shape[1] > 1 else time.size - 1
+        log_scale += (
+            0.5 * np.log(shrink).sum(axis=1) * (1 if shrink.shape[1] > 1 else time.size - 1)
         )
         density = _DENSITIES["student_t" if "noise_dof" in values else "normal"]
         return density(first, values) + density(standard, values) - log_scale

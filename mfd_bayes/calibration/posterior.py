@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.likelihood import Noise, find_noise
-from mfd_bayes.calibration.priors import KINDS, Prior, PriorFile, load_priors
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.priors import KINDS, Prior
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.baselines import LuGre
 from mfd_bayes.friction.model import Model
@@ -97,11 +99,9 @@ class Posterior:
             "noise": noise_model,
             "priors": chosen_priors,
             "names": tuple(
-                name
-                for name in wanted
-                if name != UNIDENTIFIABLE and not chosen_priors[name].fixed
+                name for name in wanted if name != UNIDENTIFIABLE and not chosen_priors[name].fixed
             ),
-            "first": _first_slip(trace, chosen_priors) if start == "mask" else 0,
+            "first": _first_slip(trace, file.gap) if start == "mask" else 0,
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
@@ -220,14 +220,12 @@ def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[str]
     return [name for name in KINDS if name in needed]
 
 
-def _first_slip(trace: Trace, priors: Mapping[str, Prior]) -> int:
+def _first_slip(trace: Trace, gap: float | None) -> int:
     """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
-    if "d2" not in priors:
+    if gap is None:
         return 0
-    rng = np.random.default_rng(0)
-    gap = sum(float(np.median(priors[name].draw(rng, 1001))) for name in ("d2", "d3"))
     ends = [0, *trace.turning_points.tolist(), trace.samples - 1]
-    for begin, end in zip(ends[:-1], ends[1:], strict=True):
+    for begin, end in itertools.pairwise(ends):
         if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
             return int(end)
     raise FitError("start = 'mask' needs a record that slips: no stroke is twice the prior's gap")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -135,7 +136,7 @@ def _mid_gap(trace: Trace, gap: float) -> NDArray[np.intp]:
     """Samples nearest to half the gap after each turning point that is followed by a crossing."""
     ends = [*trace.turning_points.tolist(), trace.samples - 1]
     samples = []
-    for begin, end in zip(ends[:-1], ends[1:], strict=True):
+    for begin, end in itertools.pairwise(ends):
         travel = np.abs(trace.displacement[begin : end + 1] - trace.displacement[begin])
         if travel.max() >= gap:
             samples.append(begin + int(np.argmax(travel >= 0.5 * gap)))

@@ -1,18 +1,15 @@
-"""Priors: families on their natural support, read from TOML, sampled without constraints."""
+"""Priors: families on their natural support, and the coordinates they are sampled in."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.errors import PriorError, UnitError
-from mfd_bayes.units import parse_quantity
+from mfd_bayes.errors import PriorError
 
 Array = NDArray[np.float64]
 
@@ -105,154 +102,17 @@ class Prior:
         width = np.log(self.upper - self.lower)
         return width + special.log_expit(q) + special.log_expit(-q)
 
+    @property
+    def typical(self) -> float:
+        """Median of x, by 1001 draws that are always the same."""
+        return float(np.median(self.draw(np.random.default_rng(0), 1001)))
+
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws of x, (n,)."""
         return _DRAWS[self.family](rng, n, self.figures)
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """Half-normal prior of a group's test-to-test scatter.
-
-    `sd` is that of the logarithm, or in internal units for a quantity of either sign.
-    """
-
-    parameters: tuple[str, ...]
-    sd: float
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class PriorFile:
-    """One device family's priors.
-
-    Attributes
-    ----------
-    path : Path
-    title : str
-    parameters : mapping of str to Prior
-    scatter : mapping of str to Scatter
-    """
-
-    path: Path
-    title: str
-    parameters: Mapping[str, Prior]
-    scatter: Mapping[str, Scatter]
-
-
-def find_priors(name: str, folder: Path | None = None) -> Path:
-    """Path of a prior file named "mfd", "brfd", … or given by its path, relative to `folder`.
-
-    Raises
-    ------
-    PriorError
-        When there is no such file; the names that there are are listed.
-    """
-    home = _home()
-    shipped = home / f"{name}.toml"
-    if shipped.parent == home and shipped.is_file():
-        return shipped
-    path = (folder or Path()) / name
-    if path.is_file():
-        return path
-    known = ", ".join(sorted(p.stem for p in home.glob("*.toml")))
-    raise PriorError(f"no prior file '{name}': expected one of {known}, or the path of a TOML file")
-
-
-def _home() -> Path:
-    package = Path(__file__).parents[1]
-    installed = package / "priors"
-    return installed if installed.is_dir() else package.parent / "priors"
-
-
-def load_priors(name: str, folder: Path | None = None) -> PriorFile:
-    """Priors of a file, checked.
-
-    Raises
-    ------
-    PriorError
-        When the file is missing, is no TOML, or a prior in it has an unknown name, family,
-        figure or unit.
-    """
-    path = find_priors(name, folder)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PriorError(f"prior file {path.name} is not valid TOML: {error}") from error
-    unknown = set(content) - {"title", "parameters", "scatter"}
-    if unknown:
-        raise PriorError(
-            f"unknown key '{sorted(unknown)[0]}' in prior file {path.name}; "
-            "it may hold title, parameters and scatter"
-        )
-    tables = _tables(path, content, "parameters"), _tables(path, content, "scatter")
-    return PriorFile(
-        path=path,
-        title=str(content.get("title", path.stem)),
-        parameters={key: _prior(path, key, table) for key, table in tables[0].items()},
-        scatter={key: _scatter(path, key, table) for key, table in tables[1].items()},
-    )
-
-
-def _tables(path: Path, content: dict[str, object], key: str) -> dict[str, dict[str, object]]:
-    tables = content.get(key, {})
-    if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
-        raise PriorError(f"[{key}] of prior file {path.name} must hold tables")
-    return tables
-
-
-def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
-    where = f"prior of {name} in {path.name}"
-    if name not in KINDS:
-        raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(KINDS)}")
-    family = table.get("family")
-    if family not in _FIGURES:
-        raise PriorError(f"{where}: family must be one of {', '.join(_FIGURES)}, got {family!r}")
-    figures = {
-        key: _figure(f"{where}, {key}", value, KINDS[name] if key in _DIMENSIONAL else None)
-        for key, value in table.items()
-        if key not in ("family", "reason")
-    }
-    try:
-        return Prior(str(family), figures, str(table.get("reason", "")))
-    except PriorError as error:
-        raise PriorError(f"{where}: {error}") from error
-
-
-def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
-    where = f"scatter {name} in {path.name}"
-    members = table.get("parameters")
-    if set(table) - {"parameters", "sd", "reason"} or not isinstance(members, list):
-        raise PriorError(f"{where}: expected the keys parameters (a list), sd and reason")
-    unknown = [m for m in members if m not in KINDS]
-    if unknown:
-        raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
-    kind = KINDS["offset"] if members == ["offset"] else None
-    sd = _figure(f"{where}, sd", table.get("sd"), kind)
-    if not sd > 0:
-        raise PriorError(f"{where}: sd must be positive, got {sd:g}")
-    return Scatter(tuple(members), sd, str(table.get("reason", "")))
-
-
-def _figure(where: str, value: object, kind: str | None) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise PriorError(f"{where}: expected a number or a quantity such as '2 kip', got {value!r}")
-    if isinstance(value, str):
-        try:
-            number = parse_quantity(value, kind or "dimensionless")
-        except UnitError as error:
-            raise PriorError(f"{where}: {error}") from error
-    elif kind in (None, "dimensionless"):
-        number = float(value)
-    else:
-        raise PriorError(f"{where}: expected a quantity with its unit ({kind}), got {value!r}")
-    if not np.isfinite(number):
-        raise PriorError(f"{where}: must be finite, got {value!r}")
-    return number
-
-
-_DIMENSIONAL = frozenset({"median", "mean", "sd", "lower", "upper", "scale", "value"})
-_FIGURES: dict[str, tuple[set[str], set[str]]] = {  # family: needed, allowed besides
+FAMILIES: dict[str, tuple[set[str], set[str]]] = {
     "lognormal": ({"median", "spread"}, set()),
     "normal": ({"mean", "sd"}, set()),
     "truncated_normal": ({"mean", "sd"}, {"lower", "upper"}),
@@ -261,11 +121,12 @@ _FIGURES: dict[str, tuple[set[str], set[str]]] = {  # family: needed, allowed be
     "gamma": ({"shape", "scale"}, set()),
     "fixed": ({"value"}, set()),
 }
+"""Figures that each family needs, and those that it may have besides."""
 _POSITIVE = frozenset({"median", "spread", "sd", "shape", "scale"})
 
 
 def _check_figures(family: str, figures: Mapping[str, float]) -> None:
-    needed, optional = _FIGURES[family]
+    needed, optional = FAMILIES[family]
     if not needed <= set(figures) <= needed | optional:
         raise PriorError(
             f"{family} needs {' and '.join(sorted(needed))}, got {', '.join(sorted(figures))}"

@@ -10,7 +10,7 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Convergence, measure
+from mfd_bayes.calibration.diagnostics import Convergence, autocorrelation_time, measure
 from mfd_bayes.calibration.map_fit import Density, Mode, find_modes
 from mfd_bayes.calibration.posterior import UNIDENTIFIABLE, Posterior
 from mfd_bayes.errors import FitError
@@ -33,6 +33,10 @@ class Effort:
         Steps between two looks at the convergence.
     limit : int
         Steps of each ensemble after which it stops in any case, and says what fell short.
+    length : float
+        Autocorrelation times that are discarded at the start, and as many kept after it, at
+        the least: the effective sample size alone cannot tell walkers that have not moved
+        from independent draws.
     ensembles : int
         Independent ensembles, each a chain.
     kept : int
@@ -43,12 +47,13 @@ class Effort:
     block: int
     limit: int
     r_hat: float = 1.01
+    length: float = 4.0
     ensembles: int = 4
     kept: int = 3000
 
 
 EFFORTS = {
-    "quick": Effort(ess=100, block=150, limit=1500, r_hat=1.03, kept=1200),
+    "quick": Effort(ess=100, block=150, limit=1500, r_hat=1.03, length=2.0, kept=1200),
     "standard": Effort(ess=400, block=400, limit=8000),
     "thorough": Effort(ess=2000, block=1000, limit=40000, kept=8000),
 }
@@ -218,7 +223,8 @@ def sample_density(
         if report is not None:
             seconds = time.perf_counter() - began
             report(Progress(steps, effort.limit, found.worst_r_hat, found.worst_ess, seconds))
-        if found.reached(effort.r_hat, effort.ess) or steps >= effort.limit:
+        long_enough = steps - chains.discarded >= effort.length * np.max(chains.autocorrelation)
+        if (long_enough and found.reached(effort.r_hat, effort.ess)) or steps >= effort.limit:
             return chains
         wait = min(effort.block, effort.limit - steps)
 
@@ -230,12 +236,10 @@ def _ensembles(
     walkers = 2 * max(16, dim + 3)
     samplers, states = [], []
     for _ in range(effort.ensembles):
-        sampler = emcee.EnsembleSampler(
-            walkers, dim, density, moves=_moves(dim), vectorize=True
-        )
+        sampler = emcee.EnsembleSampler(walkers, dim, density, moves=_moves(dim), vectorize=True)
         seed = int(rng.integers(2**32))
         # emcee takes a RandomState's state and silently ignores anything else
-        twister = np.random.RandomState(seed)  # noqa: NPY002
+        twister = np.random.RandomState(seed)
         sampler.random_state = twister.get_state()
         begin = _disperse(density, modes, walkers, rng)
         states.append(emcee.State(begin, random_state=twister.get_state()))
@@ -286,12 +290,9 @@ def _gather(samplers: Sequence[emcee.EnsembleSampler], steps: int, effort: Effor
     discarded = steps // 2
     walkers = samplers[0].nwalkers
     thin = max(1, (steps - discarded) * walkers // effort.kept)
-    chains = np.stack([s.get_chain(discard=discarded, thin=thin) for s in samplers])
-    log_prob = np.stack([s.get_log_prob(discard=discarded, thin=thin) for s in samplers])
-    times = [
-        emcee.autocorr.integrated_time(s.get_chain(discard=discarded), tol=0, quiet=True)
-        for s in samplers
-    ]
+    full = np.stack([s.get_chain(discard=discarded) for s in samplers])
+    log_prob = np.stack([s.get_log_prob(discard=discarded) for s in samplers])[:, ::thin]
+    chains = full[:, ::thin]
     ensembles, _, _, dim = chains.shape
     return Chains(
         q=np.swapaxes(chains, 1, 2).reshape(ensembles, -1, dim),
@@ -301,6 +302,6 @@ def _gather(samplers: Sequence[emcee.EnsembleSampler], steps: int, effort: Effor
         thin=thin,
         discarded=discarded,
         acceptance=np.array([float(np.mean(s.acceptance_fraction)) for s in samplers]),
-        autocorrelation=np.mean(times, axis=0),
+        autocorrelation=autocorrelation_time(full),
         convergence=measure(chains),
     )

@@ -36,7 +36,7 @@ class LuGre:
         self,
         theta: ArrayLike,
         trace: Trace,
-        start: ArrayLike | None = None,  # noqa: ARG002 - part of the models' contract
+        start: ArrayLike | None = None,
         *,
         scales: Mapping[str, Array] | None = None,
     ) -> Array:

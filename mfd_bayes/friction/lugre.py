@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isqrt
 
 import numpy as np
@@ -45,40 +46,47 @@ def slip_force(friction: Friction, trace: Trace) -> Array:
     The rate terms at sample n use the velocity of the trace and the g of the step before it.
     """
     dx = np.diff(trace.displacement)[:, None]
-    mean_velocity = dx / np.diff(trace.time)[:, None]
-    reach = _slip_level(friction, mean_velocity)
-    np.divide(_midpoints(friction.sigma0), reach, out=reach)  # σ0/g, 1/in
-    decay = reach * -np.abs(dx)
+    n = max(friction.sigma1.shape[1], friction.sigma0.shape[1])
+    steps = Steps.allocate(dx.size, n)
+    # σ0/g, 1/in
+    reach = _slip_level(friction, dx / np.diff(trace.time)[:, None], n)
+    np.divide(_midpoints(friction.sigma0), reach, out=reach)
+    decay = np.multiply(reach, -np.abs(dx), out=steps.decay)
     np.exp(decay, out=decay)
-    drive = np.sign(dx) * (1.0 - decay)
+    drive = np.subtract(1.0, decay, out=steps.drive)
     drive /= reach
-    z = linear_recurrence(decay, drive)
+    drive *= np.sign(dx)
+    z = steps.solve()
 
     v = trace.velocity[:, None]
     force = np.empty_like(z)
-    force[0] = reach[0]
-    force[1:] = reach
-    force *= np.abs(v)
+    np.multiply(reach, np.abs(v[1:]), out=force[1:])
+    np.multiply(reach[0], np.abs(v[0]), out=force[0])
     force *= -friction.sigma1
     force += friction.sigma0
     force *= z
-    force += v * (friction.sigma1 + friction.sigma2)
+    force += np.multiply(v, friction.sigma1 + friction.sigma2, out=z)
     return force
 
 
-def _slip_level(friction: Friction, velocity: Array) -> Array:
+def _slip_level(friction: Friction, velocity: Array, n: int) -> Array:
     """Stribeck curve g(v) = F_c + (F_s − F_c) exp(−(v/v_s)²) of each step, (T−1, n), kip."""
-    level = velocity**2 * (-1.0 / friction.v_s**2)
+    level = np.empty((velocity.size, n))
+    np.multiply(velocity**2, -1.0 / friction.v_s**2, out=level)
     np.exp(level, out=level)
     forward = velocity[:, 0] >= 0
-    for rows, static, kinetic in (
-        (forward, friction.Fs_fwd, friction.Fc_fwd),
-        (~forward, friction.Fs_bwd, friction.Fc_bwd),
-    ):
-        static, kinetic = _midpoints(static), _midpoints(kinetic)
-        if static.shape[0] > 1:
-            static, kinetic = static[rows], kinetic[rows]
-        level[rows] = level[rows] * (static - kinetic) + kinetic
+    ends = [0, *(np.flatnonzero(np.diff(forward)) + 1).tolist(), len(forward)]
+    sides = {
+        True: (_midpoints(friction.Fs_fwd), _midpoints(friction.Fc_fwd)),
+        False: (_midpoints(friction.Fs_bwd), _midpoints(friction.Fc_bwd)),
+    }
+    for begin, end in pairwise(ends):
+        static, kinetic = sides[bool(forward[begin])]
+        if len(static) > 1:
+            static, kinetic = static[begin:end], kinetic[begin:end]
+        run = level[begin:end]
+        run *= static - kinetic
+        run += kinetic
     return np.maximum(level, FORCE_FLOOR, out=level)
 
 
@@ -87,38 +95,45 @@ def _midpoints(values: Array) -> Array:
     return values if values.shape[0] == 1 else 0.5 * (values[1:] + values[:-1])
 
 
-def linear_recurrence(decay: Array, drive: Array) -> Array:
-    """Solution of z_{k+1} = decay_k z_k + drive_k from z_0 = 0.
+@dataclass(frozen=True)
+class Steps:
+    """The recurrence z_{k+1} = decay_k z_k + drive_k from z_0 = 0, for n vectors at once.
 
-    Solved in blocks of about √N steps, all blocks at once and then one after the
+    It is solved in blocks of about √N steps, all blocks at once and then one after the
     other, so that it needs about 2√N numpy calls rather than N.
 
-    Parameters
+    Attributes
     ----------
     decay, drive : (N, n)
-        Not kept: both may be overwritten.
-
-    Returns
-    -------
-    (N + 1, n)
+        To be filled in; `solve` overwrites both.
     """
-    steps, n = decay.shape
-    length = isqrt(steps - 1) + 1
-    blocks = -(-steps // length)
-    padded = np.zeros((2, blocks * length, n))
-    padded[0, :steps], padded[1, :steps] = decay, drive
-    a, z = padded.reshape(2, blocks, length, n)
-    work = np.empty((blocks, n))
-    for j in range(1, length):
-        np.multiply(a[:, j], z[:, j - 1], out=work)
-        z[:, j] += work
-        a[:, j] *= a[:, j - 1]
-    carried = np.zeros((blocks, 1, n))
-    for i in range(1, blocks):
-        np.multiply(a[i - 1, -1], carried[i - 1, 0], out=carried[i, 0])
-        carried[i, 0] += z[i - 1, -1]
-    a *= carried
-    z += a
-    solution = np.zeros((steps + 1, n))
-    solution[1:] = padded[1, :steps]
-    return solution
+
+    decay: Array
+    drive: Array
+    _blocks: Array
+    _states: Array
+
+    @classmethod
+    def allocate(cls, steps: int, n: int) -> Steps:
+        """Room for N steps of n vectors."""
+        length = isqrt(steps - 1) + 1
+        blocks = -(-steps // length)
+        decays = np.zeros((blocks * length, n))
+        states = np.zeros((blocks * length + 1, n))
+        return cls(decays[:steps], states[1 : steps + 1], decays.reshape(blocks, length, n), states)
+
+    def solve(self) -> Array:
+        """States z, (N + 1, n)."""
+        a, z = self._blocks, self._states[1:].reshape(self._blocks.shape)
+        blocks, length, n = a.shape
+        work = np.empty((blocks, n))
+        for j in range(1, length):
+            z[:, j] += np.multiply(a[:, j], z[:, j - 1], out=work)
+            a[:, j] *= a[:, j - 1]
+        carried = np.zeros((blocks, 1, n))
+        for i in range(1, blocks):
+            np.multiply(a[i - 1, -1], carried[i - 1, 0], out=carried[i, 0])
+            carried[i, 0] += z[i - 1, -1]
+        a *= carried
+        z += a
+        return self._states[: len(self.decay) + 1]

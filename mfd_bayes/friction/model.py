@@ -80,8 +80,7 @@ def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
             got = column[np.argmax(bad)]
             raise FitError(f"parameter {name} must be finite and not negative, got {got}")
     columns = {
-        name: np.ascontiguousarray(values[:, i])[None]
-        for i, name in enumerate(model.parameters)
+        name: np.ascontiguousarray(values[:, i])[None] for i, name in enumerate(model.parameters)
     }
     for side in ("fwd", "bwd"):
         short = columns[f"Fs_{side}"] < columns[f"Fc_{side}"] * (1 - 1e-12)

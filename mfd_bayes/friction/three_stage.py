@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.gap import Gap, blend, fade, follow
+from mfd_bayes.friction.gap import Crossing, Gap, blend, fade, follow
 from mfd_bayes.friction.lugre import Friction, slip_force
 from mfd_bayes.friction.model import UNITS, actuate, check_theta
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
+
+SATURATED = 40.0
+"""Transition lengths after which a transition is complete: exp(−40) is below double precision."""
 
 CHUNK = 64
 """Parameter vectors that are worked on together, so that a record's arrays stay in the cache."""
@@ -88,11 +91,29 @@ def _force(columns: dict[str, Array], trace: Trace, start: Array) -> Array:
     stretch = np.zeros(trace.samples, dtype=np.intp)
     stretch[trace.turning_points + 1] = 1  # a turning point ends its stretch
     np.cumsum(stretch, out=stretch)
+    near = np.flatnonzero(_crossing(gap, crossing, trace.displacement, stretch))
+    stretch = stretch[near]
     side = crossing.side[stretch]
-    u = side * trace.displacement[:, None]
+    u = side * trace.displacement[near, None]
     u += crossing.offset[stretch]
-    force = blend(gap, u, side, slip)
+    force = blend(gap, u, side, slip[near])
     carry = crossing.carry[stretch]
     carry *= fade(gap, u)
     force += carry
-    return force
+    slip[near] = force
+    return slip
+
+
+def _crossing(
+    gap: Gap, crossing: Crossing, displacement: Array, stretch: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Samples at which a transition of any vector is not yet 0 or 1 to double precision, (T,).
+
+    Elsewhere the force is F1: the carried force has faded, and the gap is crossed.
+    """
+    margin = SATURATED * gap.transition
+    ends = np.stack([-margin, gap.width + margin])[:, None]  # of the travel u
+    at = (ends - crossing.offset) * crossing.side  # of the displacement, (2, K + 1, n)
+    low, high = at.min(axis=(0, 2)), at.max(axis=(0, 2))
+    inside: NDArray[np.bool_] = (displacement >= low[stretch]) & (displacement <= high[stretch])
+    return inside

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.map_fit import climb
-from mfd_bayes.calibration.priors import Prior, PriorFile
+from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.sampling import Effort, sample_density
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.laws import LAWS, PAPER
@@ -88,6 +89,8 @@ class Population:
         Standard deviation of the coordinates between tests, by group.
     priors : mapping of str to Prior
     actuation_unit : str
+    walkers : int
+        A chain's draws are ordered by walker.
     convergence : Convergence
     """
 
@@ -97,6 +100,7 @@ class Population:
     scatter: Array
     priors: Mapping[str, Prior]
     actuation_unit: str
+    walkers: int
     convergence: Convergence
 
     def ratio(self, name: str, actuation: Array) -> Array:
@@ -185,9 +189,7 @@ def pool(
     )
 
 
-def _group(
-    priors: PriorFile, names: tuple[str, ...]
-) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+def _group(priors: PriorFile, names: tuple[str, ...]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
     home = {name: group for group, s in priors.scatter.items() for name in s.parameters}
     lost = [name for name in names if name not in home]
     if lost:
@@ -322,5 +324,6 @@ def infer(
         scatter=np.exp(chains.q[..., :groups]),
         priors=priors,
         actuation_unit=actuation_unit,
+        walkers=chains.walkers,
         convergence=chains.convergence,
     )

@@ -158,9 +158,7 @@ def _unknown(population: Population, n: int, rng: np.random.Generator) -> dict[s
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
 
-def _scales(
-    population: Population, trace: Trace, index: NDArray[np.intp]
-) -> dict[str, Array]:
+def _scales(population: Population, trace: Trace, index: NDArray[np.intp]) -> dict[str, Array]:
     """Factors along a history of actuation of what follows it, by its law, (n, T) each."""
     history = np.asarray(trace.actuation)
     level = np.array([trace.reference_actuation])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.priors import PriorFile
+from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.population.hierarchy import Pooling, Population
 from mfd_bayes.store import load_arrays, save_arrays
 
@@ -31,6 +31,7 @@ def save_population(path: Path, population: Population) -> None:
         "scatter_sd": pooling.scatter_sd.tolist(),
         "reference": pooling.reference,
         "actuation_unit": population.actuation_unit,
+        "walkers": population.walkers,
         "r_hat": convergence.r_hat.tolist(),
         "ess_bulk": convergence.ess_bulk.tolist(),
         "ess_tail": convergence.ess_tail.tolist(),
@@ -64,6 +65,7 @@ def load_population(path: Path, priors: PriorFile) -> Population:
         scatter=np.stack([arrays[f"scatter_{group}"] for group in pooling.groups], axis=-1),
         priors=priors.parameters,
         actuation_unit=facts["actuation_unit"],
+        walkers=facts["walkers"],
         convergence=Convergence(
             np.array(facts["r_hat"]), np.array(facts["ess_bulk"]), np.array(facts["ess_tail"])
         ),

@@ -1,0 +1,163 @@
+"""Prior files: one TOML per device family, found by name or path."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mfd_bayes.calibration.priors import FAMILIES, KINDS, Prior
+from mfd_bayes.errors import PriorError, UnitError
+from mfd_bayes.units import parse_quantity
+
+_DIMENSIONAL = frozenset({"median", "mean", "sd", "lower", "upper", "scale", "value"})
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Half-normal prior of a group's test-to-test scatter.
+
+    `sd` is that of the logarithm, or in internal units for a quantity of either sign.
+    """
+
+    parameters: tuple[str, ...]
+    sd: float
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class PriorFile:
+    """One device family's priors.
+
+    Attributes
+    ----------
+    path : Path
+    title : str
+    parameters : mapping of str to Prior
+    scatter : mapping of str to Scatter
+    """
+
+    path: Path
+    title: str
+    parameters: Mapping[str, Prior]
+    scatter: Mapping[str, Scatter]
+
+    @property
+    def gap(self) -> float | None:
+        """Typical width of the gap under the priors of d2 and d3, in; None without them."""
+        parts = [self.parameters[name] for name in ("d2", "d3") if name in self.parameters]
+        return sum(prior.typical for prior in parts) if len(parts) == 2 else None
+
+
+def find_priors(name: str, folder: Path | None = None) -> Path:
+    """Path of a prior file named "mfd", "brfd", … or given by its path, relative to `folder`.
+
+    Raises
+    ------
+    PriorError
+        When there is no such file; the names that there are are listed.
+    """
+    home = _home()
+    shipped = home / f"{name}.toml"
+    if shipped.parent == home and shipped.is_file():
+        return shipped
+    path = (folder or Path()) / name
+    if path.is_file():
+        return path
+    known = ", ".join(sorted(p.stem for p in home.glob("*.toml")))
+    raise PriorError(f"no prior file '{name}': expected one of {known}, or the path of a TOML file")
+
+
+def _home() -> Path:
+    package = Path(__file__).parents[1]
+    installed = package / "priors"
+    return installed if installed.is_dir() else package.parent / "priors"
+
+
+def load_priors(name: str, folder: Path | None = None) -> PriorFile:
+    """Priors of a file, checked.
+
+    Raises
+    ------
+    PriorError
+        When the file is missing, is no TOML, or a prior in it has an unknown name, family,
+        figure or unit.
+    """
+    path = find_priors(name, folder)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PriorError(f"prior file {path.name} is not valid TOML: {error}") from error
+    unknown = set(content) - {"title", "parameters", "scatter"}
+    if unknown:
+        raise PriorError(
+            f"unknown key '{sorted(unknown)[0]}' in prior file {path.name}; "
+            "it may hold title, parameters and scatter"
+        )
+    tables = _tables(path, content, "parameters"), _tables(path, content, "scatter")
+    return PriorFile(
+        path=path,
+        title=str(content.get("title", path.stem)),
+        parameters={key: _prior(path, key, table) for key, table in tables[0].items()},
+        scatter={key: _scatter(path, key, table) for key, table in tables[1].items()},
+    )
+
+
+def _tables(path: Path, content: dict[str, object], key: str) -> dict[str, dict[str, object]]:
+    tables = content.get(key, {})
+    if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
+        raise PriorError(f"[{key}] of prior file {path.name} must hold tables")
+    return tables
+
+
+def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
+    where = f"prior of {name} in {path.name}"
+    if name not in KINDS:
+        raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(KINDS)}")
+    family = table.get("family")
+    if family not in FAMILIES:
+        raise PriorError(f"{where}: family must be one of {', '.join(FAMILIES)}, got {family!r}")
+    figures = {
+        key: _figure(f"{where}, {key}", value, KINDS[name] if key in _DIMENSIONAL else None)
+        for key, value in table.items()
+        if key not in ("family", "reason")
+    }
+    try:
+        return Prior(str(family), figures, str(table.get("reason", "")))
+    except PriorError as error:
+        raise PriorError(f"{where}: {error}") from error
+
+
+def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
+    where = f"scatter {name} in {path.name}"
+    members = table.get("parameters")
+    if set(table) - {"parameters", "sd", "reason"} or not isinstance(members, list):
+        raise PriorError(f"{where}: expected the keys parameters (a list), sd and reason")
+    unknown = [m for m in members if m not in KINDS]
+    if unknown:
+        raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
+    kind = KINDS["offset"] if members == ["offset"] else None
+    sd = _figure(f"{where}, sd", table.get("sd"), kind)
+    if not sd > 0:
+        raise PriorError(f"{where}: sd must be positive, got {sd:g}")
+    return Scatter(tuple(members), sd, str(table.get("reason", "")))
+
+
+def _figure(where: str, value: object, kind: str | None) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise PriorError(f"{where}: expected a number or a quantity such as '2 kip', got {value!r}")
+    if isinstance(value, str):
+        try:
+            number = parse_quantity(value, kind or "dimensionless")
+        except UnitError as error:
+            raise PriorError(f"{where}: {error}") from error
+    elif kind in (None, "dimensionless"):
+        number = float(value)
+    else:
+        raise PriorError(f"{where}: expected a quantity with its unit ({kind}), got {value!r}")
+    if not np.isfinite(number):
+        raise PriorError(f"{where}: must be finite, got {value!r}")
+    return number

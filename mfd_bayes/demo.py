@@ -1,0 +1,193 @@
+"""A synthetic campaign after the MFD paper's test matrix, with a stated truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.likelihood import find_noise
+from mfd_bayes.calibration.posterior import theta_of
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store import write_text
+
+Array = NDArray[np.float64]
+
+RATE = 100.0
+AMPLITUDE = 1.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the synthetic device is: laws, medians and scatter, in internal units.
+
+    Friction is proportional to pressure and σ0 affine in it (paper Eq. 5); every test
+    scatters about the medians, log-normally.
+    """
+
+    laws: Mapping[str, float] = field(
+        default_factory=lambda: MappingProxyType(
+            {
+                "K_c_fwd": 1.30,  # in²
+                "K_c_bwd": 1.65,
+                "alpha_sigma0": 30.0,  # in
+                "sigma0_0": 40.0,  # kip/in
+            }
+        )
+    )
+    medians: Mapping[str, float] = field(
+        default_factory=lambda: MappingProxyType(
+            {
+                "sigma1": 0.02,  # kip·s/in
+                "sigma2": 0.015,
+                "static_excess_fwd": 0.18,
+                "static_excess_bwd": 0.12,
+                "k2": 0.6,  # kip/in
+                "k3": 20.0,
+                "d2": 0.09,  # in
+                "d3": 0.07,
+                "ell": 0.008,
+                "v_s": 0.4,  # in/s
+                "noise_sd": 0.03,  # kip
+                "noise_time": 0.08,  # s
+            }
+        )
+    )
+    scatter: Mapping[str, float] = field(
+        default_factory=lambda: MappingProxyType(
+            {
+                "friction": 0.05,
+                "static": 0.15,
+                "bristle": 0.10,
+                "damping": 0.10,
+                "stiffness": 0.05,
+                "travel": 0.05,
+                "noise": 0.10,
+                "offset": 0.02,  # kip
+            }
+        )
+    )
+    pressures: tuple[float, ...] = (500.0, 800.0, 1200.0, 1500.0)  # psi
+    frequencies: tuple[float, ...] = (0.05, 0.5)  # Hz
+    cycles: tuple[int, ...] = (3, 6)
+    held_out: tuple[float, float] = (1000.0, 0.5)  # psi, Hz
+
+
+_GROUPS = {
+    "friction": ("Fc_fwd", "Fc_bwd"),
+    "static": ("static_excess_fwd", "static_excess_bwd"),
+    "bristle": ("sigma0",),
+    "damping": ("sigma1", "sigma2", "v_s"),
+    "stiffness": ("k2", "k3"),
+    "travel": ("d2", "d3", "ell"),
+    "noise": ("noise_sd", "noise_time"),
+}
+
+
+def write_campaign(folder: Path, seed: int, truth: Truth | None = None) -> dict[str, Any]:
+    """Write the synthetic tests and their campaign file, and return what is true of them.
+
+    Parameters
+    ----------
+    folder : Path
+    seed : int
+    truth : Truth, optional
+
+    Returns
+    -------
+    dict
+        "population": constants by name; "tests": quantities of each test, by id.
+    """
+    stated = truth or Truth()
+    rng = np.random.default_rng([seed, 1])
+    matrix = [
+        (pressure, frequency, count, "calibrate")
+        for frequency, count in zip(stated.frequencies, stated.cycles, strict=True)
+        for pressure in stated.pressures
+    ]
+    matrix.append((*stated.held_out, stated.cycles[-1], "validate"))
+    tests, entries = {}, []
+    for pressure, frequency, count, role in matrix:
+        name = f"p{pressure:.0f}_f{frequency:g}"
+        values = _draw_test(stated, pressure / 1000.0, rng)
+        _write_csv(folder / f"{name}.csv", values, frequency, count, rng)
+        tests[name] = _known(values)
+        entries.append(
+            f'[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{pressure:.0f} psi"\n'
+            f'role = "{role}"\n'
+        )
+    write_text(folder / "campaign.toml", _HEADER + "\n".join(entries))
+    laws = dict(stated.laws)
+    for side in ("fwd", "bwd"):
+        laws[f"K_s_{side}"] = laws[f"K_c_{side}"] * (1 + stated.medians[f"static_excess_{side}"])
+    laws |= {f"scatter_{group}": value for group, value in stated.scatter.items()}
+    return {"population": laws, "tests": tests}
+
+
+_HEADER = """\
+# Synthetic: computed by the three-stage model from a stated truth, with stated noise.
+# After the MFD paper's test matrix: 0.05 and 0.5 Hz, 500 to 1500 psi, 1 in, 100 Hz.
+[campaign]
+title = "Synthetic campaign after the MFD paper's test matrix"
+priors = "mfd"
+model = "three_stage"
+noise = "ou"
+
+[columns]
+time = { name = "time_s", unit = "s" }
+displacement = { name = "displacement_in", unit = "in" }
+force = { name = "force_kip", unit = "kip" }
+
+"""
+
+
+def _draw_test(truth: Truth, pressure: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Quantities of one test at a pressure in ksi, (1,) each."""
+    laws = truth.laws
+    median = dict(truth.medians) | {
+        "Fc_fwd": laws["K_c_fwd"] * pressure,
+        "Fc_bwd": laws["K_c_bwd"] * pressure,
+        "sigma0": laws["alpha_sigma0"] * pressure + laws["sigma0_0"],
+    }
+    values = {
+        name: median[name] * np.exp(truth.scatter[group] * rng.standard_normal(1))
+        for group, names in _GROUPS.items()
+        for name in names
+    }
+    values["offset"] = truth.scatter["offset"] * rng.standard_normal(1)
+    values["start"] = rng.uniform(0.1, 0.9, 1)
+    values["gamma1"] = np.ones(1)
+    return values
+
+
+def _known(values: Mapping[str, Array]) -> dict[str, float]:
+    """Truth of a test by name, with F_s; γ1 and γ2 have none, for only ℓ is meant."""
+    known = {name: float(value[0]) for name, value in values.items() if name != "gamma1"}
+    for side in ("fwd", "bwd"):
+        known[f"Fs_{side}"] = known[f"Fc_{side}"] * (1 + known[f"static_excess_{side}"])
+    return known
+
+
+def _write_csv(
+    path: Path,
+    values: Mapping[str, Array],
+    frequency: float,
+    cycles: int,
+    rng: np.random.Generator,
+) -> None:
+    """Write a harmonic test: time, displacement and force with its noise."""
+    time = np.arange(int(cycles / frequency * RATE) + 1) / RATE
+    displacement = AMPLITUDE * np.sin(2 * np.pi * frequency * time)
+    model = ThreeStage()
+    trace = Trace.from_arrays(time, displacement)
+    force = model.force(theta_of(model, values), trace, values["start"])[0]
+    force = force + values["offset"] + find_noise("ou").draw(rng, time, values)[0]
+    rows = zip(time, displacement, force, strict=True)
+    lines = "".join(f"{t:.2f},{x:.6f},{f:.6f}\n" for t, x, f in rows)
+    write_text(path, "time_s,displacement_in,force_kip\n" + lines)

@@ -1,0 +1,182 @@
+"""A campaign, read and checked as a whole before anything is written."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.calibrate_test import Task
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.sampling import find_effort
+from mfd_bayes.campaign import Campaign, Test, load_campaign
+from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.population.hierarchy import pool
+from mfd_bayes.records.trace import Trace
+
+_VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a campaign is calibrated.
+
+    Attributes
+    ----------
+    effort : {"quick", "standard", "thorough"}
+    seed : int
+    jobs : int
+        Processes; 0 for as many as there are processors.
+    resume, force : bool
+        What to do with a folder that exists: finish it, or replace it.
+    command : str
+        Kept for the record.
+    """
+
+    effort: str = "standard"
+    seed: int = 1
+    jobs: int = 0
+    resume: bool = False
+    force: bool = False
+    command: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A campaign, read and checked, before anything is written.
+
+    Attributes
+    ----------
+    campaign : Campaign
+    priors : PriorFile
+    tasks : tuple of Task
+        One for each test to calibrate.
+    held_out : mapping of str to Trace
+    manifest : dict
+        What is known before the first draw.
+    """
+
+    campaign: Campaign
+    priors: PriorFile
+    tasks: tuple[Task, ...]
+    held_out: Mapping[str, Trace]
+    manifest: dict[str, Any]
+
+
+def plan_campaign(path: Path, options: Options) -> Plan:
+    """Everything that can be wrong with a campaign, checked; nothing is written.
+
+    Raises
+    ------
+    MfdError
+        When the campaign, its priors or one of its records cannot be used.
+    """
+    campaign = load_campaign(path)
+    priors = load_priors(campaign.priors, campaign.folder)
+    effort = find_effort(options.effort)
+    laws = _laws(campaign)
+    traces, inputs = {}, {campaign.path.name: _sha256(campaign.path)}
+    inputs[priors.path.name] = _sha256(priors.path)
+    for test in campaign.tests:
+        traces[test.id] = _read(campaign, priors, test)
+        inputs[test.path.name] = _sha256(test.path)
+    tasks = tuple(
+        _task(campaign, priors, test, traces[test.id], options)
+        for test in campaign.tests
+        if test.role == "calibrate"
+    )
+    names = Posterior(tasks[0].trace, priors, campaign.noise, campaign.model).names
+    pool(priors, names, [task.trace.reference_actuation for task in tasks], laws)
+    settings = {
+        "model": campaign.model,
+        "noise": campaign.noise,
+        "start": campaign.start,
+        "priors": f"{priors.title} ({priors.path.name})",
+        "laws": laws,
+        "rate": campaign.rate,
+        "area": campaign.area,
+        "actuation_unit": campaign.actuation_unit,
+    }
+    manifest = {
+        "status": "running",
+        "title": campaign.title,
+        "command": options.command,
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seed": options.seed,
+        "effort": {"name": options.effort, **asdict(effort)},
+        "settings": settings,
+        "inputs": inputs,
+        "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
+        "platform": platform.platform(),
+        "tests": {
+            test.id: {"role": test.role, "status": "waiting", "samples": traces[test.id].samples}
+            for test in campaign.tests
+        },
+    }
+    held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
+    return Plan(campaign, priors, tasks, held_out, manifest)
+
+
+def _laws(campaign: Campaign) -> dict[str, str]:
+    """Law of each quantity that is pooled with one; F_s follows F_c's by construction."""
+    chosen = dict(campaign.laws.model_dump())
+    for side in ("fwd", "bwd"):
+        if chosen[f"Fs_{side}"] != chosen[f"Fc_{side}"]:
+            raise CampaignError(
+                f"laws.Fs_{side} in {campaign.path} must be that of Fc_{side} "
+                f"({chosen[f'Fc_{side}']!r}), since F_s = F_c (1 + excess); "
+                f"got {chosen[f'Fs_{side}']!r}"
+            )
+    laws = {name: law for name, law in chosen.items() if not name.startswith("Fs")}
+    for name, law in laws.items():
+        if law == "compare":
+            raise CampaignError(
+                f"laws.{name} in {campaign.path}: this version does not compare laws yet; "
+                "expected 'proportional', 'affine', 'power' or 'constant'"
+            )
+    return laws
+
+
+def _read(campaign: Campaign, priors: PriorFile, test: Test) -> Trace:
+    record = test.read()
+    if record.force is None:
+        raise CampaignError(
+            f"test {test.id!r} of {campaign.path} has no force: name its column in [columns]"
+        )
+    return record.trace(campaign.rate, gap=priors.gap)
+
+
+def _task(
+    campaign: Campaign, priors: PriorFile, test: Test, trace: Trace, options: Options
+) -> Task:
+    posterior = Posterior(trace, priors, campaign.noise, campaign.model, start=campaign.start)
+    drawn = posterior.draw_prior(np.random.default_rng(0), 64)
+    if not np.any(np.isfinite(posterior.log_prob(posterior.coordinates(drawn)))):
+        raise FitError(
+            f"the priors of {priors.path.name} have no mass at any start for test {test.id!r}: "
+            "none of 64 prior draws gives a usable force"
+        )
+    digest = hashlib.sha256(test.id.encode()).digest()
+    return Task(
+        id=test.id,
+        trace=trace,
+        priors=priors,
+        model=campaign.model,
+        noise=campaign.noise,
+        start=campaign.start,
+        effort=options.effort,
+        seed=(options.seed, int.from_bytes(digest[:8], "big")),
+    )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,27 @@
+"""Every figure; the only place that knows matplotlib and corner. Import it when it is needed."""
+
+from mfd_bayes.reporting.figures.campaign import draw_all, figures
+from mfd_bayes.reporting.figures.laws import draw_laws
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.posteriors import (
+    draw_chains,
+    draw_corner,
+    draw_marginals,
+    draw_truth,
+)
+from mfd_bayes.reporting.figures.style import save_png, to_png
+
+__all__ = [
+    "draw_all",
+    "draw_chains",
+    "draw_corner",
+    "draw_history",
+    "draw_laws",
+    "draw_loops",
+    "draw_marginals",
+    "draw_overview",
+    "draw_truth",
+    "figures",
+    "save_png",
+    "to_png",
+]

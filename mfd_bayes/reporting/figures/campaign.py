@@ -1,0 +1,57 @@
+"""All figures of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from matplotlib.figure import Figure
+
+from mfd_bayes.reporting.figures.laws import draw_laws
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.posteriors import (
+    draw_chains,
+    draw_corner,
+    draw_marginals,
+    draw_truth,
+)
+from mfd_bayes.reporting.figures.style import to_png
+from mfd_bayes.reporting.views import CampaignView, Fan, TestView
+
+
+def draw_all(view: CampaignView) -> dict[str, bytes]:
+    """PNG of every figure, by the key that the page knows it under.
+
+    Keys are "overview", "laws", "truth", and "tests/ID/loops", "…/history", "…/corner",
+    "…/trace", "…/marginals"; a figure with nothing to show is left out.
+    """
+    return {key: to_png(figure) for key, figure in figures(view)}
+
+
+def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
+    """Every figure with its key, one at a time so that they need not all be held."""
+    if view.tests:
+        yield "overview", draw_overview("Measured loops over 50 and 95 % bands", view.tests)
+    drawn = {
+        "laws": draw_laws("How the parameters follow the actuation", view.laws, view.actuation_unit),
+        "truth": draw_truth("Posterior against the known truth", view.truth),
+    }
+    yield from ((key, figure) for key, figure in drawn.items() if figure is not None)
+    for test in view.tests:
+        for name, figure in _of_test(test):
+            yield f"tests/{test.id}/{name}", figure
+
+
+def _of_test(test: TestView) -> Iterator[tuple[str, Figure]]:
+    title = f"{test.id}, {test.actuation}"
+    fans: list[Fan] = [fan for fan in (test.observation, test.device) if fan is not None]
+    yield "loops", draw_loops(title, test.trace, fans)
+    yield "history", draw_history(title, test.trace, fans, test.first)
+    corner = draw_corner(title, test.marginals, test.corner)
+    if corner is not None:
+        yield "corner", corner
+    if test.chains:
+        units = {row.name: row.unit for row in test.rows}
+        units |= {marginal.name: marginal.unit for marginal in test.marginals}
+        yield "trace", draw_chains(f"{title}: chains", test.chains, units)
+    if test.marginals:
+        yield "marginals", draw_marginals(f"{title}: priors and posteriors", test.marginals)

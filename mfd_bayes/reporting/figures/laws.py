@@ -1,0 +1,93 @@
+"""Quantities against actuation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.symbols import in_figure, label, plain
+from mfd_bayes.reporting.views import Fan, LawView
+
+_ACTUATION = {"ksi": "pressure, ksi", "kip": "band tension, kip"}
+_MEDIAN = "#4db894"
+
+
+@look.style()
+def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figure | None:
+    """One panel per law: its median with bands, and the tests' 95 % intervals.
+
+    None where there is no law.
+    """
+    if not laws:
+        return None
+    columns = min(3, len(laws))
+    rows = -(-len(laws) // columns)
+    figure = look.new_figure(max(3.4 * columns, 5.5), 2.75 * rows + 0.8)
+    figure.suptitle(plain(title), x=0.01, ha="left")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes, law in zip(grid.flat, laws, strict=False):
+        _draw_law(axes, law)
+        axes.set_xlabel(_ACTUATION.get(actuation_unit, plain(f"actuation, {actuation_unit}")))
+    for axes in grid.flat[len(laws) :]:
+        axes.set_visible(False)
+    handles, texts = grid.flat[0].get_legend_handles_labels()
+    figure.legend(handles, texts, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _draw_law(axes: Axes, law: LawView) -> None:
+    wide, _, dark = look.BANDS["new_test"]
+    _fill(axes, law, law.new_test, wide, "another test")
+    _fill(axes, law, law.median, _MEDIAN, "median over tests")
+    axes.plot(law.actuation, law.median.median, color=dark, label="best estimate")
+    if law.tested:
+        _, at, lower, median, upper = zip(*law.tested, strict=True)
+        middle = np.asarray(median)
+        arms = np.maximum(0.0, [middle - np.asarray(lower), np.asarray(upper) - middle])
+        axes.errorbar(
+            *(_apart(np.asarray(at)), middle, arms),
+            fmt="o",
+            color=look.DATA,
+            markersize=3,
+            linewidth=0.9,
+            label="tests, 95 %",
+        )
+    axes.set_title(f"{in_figure(law.name)}: {plain(law.law)}", fontweight="normal", fontsize=9)
+    axes.set_ylabel(label(law.name, law.unit))
+    axes.set_ylim(*_limits(law))
+    axes.margins(x=0.0)
+
+
+def _fill(axes: Axes, law: LawView, fan: Fan, colour: str, name: str) -> None:
+    widest = max(fan.intervals, key=lambda interval: interval.probability, default=None)
+    if widest is not None:
+        text = f"{name}, {100 * widest.probability:g} %"
+        axes.fill_between(
+            law.actuation, widest.lower, widest.upper, color=colour, linewidth=0, label=text
+        )
+
+
+def _apart(actuation: np.ndarray) -> np.ndarray:
+    """Tests at one level side by side, so that their bars do not hide each other."""
+    step = 0.012 * max(float(np.ptp(actuation)), 1e-3 * float(np.max(np.abs(actuation))))
+    shifted = actuation.astype(np.float64)
+    for level in np.unique(actuation):
+        same = np.flatnonzero(actuation == level)
+        shifted[same] += step * (np.arange(same.size) - 0.5 * (same.size - 1))
+    return shifted
+
+
+def _limits(law: LawView) -> tuple[float, float]:
+    """Vertical limits that show tests and median; the wide band may leave the panel."""
+    tops = [float(np.max(law.median.median)), *(t[4] for t in law.tested)]
+    bottoms = [float(np.min(law.median.median)), *(t[2] for t in law.tested)]
+    for interval in law.new_test.intervals:
+        tops.append(min(float(np.max(interval.upper)), 2.0 * max(tops)))
+        bottoms.append(float(np.min(interval.lower)))
+    low, high = min(bottoms), max(tops)
+    margin = 0.05 * (high - low) or 0.1
+    return (0.0 if 0 <= low < 0.5 * high else low - margin), high + margin

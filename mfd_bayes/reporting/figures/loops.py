@@ -1,0 +1,233 @@
+"""Force against displacement, velocity and time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from mfd_bayes.records.trace import Trace, turning_points
+from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.reporting.views import Array, Fan, Interval, TestView
+
+POINTS = 4000
+"""More points than this are not drawn: a screen cannot show them."""
+TURNS = 24
+"""Records with more turning points get a second column that shows the strongest motion."""
+PANELS = 12
+_VELOCITY_TURN = 0.02  # of its peak-to-peak: less is noise
+
+
+@look.style()
+def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = ()) -> Figure:
+    """Force against displacement and against velocity, over the bands of the model.
+
+    Parameters
+    ----------
+    title : str
+    trace : Trace
+        Its force is drawn where it has one.
+    fans : sequence of Fan
+        Drawn one over the other, so the widest kind first.
+    """
+    figure = look.new_figure(10, 4.3)
+    figure.suptitle(plain(title), x=0.01, ha="left")
+    left, right = figure.subplots(1, 2, sharey=True)
+    _draw_loop(left, trace, fans, trace.displacement, trace.turning_points)
+    span = _VELOCITY_TURN * float(np.ptp(trace.velocity))
+    _draw_loop(right, trace, fans, trace.velocity, turning_points(trace.velocity, span))
+    left.set(xlabel="displacement, in", ylabel="force, kip")
+    left.set_title("Force–displacement", fontsize=9, fontweight="normal")
+    right.set(xlabel="velocity, in/s", ylabel="force, kip")
+    right.set_title("Force–velocity", fontsize=9, fontweight="normal")
+    _legend(figure, trace, fans)
+    return figure
+
+
+@look.style()
+def draw_history(title: str, trace: Trace, fans: Sequence[Fan] = (), first: int = 0) -> Figure:
+    """Displacement, force with bands, and residual (measured − median) against time.
+
+    Parameters
+    ----------
+    title : str
+    trace : Trace
+    fans : sequence of Fan
+        The residual is that of the first one's median.
+    first : int
+        Samples before this one were left out of the fit.
+    """
+    rows = 3 if fans and trace.force is not None else 2
+    windows = _windows(trace)
+    figure = look.new_figure(10, 2.6 + 0.9 * rows)
+    figure.suptitle(plain(title), x=0.01, ha="left")
+    grid = figure.subplots(
+        *(rows, len(windows)),
+        sharex="col",
+        sharey="row",
+        squeeze=False,
+        height_ratios=(1.0, 2.6, 1.5)[:rows],
+        width_ratios=(1.0, 1.0)[: len(windows)],
+    )
+    for column, window in zip(grid.T, windows, strict=True):
+        _draw_column(column, trace, fans, window)
+        if window.start < first:
+            for axes in column:
+                axes.axvspan(trace.time[window][0], trace.time[first], color="#eeeeee", zorder=0)
+    for axes, text in zip(grid[:, 0], ("displ., in", "force, kip", "residual, kip"), strict=False):
+        axes.set_ylabel(text)
+    if len(windows) > 1:
+        grid[0, 1].set_title("Strongest motion", fontsize=9, fontweight="normal")
+        grid[0, 0].set_title("Whole record", fontsize=9, fontweight="normal")
+    _legend(figure, trace, fans, masked=first > 0)
+    return figure
+
+
+@look.style()
+def draw_overview(title: str, tests: Sequence[TestView]) -> Figure:
+    """Force–displacement loops of up to twelve tests, as small multiples."""
+    shown = tests[:PANELS]
+    columns = min(4, max(1, len(shown)))
+    rows = max(1, -(-len(shown) // columns))
+    figure = look.new_figure(max(2.6 * columns, 6.0), 2.35 * rows + 0.7)
+    more = "" if len(tests) == len(shown) else f" (first {PANELS} of {len(tests)} tests)"
+    figure.suptitle(f"{plain(title)}{more}", x=0.01, ha="left")
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for at, (axes, test) in enumerate(zip(grid.flat, shown, strict=False)):
+        _draw_panel(axes, test)
+        if at + columns >= len(shown):
+            axes.set_xlabel("displacement, in")
+        if at % columns == 0:
+            axes.set_ylabel("force, kip")
+    for axes in grid.flat[len(shown) :]:
+        axes.set_visible(False)
+    if shown:
+        _legend(figure, shown[0].trace, [shown[0].observation])
+    return figure
+
+
+def stretches(turns: NDArray[np.intp], samples: int) -> list[slice]:
+    """Stretches of monotone motion between turning points, ends shared."""
+    ends = [0, *turns.tolist(), samples - 1]
+    return [slice(a, b + 1) for a, b in zip(ends[:-1], ends[1:], strict=True) if b > a]
+
+
+def _draw_panel(axes: Axes, test: TestView) -> None:
+    held_out = test.role == "validate"
+    trace, fan = test.trace, test.observation
+    for interval, colour in look.shades(fan):
+        _fill(axes, trace.displacement, interval, trace.turning_points, colour)
+    if trace.force is not None:
+        _line(axes, trace.displacement, trace.force)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    colour = look.VALIDATE if held_out else look.DATA
+    name = f"{plain(test.id)}\n{plain(test.actuation)}, "
+    name += "predicted, not fitted" if held_out else "fitted"
+    axes.set_title(name, fontsize=8, color=colour, fontweight="normal")
+    if held_out:
+        for spine in axes.spines.values():
+            spine.set(edgecolor=look.VALIDATE, linewidth=1.3, visible=True)
+
+
+def _draw_loop(
+    axes: Axes, trace: Trace, fans: Sequence[Fan], abscissa: Array, turns: NDArray[np.intp]
+) -> None:
+    for fan in fans:
+        for interval, colour in look.shades(fan):
+            _fill(axes, abscissa, interval, turns, colour)
+    if trace.force is not None:
+        _line(axes, abscissa, trace.force)
+    elif fans:
+        _line(axes, abscissa, fans[0].median, look.BANDS[fans[0].kind][2])
+
+
+def _fill(
+    axes: Axes, abscissa: Array, interval: Interval, turns: NDArray[np.intp], colour: str
+) -> None:
+    """Fill a band stretch by stretch, so that branches of the loop do not close each other."""
+    step = max(1, abscissa.size // POINTS)
+    outlines = []
+    for part in stretches(turns, abscissa.size):
+        pick = np.unique(np.append(np.arange(part.start, part.stop, step), part.stop - 1))
+        lower = np.column_stack([abscissa[pick], interval.lower[pick]])
+        upper = np.column_stack([abscissa[pick], interval.upper[pick]])
+        outlines.append(np.concatenate([lower, upper[::-1]]))
+    # the thin edge keeps a narrow band visible where the force is steep
+    bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
+    axes.add_collection(bands)
+    axes.autoscale_view()
+
+
+def _line(axes: Axes, abscissa: Array, force: Array, colour: str = look.DATA) -> None:
+    step = max(1, abscissa.size // POINTS)
+    axes.plot(abscissa[::step], force[::step], color=colour, linewidth=0.6)
+
+
+def _windows(trace: Trace) -> list[slice]:
+    """The whole record and, where it is long, six strokes around its largest displacement."""
+    whole = slice(0, trace.samples)
+    turns = trace.turning_points
+    if turns.size <= TURNS:
+        return [whole]
+    largest = int(np.argmax(np.abs(trace.displacement)))
+    at = int(np.clip(np.searchsorted(turns, largest), 3, turns.size - 4))
+    return [whole, slice(int(turns[at - 3]), int(turns[at + 3]) + 1)]
+
+
+def _draw_column(column: NDArray[np.object_], trace: Trace, fans: Sequence[Fan], at: slice) -> None:
+    time = trace.time[at]
+    zero = np.zeros(trace.samples)
+    step = max(1, time.size // POINTS)
+    column[0].plot(time[::step], trace.displacement[at][::step], color="#555555", linewidth=0.8)
+    for fan in fans:
+        _draw_bands(column[1], time, fan, at, zero)
+    if trace.force is not None:
+        column[1].plot(*_thinned(time, trace.force[at]), color=look.DATA, linewidth=0.6)
+    if len(column) > 2 and trace.force is not None:
+        _draw_bands(column[2], time, fans[0], at, fans[0].median)
+        residual = (trace.force - fans[0].median)[at]
+        column[2].plot(*_thinned(time, residual), color=look.DATA, linewidth=0.6)
+        column[2].axhline(0.0, color=look.BANDS[fans[0].kind][2], linewidth=0.8)
+    column[-1].set_xlabel("time, s")
+    column[-1].margins(x=0.005)
+
+
+def _draw_bands(axes: Axes, time: Array, fan: Fan, at: slice, base: Array) -> None:
+    step = max(1, time.size // POINTS)
+    edges = np.arange(0, time.size, step)
+    for interval, colour in look.shades(fan):
+        lower = np.minimum.reduceat((interval.lower - base)[at], edges)
+        upper = np.maximum.reduceat((interval.upper - base)[at], edges)
+        axes.fill_between(time[edges], lower, upper, facecolor=colour, edgecolor=colour, lw=0.6)
+
+
+def _thinned(time: Array, values: Array) -> tuple[Array, Array]:
+    """A line with so many points that a screen shows them all, extremes kept."""
+    step = time.size // (POINTS // 2)
+    if step < 2:
+        return time, values
+    edges = np.arange(0, time.size, step)
+    low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
+    return np.repeat(time[edges], 2), np.column_stack([low, high]).ravel()
+
+
+def _legend(figure: Figure, trace: Trace, fans: Sequence[Fan], *, masked: bool = False) -> None:
+    handles: list[Line2D | Patch] = []
+    if trace.force is not None:
+        handles.append(Line2D([], [], color=look.DATA, linewidth=0.9, label="measured"))
+    for fan in fans:
+        wide, narrow, _ = look.BANDS[fan.kind]
+        text = f"{look.KINDS[fan.kind]}, {look.percents(fan)}"
+        handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
+    if masked:
+        handles.append(Patch(facecolor="#eeeeee", label="not fitted"))
+    if handles:
+        figure.legend(handles=handles, loc="outside lower left", ncols=4)

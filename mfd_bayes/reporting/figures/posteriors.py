@@ -1,0 +1,252 @@
+"""Draws of parameters: chains, priors against posteriors, pairs, and the truth."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from numpy.typing import NDArray
+
+from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.symbols import in_figure, label, plain
+from mfd_bayes.reporting.views import Array, Marginal, TruthRow
+
+UNINFORMED = 0.5
+"""Below this contraction the data are said not to inform a quantity."""
+CORNER_DRAWS = 2000
+CORNER_QUANTITIES = 8
+_STEPS = 300  # of a chain: more are not seen
+_LOG_RANGE = 20.0
+_CLIP = 8.0  # the truth's plot ends at this multiple
+
+
+@look.style()
+def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str]) -> Figure | None:
+    """Pairs of quantities: 39, 86 and 95 % contours of the draws, 95 % interval dashed.
+
+    Parameters
+    ----------
+    title : str
+    marginals : sequence of Marginal
+        Their posterior draws belong together, row by row.
+    names : sequence of str
+        Quantities wanted, the most important first; eight at most are drawn.
+
+    Returns
+    -------
+    Figure or None
+        None where fewer than two quantities have draws that vary.
+    """
+    chosen = _varying(marginals, names)
+    if len(chosen) < 2:
+        return None
+    corner = _corner()
+    matplotlib.rcParams["axes.grid"] = False
+    size = max(1.15 * len(chosen), 4.0)
+    figure = Figure(figsize=(size, size), dpi=look.DPI)
+    stride = -(-len(chosen[0].posterior) // CORNER_DRAWS)
+    corner(
+        np.column_stack([m.posterior[::stride] for m in chosen]),
+        labels=[label(m.name, m.unit) for m in chosen],
+        bins=16,
+        smooth=0.8,
+        color=look.POSTERIOR,
+        quantiles=[0.025, 0.975],
+        levels=(0.393, 0.865, 0.95),
+        plot_datapoints=False,
+        plot_density=False,
+        fill_contours=True,
+        no_fill_contours=True,  # no white ground beneath the filled ones
+        max_n_ticks=0,
+        labelpad=0.18,
+        label_kwargs={"fontsize": 8},
+        fig=figure,
+    )
+    _outer_ticks(figure, len(chosen))
+    figure.subplots_adjust(left=0.13, bottom=0.13, right=0.98, top=0.93)
+    figure.suptitle(plain(title), x=0.01, ha="left", y=0.985)
+    return figure
+
+
+@look.style()
+def draw_chains(title: str, chains: Mapping[str, Array], units: Mapping[str, str]) -> Figure:
+    """Each sampled quantity along the run, one colour per chain, (chain, draw) each."""
+    figure, panels = _panels(title, len(chains), row=1.4)
+    for axes, (name, values) in zip(panels, chains.items(), strict=True):
+        step = max(1, values.shape[1] // _STEPS)
+        draws = np.arange(0, values.shape[1], step)
+        for chain, colour in zip(values, _cycle(len(values)), strict=True):
+            axes.plot(draws, chain[::step], color=colour, linewidth=0.6, antialiased=False)
+        axes.set_title(label(name, units.get(name, "")), fontsize=8, fontweight="normal")
+        axes.tick_params(labelsize=7)
+        axes.margins(x=0.01)
+    figure.supxlabel("kept step of the sampler (mean over walkers)", fontsize=8, y=0.01)
+    return figure
+
+
+@look.style()
+def draw_marginals(title: str, marginals: Sequence[Marginal]) -> Figure:
+    """Priors against posteriors; logarithmic where the range is wide, each scaled to its peak."""
+    figure, panels = _panels(title, len(marginals), row=1.4)
+    for axes, marginal in zip(panels, marginals, strict=True):
+        _draw_marginal(axes, marginal)
+    handles = [
+        Patch(facecolor="#dddddd", edgecolor=look.PRIOR, label="prior"),
+        Patch(facecolor=look.BANDS["observation"][1], edgecolor=look.POSTERIOR, label="posterior"),
+    ]
+    figure.legend(handles=handles, loc="upper right", ncols=2)
+    return figure
+
+
+@look.style()
+def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
+    """Posterior median and 95 % interval over the truth, one line per quantity and test.
+
+    Rows whose truth is not positive cannot be divided by it and are left out; None where no
+    row is left.
+    """
+    kept = [row for row in rows if row.truth > 0]
+    if not kept:
+        return None
+    names = list(dict.fromkeys(row.name for row in kept))
+    groups = [[row for row in kept if row.name == name] for name in names]
+    heights = np.array([1.0 + 0.45 * len(group) for group in groups])
+    ends = np.cumsum(heights)
+    figure = look.new_figure(9, 1.3 + 0.15 * float(ends[-1]))
+    figure.suptitle(plain(title), x=0.01, ha="left")
+    axes = figure.subplots()
+    for group, end, height in zip(groups, ends, heights, strict=True):
+        for at, row in enumerate(group):
+            _draw_ratio(axes, row, end - height + 0.725 + 0.45 * at)
+    for end, height in zip(ends[1::2], heights[1::2], strict=True):
+        axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
+    axes.axvline(1.0, color=look.DATA, linewidth=1.2, zorder=1)
+    symbols = [in_figure(name) for name in names]
+    axes.set_yticks(ends - 0.5 * heights, symbols, fontsize=9)
+    axes.set_ylim(ends[-1], 0.0)
+    axes.grid(visible=False, axis="y")
+    _ratio_axis(axes, kept)
+    _truth_legend(figure)
+    return figure
+
+
+def _corner() -> object:
+    """Return the corner package's function, without the announcements of what it imports."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        from corner import corner
+    return corner
+
+
+def _outer_ticks(figure: Figure, number: int) -> None:
+    """Ticks at the left and the bottom alone; they are what takes the time."""
+    for at, axes in enumerate(figure.axes):
+        row, column = divmod(at, number)
+        if row == number - 1:
+            axes.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+        if column == 0 and row > 0:
+            axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+        axes.tick_params(labelsize=7, labelrotation=45)
+
+
+def _varying(marginals: Sequence[Marginal], names: Sequence[str]) -> list[Marginal]:
+    by_name = {m.name: m for m in marginals}
+    found = [by_name[name] for name in names if name in by_name]
+    found = [m for m in found if np.ptp(m.posterior) > 1e-12 * np.max(np.abs(m.posterior))]
+    found = [m for m in found if len(m.posterior) == len(found[0].posterior)]
+    enough = bool(found) and len(found[0].posterior) > CORNER_QUANTITIES
+    return found[:CORNER_QUANTITIES] if enough else []
+
+
+def _panels(title: str, number: int, row: float) -> tuple[Figure, list[Axes]]:
+    """Panels in four columns; laid out by hand, which is much faster than by solving for it."""
+    columns = min(4, max(1, number))
+    rows = max(1, -(-number // columns))
+    height = row * rows + 0.75
+    figure = Figure(figsize=(10, height), dpi=look.DPI)
+    figure.suptitle(plain(title), x=0.01, y=1.0 - 0.08 / height, ha="left", va="top")
+    edges = {"left": 0.065, "right": 0.985, "top": 1 - 0.55 / height, "bottom": 0.65 / height}
+    figure.subplots_adjust(**edges, wspace=0.28, hspace=0.65)
+    panels = [figure.add_subplot(rows, columns, at + 1) for at in range(number)]
+    return figure, panels
+
+
+def _cycle(number: int) -> list[str]:
+    return [look.CHAINS[i % len(look.CHAINS)] for i in range(number)]
+
+
+def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
+    both = np.concatenate([marginal.prior, marginal.posterior])
+    low, high = np.quantile(marginal.prior, [0.005, 0.995])
+    low = min(low, marginal.posterior.min())
+    high = max(high, marginal.posterior.max())
+    logarithmic = bool(both.min() > 0 and high > _LOG_RANGE * low)
+    if logarithmic:
+        axes.set_xscale("log")
+    _draw_density(axes, marginal.prior, logarithmic, "#dddddd", look.PRIOR)
+    blue = look.BANDS["observation"][1]
+    _draw_density(axes, marginal.posterior, logarithmic, blue, look.POSTERIOR)
+    if high > low:
+        axes.set_xlim(low, high)
+    axes.set_ylim(0, 1.08)
+    axes.set_xlabel(label(marginal.name, marginal.unit), fontsize=8)
+    axes.tick_params(labelsize=7)
+    look.no_ticks(axes)
+    _few_ticks(axes, logarithmic)
+    if marginal.contraction < UNINFORMED:
+        axes.set_title("not informed by the data", fontsize=7.5, color=look.VERMILLION)
+
+
+def _few_ticks(axes: Axes, logarithmic: bool) -> None:
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_locator(LogLocator(numticks=5) if logarithmic else MaxNLocator(4))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
+
+
+def _draw_density(axes: Axes, draws: Array, logarithmic: bool, face: str, edge: str) -> None:
+    low, high = np.quantile(draws, [0.002, 0.998])
+    if not high > low:
+        axes.axvline(low, color=edge)
+        return
+    edges = np.geomspace(low, high, 31) if logarithmic else np.linspace(low, high, 31)
+    heights, _ = np.histogram(draws, edges)
+    axes.stairs(heights / heights.max(), edges, fill=True, facecolor=face, alpha=0.75)
+    axes.stairs(heights / heights.max(), edges, color=edge, linewidth=0.9)
+
+
+def _draw_ratio(axes: Axes, row: TruthRow, at: float) -> None:
+    colour = look.PRIOR if not row.informed else look.POSTERIOR if row.inside else look.TRUTH
+    axes.plot([row.lower / row.truth, row.upper / row.truth], [at, at], color=colour, lw=1.2)
+    marker = "o" if row.inside else "X"
+    axes.plot([row.median / row.truth], [at], marker, color=colour, ms=3 if row.inside else 6)
+
+
+def _ratio_axis(axes: Axes, rows: Sequence[TruthRow]) -> None:
+    told = [row for row in rows if row.informed] or list(rows)
+    widest = max(max(row.upper / row.truth, row.truth / max(row.lower, 1e-12)) for row in told)
+    reach = float(np.clip(1.05 * widest, 1.25, _CLIP))
+    axes.set_xscale("log")
+    axes.set_xlim(1.0 / reach, reach)
+    ticks = [t for t in (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0) if 1 / reach <= t <= reach]
+    axes.xaxis.set_major_locator(NullLocator())
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xticks(ticks)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlabel("posterior ÷ truth (1 = truth), logarithmic; bars are 95 % intervals")
+
+
+def _truth_legend(figure: Figure) -> None:
+    kinds = (
+        (look.POSTERIOR, "o", "interval holds the truth"),
+        (look.TRUTH, "X", "interval misses the truth"),
+        (look.PRIOR, "o", "not informed by the data"),
+    )
+    handles = [Line2D([], [], color=c, marker=m, ms=5, label=text) for c, m, text in kinds]
+    figure.legend(handles=handles, loc="outside lower left", ncols=3)

@@ -1,0 +1,132 @@
+"""The look of every figure, and how one becomes a PNG."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mfd_bayes.reporting.views import Fan, Interval
+
+DPI = 105
+
+# Okabe and Ito's colours, each with one meaning in the whole report.
+DATA = "#1b1b1b"
+ORANGE = "#E69F00"
+BLUE = "#0072B2"
+GREEN = "#009E73"
+VERMILLION = "#D55E00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
+PRIOR = "#9a9a9a"
+POSTERIOR = BLUE
+TRUTH = VERMILLION
+VALIDATE = "#a3457c"
+CHAINS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, "#555555", "#b8a600")
+
+# Bands of each kind: the wide one, the narrow one, the median. They are opaque, so that
+# branches of a loop that lie over each other do not add up to a darker shade.
+BANDS = {
+    "observation": ("#d5e7f4", "#a5cce8", BLUE),
+    "new_test": ("#cdeae0", "#93d2bd", GREEN),
+    "device": ("#f6c877", "#e08f1f", VERMILLION),
+}
+KINDS = {
+    "observation": "a new measurement (with noise)",
+    "new_test": "another test (with scatter)",
+    "device": "the model (parameters only)",
+}
+
+_STYLE: dict[str, object] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "figure.titlesize": 11,
+    "figure.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#666666",
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.1,
+    "agg.path.chunksize": 0,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Settings that figures are drawn under, whatever the user's own are."""
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # a name from a file may hold letters that DejaVu does not have
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)  # type: ignore[arg-type]
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Empty figure of a size in inches, laid out so that nothing is cut."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+@style()
+def to_png(figure: Figure) -> bytes:
+    """PNG of a figure, the same bytes each time."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write a figure's PNG, complete or not at all."""
+    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(to_png(figure))
+        Path(beside).chmod(0o644)
+        Path(beside).replace(path)
+    except BaseException:
+        Path(beside).unlink(missing_ok=True)
+        raise
+
+
+def shades(fan: Fan) -> Iterator[tuple[Interval, str]]:
+    """Intervals of a fan, widest first, each with its colour."""
+    wide, narrow, _ = BANDS[fan.kind]
+    ordered = sorted(fan.intervals, key=lambda interval: -interval.probability)
+    for index, interval in enumerate(ordered):
+        yield interval, wide if index == 0 else narrow
+
+
+def percents(fan: Fan) -> str:
+    """Probabilities of a fan's intervals: "50 and 95 %"."""
+    chances = sorted(interval.probability for interval in fan.intervals)
+    return " and ".join(f"{100 * chance:g}" for chance in chances) + " %"
+
+
+def no_ticks(axes: Axes) -> None:
+    """Hide the vertical axis, where heights mean nothing but themselves."""
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.grid(visible=False, axis="y")

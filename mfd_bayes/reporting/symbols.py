@@ -1,0 +1,103 @@
+"""How quantities, units and numbers are written: in figures, on the page and in tables."""
+
+from __future__ import annotations
+
+import math
+
+from markupsafe import Markup, escape
+
+# name: (mathtext, HTML, what it is)
+_SYMBOLS = {
+    "sigma0": (r"\sigma_0", "σ<sub>0</sub>", "aggregate bristle stiffness"),
+    "sigma1": (r"\sigma_1", "σ<sub>1</sub>", "micro-damping"),
+    "sigma2": (r"\sigma_2", "σ<sub>2</sub>", "viscous friction"),
+    "Fs_fwd": (r"F_{s,\mathrm{fwd}}", "F<sub>s,fwd</sub>", "static friction, forward"),
+    "Fc_fwd": (r"F_{c,\mathrm{fwd}}", "F<sub>c,fwd</sub>", "kinetic friction, forward"),
+    "Fs_bwd": (r"F_{s,\mathrm{bwd}}", "F<sub>s,bwd</sub>", "static friction, backward"),
+    "Fc_bwd": (r"F_{c,\mathrm{bwd}}", "F<sub>c,bwd</sub>", "kinetic friction, backward"),
+    "static_excess_fwd": (
+        r"F_s/F_c - 1,\ \mathrm{fwd}",
+        "(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>fwd</sub>",
+        "excess of static over kinetic friction, forward",
+    ),
+    "static_excess_bwd": (
+        r"F_s/F_c - 1,\ \mathrm{bwd}",
+        "(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>bwd</sub>",
+        "excess of static over kinetic friction, backward",
+    ),
+    "k2": ("k_2", "k<sub>2</sub>", "stiffness of stage 2"),
+    "k3": ("k_3", "k<sub>3</sub>", "stiffness of stage 3"),
+    "d2": ("d_2", "d<sub>2</sub>", "drum travel of stage 2"),
+    "d3": ("d_3", "d<sub>3</sub>", "drum travel of stage 3"),
+    "gap": ("D", "D", "width of the gap, d2 + d3"),
+    "gamma1": (r"\gamma_1", "γ<sub>1</sub>", "transition constant"),
+    "gamma2": (r"\gamma_2", "γ<sub>2</sub>", "transition constant"),
+    "ell": (r"\ell = \gamma_2/\gamma_1", "ℓ = γ<sub>2</sub>/γ<sub>1</sub>", "transition length"),
+    "v_s": (r"\dot x_s", "ẋ<sub>s</sub>", "Stribeck velocity"),
+    "offset": ("F_0", "F<sub>0</sub>", "offset of the load cell"),
+    "start": ("w_0", "w<sub>0</sub>", "place in the gap at the first sample"),
+    "noise_sd": ("s", "s", "standard deviation of the noise"),
+    "noise_time": (r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise"),
+    "noise_dof": (r"\nu", "ν", "degrees of freedom of the noise"),
+    "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
+    "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
+    "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),
+    "K_s_bwd": (r"K_{s,\mathrm{bwd}}", "K<sub>s,bwd</sub>", "static friction per actuation"),
+    "alpha_sigma0": (r"\alpha_{\sigma_0}", "α<sub>σ0</sub>", "bristle stiffness per actuation"),
+    "sigma0_0": (r"\sigma_0|_{p=0}", "σ<sub>0</sub>|<sub>p=0</sub>", "bristle stiffness at p = 0"),
+}
+_LONGEST = 60
+
+
+def in_figure(name: str) -> str:
+    """Symbol of a quantity as matplotlib writes it; an unknown name as plain text."""
+    return f"${_SYMBOLS[name][0]}$" if name in _SYMBOLS else plain(name.replace("_", " "))
+
+
+def in_html(name: str) -> Markup:
+    """Symbol of a quantity as HTML; an unknown name escaped."""
+    return Markup(_SYMBOLS[name][1]) if name in _SYMBOLS else escape(name.replace("_", " "))  # noqa: S704
+
+
+def meaning(name: str) -> str:
+    """What a quantity is, "" where that is not known."""
+    return _SYMBOLS[name][2] if name in _SYMBOLS else ""
+
+
+def plain(text: str) -> str:
+    """Text from a file as matplotlib must get it: no mathtext, one line, not too long."""
+    line = "".join(c if c.isprintable() else " " for c in text).strip()
+    if len(line) > _LONGEST:
+        line = f"{line[: _LONGEST - 1]}…"
+    return line.replace("\\", "\\\\").replace("$", r"\$") if "$" in line else line
+
+
+def unit_text(unit: str) -> str:
+    """Unit as it is written, "" for none: ``kip*s/in`` becomes ``kip·s/in``."""
+    return "" if unit in ("", "1", "dimensionless") else unit.replace("**", "^").replace("*", "·")
+
+
+def label(name: str, unit: str) -> str:
+    """Axis label of a quantity with its unit."""
+    written = plain(unit_text(unit))
+    return f"{in_figure(name)}, {written}" if written else in_figure(name)
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A number with so many significant digits; a dash for none."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    text = f"{value:#.{digits}g}".replace("e-0", "e-").replace("e+0", "e+")
+    return text.replace(".e", "e").removesuffix(".")
+
+
+def count(value: float) -> str:
+    """A number of draws, as a whole number with thin spaces."""
+    return f"{value:,.0f}".replace(",", "\u202f") if math.isfinite(value) else "–"
+
+
+def percent(value: float) -> str:
+    """A share in percent, with one digit where that says something."""
+    return "–" if math.isnan(value) else f"{100 * value:.3g} %"
