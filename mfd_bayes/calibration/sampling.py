@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence, autocorrelation_time, measure
 from mfd_bayes.calibration.map_fit import Density, Mode, find_modes
+from mfd_bayes.calibration.moves import Apart
 from mfd_bayes.calibration.posterior import UNIDENTIFIABLE, Posterior
 from mfd_bayes.errors import FitError
 
@@ -53,7 +54,7 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(ess=100, block=150, limit=1500, r_hat=1.03, length=2.0, kept=1200),
+    "quick": Effort(ess=100, block=150, limit=2700, r_hat=1.03, length=2.0, kept=1200),
     "standard": Effort(ess=400, block=400, limit=8000),
     "thorough": Effort(ess=2000, block=1000, limit=40000, kept=8000),
 }
@@ -210,15 +211,12 @@ def sample_density(
 ) -> Chains:
     """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes."""
     began = time.perf_counter()
-    samplers, states = _ensembles(density, modes, effort, rng)
+    sampler, state = _ensembles(density, modes, effort, rng)
     steps, wait = 0, effort.block
     while True:
-        states = [
-            sampler.run_mcmc(state, wait, skip_initial_state_check=True)
-            for sampler, state in zip(samplers, states, strict=True)
-        ]
+        state = sampler.run_mcmc(state, wait, skip_initial_state_check=True)
         steps += wait
-        chains = _gather(samplers, steps, effort)
+        chains = _gather(sampler, steps, effort)
         found = chains.convergence
         if report is not None:
             seconds = time.perf_counter() - began
@@ -231,23 +229,24 @@ def sample_density(
 
 def _ensembles(
     density: Density, modes: Sequence[Mode], effort: Effort, rng: np.random.Generator
-) -> tuple[list[emcee.EnsembleSampler], list[emcee.State]]:
+) -> tuple[emcee.EnsembleSampler, emcee.State]:
+    """Sampler of all ensembles in lock-step, and where they start."""
     dim = len(modes[0].q)
     walkers = 2 * max(16, dim + 3)
-    samplers, states = [], []
-    for _ in range(effort.ensembles):
-        sampler = emcee.EnsembleSampler(walkers, dim, density, moves=_moves(dim), vectorize=True)
-        seed = int(rng.integers(2**32))
-        # emcee takes a RandomState's state and silently ignores anything else
-        twister = np.random.RandomState(seed)
-        sampler.random_state = twister.get_state()
-        begin = _disperse(density, modes, walkers, rng)
-        states.append(emcee.State(begin, random_state=twister.get_state()))
-        samplers.append(sampler)
-    return samplers, states
+    sampler = emcee.EnsembleSampler(
+        effort.ensembles * walkers,
+        dim,
+        density,
+        moves=[(Apart(move, effort.ensembles), weight) for move, weight in _moves(dim)],
+        vectorize=True,
+    )
+    # emcee takes a RandomState's state and silently ignores anything else
+    twister = np.random.RandomState(int(rng.integers(2**32)))
+    begin = [_disperse(density, modes, walkers, rng) for _ in range(effort.ensembles)]
+    return sampler, emcee.State(np.concatenate(begin), random_state=twister.get_state())
 
 
-def _moves(dim: int) -> list[tuple[emcee.moves.Move, float]]:
+def _moves(dim: int) -> list[tuple[emcee.moves.RedBlueMove, float]]:
     """Differential evolution, now and then a full jump between walkers or a stretch.
 
     emcee 3.1.6's DESnookerMove does not sample the target and is not used.
@@ -285,23 +284,26 @@ def _disperse(
     return begin
 
 
-def _gather(samplers: Sequence[emcee.EnsembleSampler], steps: int, effort: Effort) -> Chains:
+def _gather(sampler: emcee.EnsembleSampler, steps: int, effort: Effort) -> Chains:
     """Draws of the second half of the steps, thinned, and what they say of convergence."""
     discarded = steps // 2
-    walkers = samplers[0].nwalkers
-    thin = max(1, (steps - discarded) * walkers // effort.kept)
-    full = np.stack([s.get_chain(discard=discarded) for s in samplers])
-    log_prob = np.stack([s.get_log_prob(discard=discarded) for s in samplers])[:, ::thin]
-    chains = full[:, ::thin]
-    ensembles, _, _, dim = chains.shape
+    kept = steps - discarded
+    walkers = sampler.nwalkers // effort.ensembles
+    dim = sampler.ndim
+    apart = (kept, effort.ensembles, walkers)
+    full = np.swapaxes(sampler.get_chain(discard=discarded).reshape(*apart, dim), 0, 1)
+    log_prob = np.swapaxes(sampler.get_log_prob(discard=discarded).reshape(apart), 0, 1)
+    thin = max(1, kept * walkers // effort.kept)
+    chains, log_prob = full[:, ::thin], log_prob[:, ::thin]
+    acceptance = np.reshape(sampler.acceptance_fraction, (effort.ensembles, walkers))
     return Chains(
-        q=np.swapaxes(chains, 1, 2).reshape(ensembles, -1, dim),
-        log_prob=np.swapaxes(log_prob, 1, 2).reshape(ensembles, -1),
+        q=np.swapaxes(chains, 1, 2).reshape(effort.ensembles, -1, dim),
+        log_prob=np.swapaxes(log_prob, 1, 2).reshape(effort.ensembles, -1),
         walkers=walkers,
         steps=steps,
         thin=thin,
         discarded=discarded,
-        acceptance=np.array([float(np.mean(s.acceptance_fraction)) for s in samplers]),
+        acceptance=acceptance.mean(axis=1),
         autocorrelation=autocorrelation_time(full),
         convergence=measure(chains),
     )

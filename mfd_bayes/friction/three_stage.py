@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 SATURATED = 40.0
 """Transition lengths after which a transition is complete: exp(−40) is below double precision."""
 
-CHUNK = 64
+CHUNK = 96
 """Parameter vectors that are worked on together, so that a record's arrays stay in the cache."""
 
 
@@ -66,8 +66,9 @@ class ThreeStage:
         w0 = _check_start(start, n)
         columns = actuate(columns, trace, scales)
         force = np.empty((trace.samples, n))
-        for first in range(0, n, CHUNK):
-            part = slice(first, first + CHUNK)
+        parts = -(-n // CHUNK)
+        for i in range(parts):
+            part = slice(i * n // parts, (i + 1) * n // parts)
             chunk = {name: np.broadcast_to(c, (len(c), n))[:, part] for name, c in columns.items()}
             force[:, part] = _force(chunk, trace, w0[part])
         return force.T
