@@ -123,7 +123,11 @@ def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
         path,
         values,
         UNITS,
-        {"lp": draws.log_prob, "log_prior": draws.log_prior, "log_likelihood": draws.log_likelihood},
+        {
+            "lp": draws.log_prob,
+            "log_prior": draws.log_prior,
+            "log_likelihood": draws.log_likelihood,
+        },
         task.trace,
         replicas.observed.reshape(len(draws.q), -1, task.trace.samples),
         facts,

@@ -36,8 +36,8 @@ class Truth:
             {
                 "K_c_fwd": 1.30,  # in²
                 "K_c_bwd": 1.65,
-                "alpha_sigma0": 30.0,  # in
-                "sigma0_0": 40.0,  # kip/in
+                "alpha_sigma0": 15.0,  # in
+                "sigma0_0": 15.0,  # kip/in
             }
         )
     )
@@ -52,10 +52,10 @@ class Truth:
                 "k3": 20.0,
                 "d2": 0.09,  # in
                 "d3": 0.07,
-                "ell": 0.008,
+                "ell": 0.02,
                 "v_s": 0.4,  # in/s
                 "noise_sd": 0.03,  # kip
-                "noise_time": 0.08,  # s
+                "noise_time": 0.1,  # s
             }
         )
     )

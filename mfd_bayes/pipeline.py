@@ -1,183 +1,229 @@
-"""The order of the stages: read, calibrate each test, pool them, predict, report."""
+"""The order of the stages, one function for each command."""
 
 from __future__ import annotations
 
-import json
-import multiprocessing
-import os
-import shutil
-import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, wait
-from datetime import UTC, datetime
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from mfd_bayes.calibrate_test import Outcome, Step, Task, calibrate_test
-from mfd_bayes.calibration.sampling import find_effort
-from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.assessment import assess, fails
+from mfd_bayes.calibrate_test import Step
+from mfd_bayes.calibrating import calibrate, discard
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.campaign import load_campaign
+from mfd_bayes.demo import write_campaign
+from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
+from mfd_bayes.inspection import Inspection, inspect_record, inspect_test, prior_fan, share_inside
 from mfd_bayes.planning import Options, Plan, plan_campaign
-from mfd_bayes.population.hierarchy import infer, pool, summarize
-from mfd_bayes.population.storage import save_population
-from mfd_bayes.run import Run, TestResult, load_result
-from mfd_bayes.store import MANIFEST, read_json, save_trace, write_bytes, write_json
+from mfd_bayes.population.predict import Band
+from mfd_bayes.records.record import read_record
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.tables import checks_csv, laws_csv, parameters_csv, scores_csv
+from mfd_bayes.reporting.views import CampaignView, Check, Fan, Interval
+from mfd_bayes.run import open_run
+from mfd_bayes.store import write_atomically, write_bytes, write_text
+from mfd_bayes.units import parse_actuation
+
+__all__ = [
+    "CampaignView",
+    "Check",
+    "Inspection",
+    "MfdError",
+    "Options",
+    "Plan",
+    "Question",
+    "Step",
+    "calibrate_campaign",
+    "check",
+    "demo",
+    "fails",
+    "inspect",
+    "plan_campaign",
+    "predict",
+    "prior_check",
+    "report",
+]
 
 Observe = Callable[[Step], None]
 
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-_RESULTS = ("population.nc", "parameters.csv", "laws.csv", "checks.csv", "scores.csv")
-_OUTPUTS = (*_RESULTS, "report.html", "campaign.toml", "priors.toml", MANIFEST)
 
-
-def calibrate(
-    path: Path, out: Path, options: Options, observe: Observe, extra: Mapping[str, Any] | None = None
-) -> Run:
-    """Calibrate a campaign into a run folder, up to but not including its report.
-
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
-    out : Path
-        Run folder; must not exist without `resume` or `force`.
-    options : Options
-    observe : callable
-        Told of every step of every test.
-    extra : mapping, optional
-        Kept in the manifest, such as a synthetic truth.
+def calibrate_campaign(
+    campaign: Path, out: Path, options: Options, observe: Observe
+) -> CampaignView:
+    """Calibrate a campaign into a folder and write its report.
 
     Raises
     ------
     MfdError
         When something cannot be used; nothing is written then.
     """
-    plan = plan_campaign(path, options)
-    plan.manifest.update(extra or {})
-    _prepare_folder(plan, out, options)
-    manifest = plan.manifest
-    write_bytes(out / "campaign.toml", plan.campaign.path.read_bytes())
-    write_bytes(out / "priors.toml", plan.priors.path.read_bytes())
-    write_json(out / MANIFEST, manifest)
-    for name, trace in plan.held_out.items():
-        save_trace(out / "tests" / name / "record.nc", trace, {})
-        manifest["tests"][name]["status"] = "held out"
-    todo = [t for t in plan.tasks if not (out / "tests" / t.id / "posterior.nc").is_file()]
-    began = time.perf_counter()
-    for outcome in _run_tasks(todo, out, options, observe):
-        manifest["tests"][outcome.id] |= _entry(outcome)
-        write_json(out / MANIFEST, manifest)
-    for task in plan.tasks:
-        if task not in todo:
-            manifest["tests"][task.id] |= {"status": "done"}
-    manifest["seconds"] = time.perf_counter() - began
-    return _pool_tests(plan, out, options)
+    calibrate(campaign, out, options, observe)
+    return report(out, observe)
 
 
-def _entry(outcome: Outcome) -> dict[str, Any]:
-    entry: dict[str, Any] = {"status": outcome.status, "seconds": outcome.seconds}
-    return entry | ({"error": outcome.error} if outcome.error else {})
+def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
+    """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it.
+
+    Raises
+    ------
+    StoreError
+        When the folder exists and is not to be replaced.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if not options.force:
+            raise StoreError(f"{out} exists: give --force to replace it")
+        discard(out)
+    truth = write_campaign(out / "campaign", options.seed)
+    options = replace(options, force=False, resume=False)
+    calibrate(out / "campaign" / "campaign.toml", out, options, observe, {"truth": truth})
+    return report(out, observe)
 
 
-def _pool_tests(plan: Plan, out: Path, options: Options) -> Run:
-    """Infer the population from the stored posteriors, and finish the manifest."""
-    results: dict[str, TestResult] = {}
-    for task in plan.tasks:
-        file = out / "tests" / task.id / "posterior.nc"
-        if file.is_file():
-            results[task.id] = load_result(task.id, file, plan.priors)
-    if not results:
-        errors = {e["error"] for e in plan.manifest["tests"].values() if e.get("error")}
-        raise FitError(f"no test could be calibrated: {'; '.join(sorted(errors))}")
-    some = next(iter(results.values())).posterior
-    levels = [test.trace.reference_actuation for test in results.values()]
-    pooling = pool(plan.priors, some.names, levels, plan.manifest["settings"]["laws"])
-    summaries = []
-    for test, level in zip(results.values(), levels, strict=True):
-        values = test.stored.values()
-        coordinates = [some.priors[n].coordinate(values[n]) for n in pooling.names]
-        summaries.append(summarize(pooling, level, np.stack(coordinates, axis=1)))
-    population = infer(
-        pooling,
-        summaries,
-        some.priors,
-        plan.campaign.actuation_unit,
-        find_effort(options.effort),
-        np.random.default_rng([options.seed, 0]),
+def report(out: Path, observe: Observe = lambda _: None) -> CampaignView:
+    """Make the tables, figures and page of a finished run from what is stored.
+
+    Raises
+    ------
+    StoreError
+        When the folder is no finished run.
+    """
+    observe(Step("report", "checks and bands"))
+    view = assess(open_run(out))
+    write_text(out / "parameters.csv", parameters_csv(r for t in view.tests for r in t.rows))
+    write_text(out / "laws.csv", laws_csv(view.law_rows))
+    write_text(out / "checks.csv", checks_csv(view.checks))
+    write_text(out / "scores.csv", scores_csv(view.scores))
+    observe(Step("report", "figures"))
+    from mfd_bayes.reporting.figures import draw_all
+    from mfd_bayes.reporting.html import render
+
+    images = draw_all(view)
+    for key, png in images.items():
+        folder = out if key.startswith("tests/") else out / "figures"
+        write_bytes(folder / f"{key}.png", png)
+    write_text(out / "report.html", render(view, images))
+    observe(Step("report", "done"))
+    return view
+
+
+def check(out: Path) -> CampaignView:
+    """Convergence and predictive checks of a finished run."""
+    return assess(open_run(out))
+
+
+@dataclass(frozen=True)
+class Question:
+    """A prediction that is asked for.
+
+    Attributes
+    ----------
+    motion : Path
+        A file with time and displacement.
+    actuation : str
+        Such as "1000 psi".
+    kind : {"device", "new_test", "observation"}
+    probability : float
+    bands : Path
+        CSV to write; a PNG goes beside it.
+    """
+
+    motion: Path
+    actuation: str
+    kind: str
+    probability: float
+    bands: Path
+
+
+def predict(out: Path, question: Question) -> Band:
+    """Force band for a motion and an actuation, written as CSV and PNG.
+
+    Raises
+    ------
+    MfdError
+        When the run, the motion, the actuation, the kind or the probability cannot be used.
+    """
+    run = open_run(out)
+    level, unit = parse_actuation(question.actuation, of="--actuation")
+    if unit != run.actuation_unit:
+        raise CampaignError(
+            f"--actuation {question.actuation!r} must be a "
+            f"{'pressure' if run.actuation_unit == 'ksi' else 'force'}, as in the campaign"
+        )
+    record = read_record(question.motion)
+    motion = record.trace(gap=run.priors.gap)
+    trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
+    band = run.predict(trace, question.kind, question.probability)
+    write_text(question.bands, _bands_csv(trace, band, question))
+    from mfd_bayes.reporting.figures import draw_loops, to_png
+
+    fan = Fan(band.kind, band.median, (Interval(band.probability, band.lower, band.upper),))
+    title = f"Predicted force at {question.actuation}"
+    drawn = replace(trace, force=motion.force)
+    png = to_png(draw_loops(title, drawn, [fan]))
+    write_bytes(question.bands.with_suffix(".png"), png)
+    return band
+
+
+def _bands_csv(trace: Trace, band: Band, question: Question) -> str:
+    head = (
+        f"# {band.interval} {100 * band.probability:g} % band of kind {band.kind}, for each "
+        f"sample by itself; from {band.source}\n"
+        f"# actuation {question.actuation}\n"
+        "time_s,displacement_in,lower_kip,median_kip,upper_kip\n"
     )
-    save_population(out / "population.nc", population)
-    manifest = plan.manifest
-    manifest["status"] = "finished"
-    manifest["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
-    write_json(out / MANIFEST, manifest)
-    return Run(out, manifest, plan.priors, results, plan.held_out)
+    columns = (trace.time, trace.displacement, band.lower, band.median, band.upper)
+    rows = zip(*columns, strict=True)
+    return head + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
 
 
-def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
-    """Make the folder, or check that it may be finished or replaced."""
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
-        out.mkdir(parents=True, exist_ok=True)
-        return
-    if not (options.resume or options.force):
-        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
-    if not (out / MANIFEST).is_file():
-        raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
-    if options.force:
-        _clear(out)
-        return
-    before = read_json(out / MANIFEST)
-    for key in ("settings", "inputs", "seed", "effort", "versions"):
-        changed = _changes(before.get(key), json.loads(json.dumps(plan.manifest[key])))
-        if changed is not None:
-            raise StoreError(
-                f"{out} cannot be resumed: {key}{changed} changed since it was started; "
-                "give --force to start again"
-            )
+def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
+    """What a test file, or every test of a campaign, holds; with a PNG each in `folder`.
+
+    Raises
+    ------
+    MfdError
+        When the file cannot be read or used.
+    """
+    if path.suffix.lower() == ".toml":
+        found = [(inspect_test(t), f"{path.stem}_{t.id}") for t in load_campaign(path).tests]
+    else:
+        found = [(inspect_record(path.name, read_record(path)), path.stem)]
+    from mfd_bayes.reporting.figures import draw_history, draw_loops, save_png
+
+    pictures = []
+    for inspection, name in found:
+        picture = folder / f"{name}_inspect.png"
+        draw = draw_history if inspection.trace.force is None else draw_loops
+        figure = draw(f"{inspection.name}: as read", inspection.trace)
+        write_atomically(picture, lambda part, f=figure: save_png(f, part))  # type: ignore[misc]
+        pictures.append((inspection, picture))
+    return pictures
 
 
-def _changes(old: object, new: object) -> str | None:
-    """Which entries differ, in brackets; "" for a plain value, None where all are the same."""
-    if old == new:
-        return None
-    if not (isinstance(old, dict) and isinstance(new, dict)):
-        return ""
-    names = [key for key in {**old, **new} if old.get(key) != new.get(key)]
-    return f" ({', '.join(map(str, names))})"
+def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:
+    """Prior predictive loops beside the data of every test, with a PNG each in `folder`.
 
+    Returns
+    -------
+    list of (test's id, share of the measured force inside the 95 % prior band, picture)
 
-def _clear(out: Path) -> None:
-    """Remove what a run writes, and nothing else."""
-    for name in ("tests", "figures"):
-        shutil.rmtree(out / name, ignore_errors=True)
-    for name in _OUTPUTS:
-        (out / name).unlink(missing_ok=True)
+    Raises
+    ------
+    MfdError
+        When the campaign, its priors or a record cannot be used.
+    """
+    campaign = load_campaign(path)
+    priors = load_priors(campaign.priors, campaign.folder)
+    from mfd_bayes.reporting.figures import draw_loops, to_png
 
-
-def _run_tasks(
-    tasks: list[Task], out: Path, options: Options, observe: Observe
-) -> Iterator[Outcome]:
-    """Calibrate tests in this process, or in several; yields outcomes as they come."""
-    jobs = min(options.jobs or os.cpu_count() or 1, max(1, len(tasks)))
-    if jobs == 1:
-        for task in tasks:
-            yield calibrate_test(task, out, observe)
-        return
-    for name in _THREADS:  # read by numpy when a process starts
-        os.environ.setdefault(name, "1")
-    context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager, ProcessPoolExecutor(jobs, mp_context=context) as pool_:
-        steps = manager.Queue()
-        waiting = {pool_.submit(calibrate_test, task, out, steps.put) for task in tasks}
-        try:
-            while waiting:
-                done, waiting = wait(waiting, timeout=0.2)
-                while not steps.empty():
-                    observe(steps.get())
-                for future in done:
-                    yield future.result()
-        except BaseException:
-            for process in list((pool_._processes or {}).values()):
-                process.terminate()
-            pool_.shutdown(wait=False, cancel_futures=True)
-            raise
+    found = []
+    for test in campaign.tests:
+        trace = test.read().trace(campaign.rate, gap=priors.gap)
+        if trace.force is None:
+            raise RecordError(f"test {test.id!r} of {path} has no force to compare with")
+        fan = prior_fan(campaign, priors, trace)
+        picture = folder / f"{path.stem}_{test.id}_prior.png"
+        figure = draw_loops(f"{test.id}: data over what the priors allow", trace, [fan])
+        write_bytes(picture, to_png(figure))
+        found.append((test.id, share_inside(fan, trace), picture))
+    return found

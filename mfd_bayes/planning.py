@@ -83,10 +83,10 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     priors = load_priors(campaign.priors, campaign.folder)
     effort = find_effort(options.effort)
     laws = _laws(campaign)
-    traces, inputs = {}, {campaign.path.name: _sha256(campaign.path)}
+    traces, rates, inputs = {}, {}, {campaign.path.name: _sha256(campaign.path)}
     inputs[priors.path.name] = _sha256(priors.path)
     for test in campaign.tests:
-        traces[test.id] = _read(campaign, priors, test)
+        traces[test.id], rates[test.id] = _read(campaign, priors, test)
         inputs[test.path.name] = _sha256(test.path)
     tasks = tuple(
         _task(campaign, priors, test, traces[test.id], options)
@@ -117,7 +117,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
         "platform": platform.platform(),
         "tests": {
-            test.id: {"role": test.role, "status": "waiting", "samples": traces[test.id].samples}
+            test.id: {"role": test.role, "status": "waiting", **rates[test.id]}
             for test in campaign.tests
         },
     }
@@ -145,13 +145,16 @@ def _laws(campaign: Campaign) -> dict[str, str]:
     return laws
 
 
-def _read(campaign: Campaign, priors: PriorFile, test: Test) -> Trace:
+def _read(campaign: Campaign, priors: PriorFile, test: Test) -> tuple[Trace, dict[str, float]]:
+    """Trace of a test at the rate of the fit, and the rates, Hz, for the record."""
     record = test.read()
     if record.force is None:
         raise CampaignError(
             f"test {test.id!r} of {campaign.path} has no force: name its column in [columns]"
         )
-    return record.trace(campaign.rate, gap=priors.gap)
+    trace = record.trace(campaign.rate, gap=priors.gap)
+    rate = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
+    return trace, {"samples": trace.samples, "rate": rate, "record_rate": record.rate}
 
 
 def _task(

@@ -43,7 +43,7 @@ class Mode:
 
 
 def find_modes(
-    posterior: Posterior, rng: np.random.Generator, *, starts: int = 6, candidates: int = 384
+    posterior: Posterior, rng: np.random.Generator, *, starts: int = 12, candidates: int = 500
 ) -> tuple[Mode, ...]:
     """Distinct modes, best first.
 
@@ -60,7 +60,7 @@ def find_modes(
     fits = [_least_squares(posterior, q, *scale) for q in begin]
     order = np.argsort([-posterior.log_prob(q[None])[0] for q in fits])
     modes: list[Mode] = []
-    for i in order[: max(2, starts // 2)]:
+    for i in order[: max(2, starts // 3)]:
         mode = climb(posterior.log_prob, fits[i], scale[1])
         if not any(_same(mode, other) for other in modes):
             modes.append(mode)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -34,6 +34,26 @@ UNIDENTIFIABLE = "gamma1"
 """Does not reach the force but through ℓ = γ2/γ1; it keeps its prior exactly."""
 
 
+@dataclass(frozen=True)
+class Pivot:
+    """Friction at the record's usual speed, sampled in place of kinetic friction.
+
+    A slow test tells F_s, a fast one F_c; F_c (1 + c e) with c the mean of exp(−(v/v_s)²)
+    over the motion is what either knows best, and parts from the excess e. The logarithms
+    differ by log(1 + c e), which the other coordinates alone decide: the Jacobian is 1.
+    """
+
+    kinetic: int
+    excess: int
+    share: float
+
+    def shift(self, points: Array) -> Array:
+        """What the sampled coordinate has more than log F_c, (n,)."""
+        excess = np.exp(np.minimum(points[:, self.excess], 700.0))
+        shift: Array = np.log1p(self.share * excess)
+        return shift
+
+
 @dataclass(frozen=True, init=False)
 class Posterior:
     """Density of the parameters of one test, given its record (model.md section 5).
@@ -54,7 +74,11 @@ class Posterior:
     Attributes
     ----------
     names : tuple of str
-        What q's columns stand for, in order; the coordinates are those of its priors.
+        What q's columns stand for, in order; the coordinates are those of its priors, but
+        where a `Pivot` stands for kinetic friction.
+    pivots : tuple of Pivot
+    first : int
+        Samples before this one are left out of the likelihood.
 
     Raises
     ------
@@ -69,7 +93,8 @@ class Posterior:
     noise: Noise
     priors: Mapping[str, Prior]
     names: tuple[str, ...]
-    first: int = field(default=0)
+    pivots: tuple[Pivot, ...]
+    first: int
 
     def __init__(
         self,
@@ -93,14 +118,14 @@ class Posterior:
         if missing:
             raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
         chosen_priors = {name: file.parameters[name] for name in wanted}
+        names = tuple(n for n in wanted if n != UNIDENTIFIABLE and not chosen_priors[n].fixed)
         values = {
             "trace": trace,
             "model": chosen,
             "noise": noise_model,
             "priors": chosen_priors,
-            "names": tuple(
-                name for name in wanted if name != UNIDENTIFIABLE and not chosen_priors[name].fixed
-            ),
+            "names": names,
+            "pivots": _pivots(trace, names, chosen_priors),
             "first": _first_slip(trace, file.gap) if start == "mask" else 0,
         }
         for key, value in values.items():
@@ -136,7 +161,7 @@ class Posterior:
 
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
-        points = self._check(q)
+        points = self._own_coordinates(self._check(q))
         density = np.zeros(len(points))
         for name, column in zip(self.names, points.T, strict=True):
             density += self.priors[name].log_density(column)
@@ -169,7 +194,7 @@ class Posterior:
 
         γ1 is 1 here: it does not matter to the force.
         """
-        points = self._check(q)
+        points = self._own_coordinates(self._check(q))
         values = {name: np.full(len(points), value) for name, value in self._defaults.items()}
         for name, column in zip(self.names, points.T, strict=True):
             values[name] = self.priors[name].value(column)
@@ -177,7 +202,17 @@ class Posterior:
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""
-        return np.stack([self.priors[n].coordinate(values[n]) for n in self.names], axis=1)
+        points = np.stack([self.priors[n].coordinate(values[n]) for n in self.names], axis=1)
+        for pivot in self.pivots:
+            points[:, pivot.kinetic] += pivot.shift(points)
+        return points
+
+    def _own_coordinates(self, points: Array) -> Array:
+        """Coordinates of the priors themselves, of those that are sampled, (n, dim)."""
+        own = points.copy()
+        for pivot in self.pivots:
+            own[:, pivot.kinetic] -= pivot.shift(points)
+        return own
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters of the model in its own order, (n, p)."""
@@ -218,6 +253,27 @@ def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[str]
     if model.has_gap and sampled_start:
         needed.add("start")
     return [name for name in KINDS if name in needed]
+
+
+def _pivots(
+    trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]
+) -> tuple[Pivot, ...]:
+    """Pivots of the directions in which friction and its excess are both positive and sampled."""
+    if "v_s" not in priors:
+        return ()
+    velocity = trace.velocity
+    moving = np.abs(velocity) > 0.01 * np.max(np.abs(velocity))
+    stribeck = np.exp(-((velocity / priors["v_s"].typical) ** 2))
+    pivots = []
+    for side, there in (("fwd", velocity > 0), ("bwd", velocity < 0)):
+        pair = (f"Fc_{side}", f"static_excess_{side}")
+        positive = all(
+            n in names and priors[n].lower == 0.0 and np.isinf(priors[n].upper) for n in pair
+        )
+        if positive and np.any(moving & there):
+            kinetic, excess = (names.index(n) for n in pair)
+            pivots.append(Pivot(kinetic, excess, float(np.mean(stribeck[moving & there]))))
+    return tuple(pivots)
 
 
 def _first_slip(trace: Trace, gap: float | None) -> int:

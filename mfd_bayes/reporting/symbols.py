@@ -56,7 +56,7 @@ def in_figure(name: str) -> str:
 
 def in_html(name: str) -> Markup:
     """Symbol of a quantity as HTML; an unknown name escaped."""
-    return Markup(_SYMBOLS[name][1]) if name in _SYMBOLS else escape(name.replace("_", " "))  # noqa: S704
+    return Markup(_SYMBOLS[name][1]) if name in _SYMBOLS else escape(name.replace("_", " "))
 
 
 def meaning(name: str) -> str:
@@ -73,8 +73,11 @@ def plain(text: str) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Unit as it is written, "" for none: ``kip*s/in`` becomes ``kip·s/in``."""
-    return "" if unit in ("", "1", "dimensionless") else unit.replace("**", "^").replace("*", "·")
+    """Unit as it is written, "" for none: ``kip*s/in**2`` becomes ``kip·s/in²``."""
+    if unit in ("", "1", "dimensionless"):
+        return ""
+    powers = unit.replace("**", "^").replace("^2", "²").replace("^3", "³")
+    return powers.replace("*", "·")
 
 
 def label(name: str, unit: str) -> str:
@@ -84,13 +87,13 @@ def label(name: str, unit: str) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number with so many significant digits; a dash for none."""
+    """A number with so many significant digits, for reading; a dash for none."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    text = f"{value:#.{digits}g}".replace("e-0", "e-").replace("e+0", "e+")
-    return text.replace(".e", "e").removesuffix(".")
+    text = f"{value:#.{digits}g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+    return text.replace(".e", "e").removesuffix(".").replace("-", "−")
 
 
 def count(value: float) -> str:
@@ -98,6 +101,6 @@ def count(value: float) -> str:
     return f"{value:,.0f}".replace(",", "\u202f") if math.isfinite(value) else "–"
 
 
-def percent(value: float) -> str:
-    """A share in percent, with one digit where that says something."""
-    return "–" if math.isnan(value) else f"{100 * value:.3g} %"
+def percent(value: float, decimals: int = 1) -> str:
+    """A share in percent, with a space that does not break."""
+    return "–" if math.isnan(value) else f"{100 * value:.{decimals}f}\u00a0%"

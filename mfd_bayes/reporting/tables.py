@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from mfd_bayes.reporting.views import Check, Row, ScoreRow
 
 _DIGITS = 6
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_FORMULA = ("=", "+", "-", "@")
 
 _QUANTILES = ("mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat", "contraction")
 
@@ -32,9 +32,7 @@ def laws_csv(rows: Iterable[Row]) -> str:
 def checks_csv(checks: Iterable[Check]) -> str:
     """Every check: what was found, what it may be, and the verdict."""
     head = ("subject", "check", "target", "value", "limit", "verdict")
-    return _csv(
-        head, ((c.subject, c.name, c.target, c.value, c.limit, c.verdict) for c in checks)
-    )
+    return _csv(head, ((c.subject, c.name, c.target, c.value, c.limit, c.verdict) for c in checks))
 
 
 def scores_csv(scores: Iterable[ScoreRow]) -> str:
@@ -67,5 +65,6 @@ def _csv(head: Sequence[str], lines: Iterable[Sequence[str | float]]) -> str:
 def _cell(value: str | float) -> str:
     """A number with six digits, or a text that no spreadsheet takes for a formula."""
     if isinstance(value, str):
-        return f"'{value}" if value.startswith(_FORMULA) else value
+        text = value.replace("\r", " ")
+        return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
     return "" if math.isnan(value) else f"{value:.{_DIGITS}g}"

@@ -77,7 +77,7 @@ class Fan:
 
     Attributes
     ----------
-    kind : {"device", "new_test", "observation"}
+    kind : {"device", "new_test", "observation", "prior"}
     median : (T,), kip
     intervals : tuple of Interval
     """

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 from matplotlib.figure import Figure
 
@@ -17,6 +19,8 @@ from mfd_bayes.reporting.figures.posteriors import (
 from mfd_bayes.reporting.figures.style import to_png
 from mfd_bayes.reporting.views import CampaignView, Fan, TestView
 
+_FIGURES_HELD = 8
+
 
 def draw_all(view: CampaignView) -> dict[str, bytes]:
     """PNG of every figure, by the key that the page knows it under.
@@ -24,7 +28,13 @@ def draw_all(view: CampaignView) -> dict[str, bytes]:
     Keys are "overview", "laws", "truth", and "tests/ID/loops", "…/history", "…/corner",
     "…/trace", "…/marginals"; a figure with nothing to show is left out.
     """
-    return {key: to_png(figure) for key, figure in figures(view)}
+    pictures: dict[str, bytes] = {}
+    with _collecting_rarely():
+        for key, figure in figures(view):
+            pictures[key] = to_png(figure)
+            if len(pictures) % _FIGURES_HELD == 0:
+                gc.collect()
+    return pictures
 
 
 def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
@@ -32,7 +42,9 @@ def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     if view.tests:
         yield "overview", draw_overview("Measured loops over 50 and 95 % bands", view.tests)
     drawn = {
-        "laws": draw_laws("How the parameters follow the actuation", view.laws, view.actuation_unit),
+        "laws": draw_laws(
+            "How the parameters follow the actuation", view.laws, view.actuation_unit
+        ),
         "truth": draw_truth("Posterior against the known truth", view.truth),
     }
     yield from ((key, figure) for key, figure in drawn.items() if figure is not None)
@@ -41,12 +53,27 @@ def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
             yield f"tests/{test.id}/{name}", figure
 
 
+@contextmanager
+def _collecting_rarely() -> Iterator[None]:
+    """No garbage collection on its own: matplotlib's many small objects set it off all the time.
+
+    It would take a quarter of the time that the figures take.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
 def _of_test(test: TestView) -> Iterator[tuple[str, Figure]]:
     title = f"{test.id}, {test.actuation}"
     fans: list[Fan] = [fan for fan in (test.observation, test.device) if fan is not None]
     yield "loops", draw_loops(title, test.trace, fans)
     yield "history", draw_history(title, test.trace, fans, test.first)
-    corner = draw_corner(title, test.marginals, test.corner)
+    corner = draw_corner(f"{title}: joint posterior", test.marginals, test.corner)
     if corner is not None:
         yield "corner", corner
     if test.chains:

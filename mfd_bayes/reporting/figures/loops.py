@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -117,7 +118,7 @@ def draw_overview(title: str, tests: Sequence[TestView]) -> Figure:
 def stretches(turns: NDArray[np.intp], samples: int) -> list[slice]:
     """Stretches of monotone motion between turning points, ends shared."""
     ends = [0, *turns.tolist(), samples - 1]
-    return [slice(a, b + 1) for a, b in zip(ends[:-1], ends[1:], strict=True) if b > a]
+    return [slice(a, b + 1) for a, b in pairwise(ends) if b > a]
 
 
 def _draw_panel(axes: Axes, test: TestView) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import matplotlib
 import numpy as np
@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-from numpy.typing import NDArray
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
@@ -23,7 +22,9 @@ UNINFORMED = 0.5
 CORNER_DRAWS = 2000
 CORNER_QUANTITIES = 8
 _STEPS = 300  # of a chain: more are not seen
+_COLUMNS = 4  # of small panels
 _LOG_RANGE = 20.0
+_PLAIN = "{x:.4g}"  # of tick labels
 _CLIP = 8.0  # the truth's plot ends at this multiple
 
 
@@ -70,7 +71,7 @@ def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str])
         fig=figure,
     )
     _outer_ticks(figure, len(chosen))
-    figure.subplots_adjust(left=0.13, bottom=0.13, right=0.98, top=0.93)
+    figure.subplots_adjust(left=0.12, bottom=0.11, right=0.985, top=0.945)
     figure.suptitle(plain(title), x=0.01, ha="left", y=0.985)
     return figure
 
@@ -79,7 +80,7 @@ def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str])
 def draw_chains(title: str, chains: Mapping[str, Array], units: Mapping[str, str]) -> Figure:
     """Each sampled quantity along the run, one colour per chain, (chain, draw) each."""
     figure, panels = _panels(title, len(chains), row=1.4)
-    for axes, (name, values) in zip(panels, chains.items(), strict=True):
+    for at, (axes, (name, values)) in enumerate(zip(panels, chains.items(), strict=True)):
         step = max(1, values.shape[1] // _STEPS)
         draws = np.arange(0, values.shape[1], step)
         for chain, colour in zip(values, _cycle(len(values)), strict=True):
@@ -87,6 +88,11 @@ def draw_chains(title: str, chains: Mapping[str, Array], units: Mapping[str, str
         axes.set_title(label(name, units.get(name, "")), fontsize=8, fontweight="normal")
         axes.tick_params(labelsize=7)
         axes.margins(x=0.01)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        axes.yaxis.set_major_formatter(_PLAIN)
+        if at + _COLUMNS < len(panels):
+            axes.tick_params(labelbottom=False)
     figure.supxlabel("kept step of the sampler (mean over walkers)", fontsize=8, y=0.01)
     return figure
 
@@ -137,12 +143,13 @@ def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
     return figure
 
 
-def _corner() -> object:
+def _corner() -> Callable[..., Figure]:
     """Return the corner package's function, without the announcements of what it imports."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         from corner import corner
-    return corner
+    drawn: Callable[..., Figure] = corner
+    return drawn
 
 
 def _outer_ticks(figure: Figure, number: int) -> None:
@@ -167,7 +174,7 @@ def _varying(marginals: Sequence[Marginal], names: Sequence[str]) -> list[Margin
 
 def _panels(title: str, number: int, row: float) -> tuple[Figure, list[Axes]]:
     """Panels in four columns; laid out by hand, which is much faster than by solving for it."""
-    columns = min(4, max(1, number))
+    columns = min(_COLUMNS, max(1, number))
     rows = max(1, -(-number // columns))
     height = row * rows + 0.75
     figure = Figure(figsize=(10, height), dpi=look.DPI)
@@ -187,7 +194,9 @@ def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
     low, high = np.quantile(marginal.prior, [0.005, 0.995])
     low = min(low, marginal.posterior.min())
     high = max(high, marginal.posterior.max())
-    logarithmic = bool(both.min() > 0 and high > _LOG_RANGE * low)
+    # a uniform prior is wide too, but belongs on a linear axis: the lower arm must be the short one
+    skewed = np.median(marginal.prior) - low < 0.5 * (high - np.median(marginal.prior))
+    logarithmic = bool(both.min() > 0 and high > _LOG_RANGE * low and skewed)
     if logarithmic:
         axes.set_xscale("log")
     _draw_density(axes, marginal.prior, logarithmic, "#dddddd", look.PRIOR)
@@ -206,8 +215,12 @@ def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
 
 def _few_ticks(axes: Axes, logarithmic: bool) -> None:
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_locator(LogLocator(numticks=5) if logarithmic else MaxNLocator(4))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    if logarithmic:
+        low, high = axes.get_xlim()
+        steps = (1.0, 3.0) if high < 300.0 * low else (1.0,)
+        axes.xaxis.set_major_locator(LogLocator(subs=steps, numticks=6))
+    axes.xaxis.set_major_formatter(_PLAIN)
 
 
 def _draw_density(axes: Axes, draws: Array, logarithmic: bool, face: str, edge: str) -> None:
@@ -234,11 +247,13 @@ def _ratio_axis(axes: Axes, rows: Sequence[TruthRow]) -> None:
     reach = float(np.clip(1.05 * widest, 1.25, _CLIP))
     axes.set_xscale("log")
     axes.set_xlim(1.0 / reach, reach)
-    ticks = [t for t in (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0) if 1 / reach <= t <= reach]
+    ticks = [
+        t for t in (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0) if 1 / reach <= t <= reach
+    ]
     axes.xaxis.set_major_locator(NullLocator())
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xticks(ticks)
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_major_formatter(_PLAIN)
     axes.set_xlabel("posterior ÷ truth (1 = truth), logarithmic; bars are 95 % intervals")
 
 

@@ -1,0 +1,113 @@
+"""A small report, made without a sampler."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.views import (
+    CampaignView,
+    Check,
+    Fan,
+    Interval,
+    LawView,
+    Marginal,
+    Row,
+    ScoreRow,
+    TestView,
+    TruthRow,
+)
+
+THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
+UNITS = {"Fc_fwd": "kip", "k3": "kip/in", "gamma1": "1"}
+
+
+def make_fan(kind: str, draws: np.ndarray) -> Fan:
+    lower, low, median, high, upper = np.quantile(draws, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
+    return Fan(kind, median, (Interval(0.5, low, high), Interval(0.95, lower, upper)))
+
+
+def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> TestView:
+    rng = np.random.default_rng(7)
+    time = np.arange(samples) / 25.0
+    motion = np.sin(0.5 * np.pi * time)
+    quiet = Trace.from_arrays(time, motion, 0.8)
+    theta = np.array(THETA) * np.exp(0.03 * rng.normal(size=(60, 14)))
+    theta[:, [3, 5]] = np.maximum(theta[:, [3, 5]], theta[:, [4, 6]])
+    force = ThreeStage().force(theta, quiet)
+    noisy = force + 0.05 * rng.normal(size=force.shape)
+    trace = Trace.from_arrays(time, motion, 0.8, force=noisy[0])
+    score = ScoreRow(identity, role, 0.5, 0.9, 0.95, 0.2, 0.03, 0.09)
+    draws = {name: np.exp(0.1 * rng.normal(size=60)) for name in UNITS}
+    told = {"Fc_fwd": 0.99, "k3": 0.95, "gamma1": 0.0}
+    view = TestView(
+        id=identity,
+        role=role,
+        actuation="800 psi",
+        trace=trace,
+        first=5,
+        device=make_fan("device", force),
+        observation=make_fan("observation", noisy),
+        rows=tuple(
+            Row(identity, n, u, 1.0, 0.1, 0.8, 1.0, 1.2, 1.002, 900.0, 700.0, told[n])
+            for n, u in UNITS.items()
+        ),
+        marginals=tuple(
+            Marginal(n, u, np.exp(rng.normal(size=300)), draws[n], told[n])
+            for n, u in UNITS.items()
+        ),
+        chains={name: rng.normal(size=(4, 40)) for name in ("Fc_fwd", "k3")},
+        corner=("Fc_fwd", "k3"),
+        checks=(
+            Check(identity, "R-hat", "Fc_fwd", 1.002, "<= 1.01", "pass"),
+            Check(identity, "posterior predictive p-value", "energy", 0.4, "0.01 to 0.99", "pass"),
+        ),
+        score=score,
+    )
+    if role == "validate":
+        return replace(view, device=None, rows=(), marginals=(), chains={}, corner=(), checks=())
+    return view
+
+
+def make_law() -> LawView:
+    level = np.linspace(0.0, 1.5, 20)
+    draws = level * np.linspace(0.9, 1.1, 40)[:, None]
+    tested = (("a", 0.8, 0.7, 0.8, 0.9), ("b", 0.8, 0.75, 0.85, 0.95))
+    fans = (make_fan("device", draws), make_fan("new_test", 1.1 * draws))
+    return LawView("Fc_fwd", "kip", "proportional", level, *fans, tested)
+
+
+def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
+    row = Row("population", "K_c_fwd", "in**2", 1.2, 0.1, 1.0, 1.2, 1.4, 1.001, 900.0, 800.0, 0.98)
+    return CampaignView(
+        title="Drum brake",
+        verdict="pass",
+        sentence="All checks passed.",
+        actuation_unit="ksi",
+        tests=tests,
+        failures={},
+        laws=(make_law(),),
+        law_rows=(row,),
+        checks=tuple(check for test in tests for check in test.checks),
+        scores=tuple(test.score for test in tests),
+        truth=(
+            TruthRow("a", "k3", "kip/in", 1.0, 0.8, 1.0, 1.2, inside=True, informed=True),
+            TruthRow("a", "gamma1", "1", 1.0, 2.0, 3.0, 4.0, inside=False, informed=False),
+            TruthRow("a", "offset", "kip", 0.0, -1.0, 0.0, 1.0, inside=True, informed=True),
+        ),
+        provenance={"seed": "1"},
+        remarks=("The data are synthetic.",),
+    )
+
+
+@pytest.fixture(scope="session")
+def test_view() -> Callable[..., TestView]:
+    return make_test
+
+
+@pytest.fixture(scope="session")
+def campaign() -> CampaignView:
+    return make_campaign((make_test("p800_f0.25"), make_test("held", "validate")))

@@ -1,0 +1,203 @@
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import pytest
+
+from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.html import is_of_sampler, render
+from mfd_bayes.reporting.views import Check
+
+HOSTILE = '"><script>alert(1)</script>{{ 7 * 7 }}'
+
+
+class Page(HTMLParser):
+    """Elements, in order, and the text of headings."""
+
+    VOID = frozenset({"meta", "link", "img", "br"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements = []
+        self.open = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def all(self, *tags):
+        return [attributes for tag, attributes in self.elements if tag in tags]
+
+
+@pytest.fixture(scope="module")
+def images(campaign):
+    return figures.draw_all(campaign)
+
+
+@pytest.fixture(scope="module")
+def text(campaign, images):
+    return render(campaign, images)
+
+
+@pytest.fixture(scope="module")
+def page(text):
+    return Page(text)
+
+
+def test_every_image_is_embedded_with_alt_and_size(page, images):
+    found = page.all("img")
+    assert len(found) == len(images)
+    assert all(len(image["alt"]) > 20 for image in found)
+    assert all(int(image["width"]) > 300 and int(image["height"]) > 150 for image in found)
+    embedded = {base64.b64decode(image["src"].split(",", 1)[1]) for image in found}
+    assert embedded == set(images.values())
+
+
+def test_nothing_is_loaded_from_elsewhere(page, text):
+    links = [a[k] for _, a in page.elements for k in ("src", "href") if k in a]
+    assert links
+    assert all(link.startswith(("data:", "#")) for link in links)
+    assert "@import" not in text
+    assert "url(" not in text
+    assert not page.all("script")
+
+
+def test_every_link_has_a_target(page):
+    identities = [a["id"] for _, a in page.elements if "id" in a]
+    assert len(set(identities)) == len(identities)
+    assert {a["href"][1:] for a in page.all("a")} <= set(identities)
+
+
+def test_headings_are_in_order(page):
+    levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch("h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b <= a + 1 for a, b in pairwise(levels))
+
+
+def test_tables_and_page_are_accessible(page):
+    assert page.all("html") == [{"lang": "en"}]
+    assert all("scope" in header for header in page.all("th"))
+    assert page.all("a")[0]["class"] == "skip"
+    assert all(box["tabindex"] == "0" and box["aria-label"] for box in scrollers(page))
+    assert len(scrollers(page)) == len(page.all("table"))
+
+
+def scrollers(page):
+    return [box for box in page.all("div") if box.get("class") == "scroll"]
+
+
+def test_the_verdict_is_worded(campaign, images, text):
+    assert "✓ Passed" in text
+    failed = replace(campaign, verdict="fail", sentence="R̂ is 1.2.")
+    assert "✗ Not passed" in render(failed, images)
+    assert "R̂ is 1.2." in render(failed, images)
+
+
+def test_what_the_data_do_not_tell_is_told(text):
+    assert "γ<sub>2</sub>/γ<sub>1</sub>" in text
+    assert "equal-tailed" in text
+    assert re.search(r"hold <strong>2</strong>", text)  # of the informed truths
+
+
+def test_values_that_are_about_their_prior_are_set_apart(campaign, images):
+    test = campaign.tests[0]
+    rows = [replace(row, contraction=float("nan"), note="") for row in test.rows]
+    rows[0] = replace(rows[0], note="only the ratio reaches the force")
+    rows[1] = replace(rows[1], contraction=0.2)
+    view = replace(campaign, tests=(replace(test, rows=tuple(rows)),))
+    assert render(view, images).count('class="weak"') == 2
+
+
+def test_names_from_files_are_text(campaign, test_view):
+    test = replace(test_view(HOSTILE), actuation=HOSTILE)
+    rows = tuple(replace(row, name=HOSTILE, unit=HOSTILE, note=HOSTILE) for row in test.rows)
+    checks = tuple(Check(HOSTILE, n, HOSTILE, 0.0, HOSTILE, HOSTILE) for n in ("R-hat", HOSTILE))
+    hostile = replace(
+        campaign,
+        title=HOSTILE,
+        sentence=HOSTILE,
+        tests=(replace(test, rows=rows), replace(campaign.tests[1], id=f"{HOSTILE}2")),
+        failures={HOSTILE: HOSTILE},
+        law_rows=rows,
+        checks=checks,
+        truth=tuple(replace(row, name=HOSTILE, subject=HOSTILE) for row in campaign.truth),
+        provenance={HOSTILE: HOSTILE},
+        remarks=(HOSTILE,),
+    )
+    pixels = figures.to_png(figures.draw_loops(HOSTILE, test.trace))
+    written = render(hostile, {"overview": pixels, f"tests/{HOSTILE}/loops": pixels})
+    page = Page(written)
+    assert not page.all("script")
+    assert "<script" not in written
+    assert "{{ 7 * 7 }}" in written
+    assert len(page.all("img")) == 2
+
+
+def test_a_campaign_of_held_out_tests_alone(campaign, images):
+    view = replace(campaign, tests=campaign.tests[1:], laws=(), law_rows=(), checks=(), truth=())
+    view = replace(view, scores=campaign.scores[1:])
+    kept = {key: png for key, png in images.items() if "p800" not in key and key != "truth"}
+    text = render(view, kept | figures.draw_all(view))
+    Page(text)
+    assert "No test was calibrated" in text
+    assert "Nothing was sampled" in text
+    assert 'id="truth"' not in text
+
+
+def test_a_campaign_without_laws(campaign, images):
+    text = render(replace(campaign, laws=(), law_rows=()), images)
+    assert "No laws were fitted" in text
+
+
+def test_a_campaign_without_anything(campaign):
+    empty = replace(campaign, tests=(), laws=(), law_rows=(), checks=(), scores=(), truth=())
+    assert figures.draw_all(empty) == {}
+    Page(render(empty, {}))
+
+
+def test_checks_of_the_sampler_are_told_from_those_of_the_fit():
+    names = {
+        "R-hat": True,
+        "bulk ESS": True,
+        "modes found": True,
+        "posterior predictive p-value": False,
+    }
+    for name, expected in names.items():
+        assert is_of_sampler(Check("a", name, "", 1.0, "", "pass")) is expected
+
+
+def test_failed_checks_stand_out(campaign, images):
+    bad = Check("p800_f0.25", "posterior predictive p-value", "energy", 0.0, "0.01", "fail")
+    text = render(replace(campaign, checks=(bad,)), images)
+    assert "✗ fail" in text
+    assert "<b>1 of 1</b> checks failed" in text
+
+
+def test_one_statistic_is_one_line_whatever_was_observed(campaign, images):
+    checks = tuple(
+        Check(test, "posterior predictive p-value", f"energy (observed {seen})", 0.0, "a", "fail")
+        for test, seen in (("a", "1.5, expected 2"), ("b", "3.5, expected 4"))
+    )
+    text = render(replace(campaign, checks=checks), images)
+    assert len(re.findall(r'scope="row">energy<', text)) == 1
+    assert "observed 3.5" in text
+
+
+def test_what_is_told_elsewhere_is_not_told_twice(campaign, images):
+    note = Check("a", "prior variance removed", "k3", 0.1, ">= 0.5", "note")
+    text = render(replace(campaign, checks=(note,)), images)
+    assert "prior variance removed" not in text
+    assert "<b>0 of 0</b> checks failed" in text
+
+
+def test_the_page_is_the_same_each_time(campaign, images, text):
+    assert render(campaign, images) == text

@@ -1,0 +1,51 @@
+import math
+
+import pytest
+
+from mfd_bayes.friction.model import UNITS
+from mfd_bayes.reporting import symbols
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_every_parameter_has_the_papers_symbol(name):
+    assert symbols.in_figure(name).startswith("$")
+    assert symbols.in_html(name)
+    assert symbols.meaning(name)
+
+
+def test_unknown_names_are_escaped():
+    assert symbols.in_html("<b>_x") == "&lt;b&gt; x"
+    assert symbols.in_figure("a$b$") == r"a\$b\$"
+    assert symbols.plain("a\nb" + "x" * 80) == "a b" + "x" * 56 + "…"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.3, "1.300"),
+        (1234.4, "1234"),
+        (0.00012345, "0.0001234"),
+        (1.25e-7, "1.250e−7"),
+        (-2.5, "−2.500"),
+        (123456.0, "1.235e5"),
+        (0.0, "0.000"),
+        (math.nan, "–"),
+        (-math.inf, "−∞"),
+    ],
+)
+def test_numbers_have_four_digits(value, text):
+    assert symbols.number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"), [("kip*s/in", "kip·s/in"), ("1", ""), ("in**2", "in²"), ("", "")]
+)
+def test_units_are_written_as_engineers_do(unit, text):
+    assert symbols.unit_text(unit) == text
+
+
+def test_labels_carry_units():
+    assert symbols.label("sigma0", "kip/in") == r"$\sigma_0$, kip/in"
+    assert symbols.label("gamma1", "1") == r"$\gamma_1$"
+    assert symbols.percent(0.95, 0) == "95\u00a0%"
+    assert symbols.count(1234.4) == "1\u202f234"
