@@ -136,7 +136,8 @@ def _fan(kind: str, draws: Array) -> Fan:
 
 def _score(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
     found = score(draws[:, first:], np.asarray(trace.force)[first:])
-    return ScoreRow(name, role, *found.coverage, found.width, found.crps, found.rrse)
+    half, most, nearly = found.coverage
+    return ScoreRow(name, role, half, most, nearly, found.width, found.crps, found.rrse)
 
 
 def _actuation(run: Run, trace: Trace) -> str:
@@ -301,8 +302,9 @@ def _law_views(run: Run) -> tuple[LawView, ...]:
         swing = np.exp(scatter * rng.standard_normal(pick.size))[:, None]
         tested = []
         for test in run.tests.values():
-            quantiles = np.quantile(test.draws[name].to_numpy(), [0.025, 0.5, 0.975])
-            tested.append((test.id, test.trace.reference_actuation, *map(float, quantiles)))
+            low, mid, high = np.quantile(test.draws[name].to_numpy(), [0.025, 0.5, 0.975])
+            level = test.trace.reference_actuation
+            tested.append((test.id, level, float(low), float(mid), float(high)))
         views.append(
             LawView(
                 name=name,

@@ -286,11 +286,11 @@ def _print_truth(view: Any) -> None:
         inside = "yes" if row.inside else "NO"
         table.add_row(row.subject, row.name, row.unit, *figures, inside, informed)
     _console().print(table)
-    informed = [row for row in view.truth if row.informed]
-    inside = sum(row.inside for row in informed)
+    known = [row for row in view.truth if row.informed]
+    hits = sum(row.inside for row in known)
     typer.echo(
-        f"truth inside the 95 % interval for {inside} of {len(informed)} quantities that the "
-        f"data inform ({inside / max(len(informed), 1):.1%})"
+        f"truth inside the 95 % interval for {hits} of {len(known)} quantities that the "
+        f"data inform ({hits / max(len(known), 1):.1%})"
     )
 
 

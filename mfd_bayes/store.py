@@ -54,12 +54,16 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
-    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8") and None)
+    write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a binary file atomically."""
-    write_atomically(path, lambda part: part.write_bytes(content) and None)
+
+    def write(part: Path) -> None:
+        part.write_bytes(content)
+
+    write_atomically(path, write)
 
 
 def write_json(path: Path, content: object) -> None:

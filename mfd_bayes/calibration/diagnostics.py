@@ -7,6 +7,7 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,9 +101,10 @@ def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
             os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="mfd_bayes-cache-")
             import arviz
     if int(arviz.__version__.split(".")[0]) < 1:
+        classic: Any = arviz
         return (
-            lambda x: float(arviz.rhat(x, method="rank")),
-            lambda x, kind: float(arviz.ess(x, method=kind)),
+            lambda x: float(classic.rhat(x, method="rank")),
+            lambda x, kind: float(classic.ess(x, method=kind)),
         )
     from arviz_stats.base import array_stats
 

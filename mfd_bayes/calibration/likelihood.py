@@ -47,15 +47,15 @@ class Noise:
         phi = self._correlation(time, values)
         innovation = residual[:, 1:] - phi * residual[:, :-1]
         scale = values["noise_sd"][:, None]
-        shrink = -np.expm1(2.0 * _log(phi))  # 1 − φ²
+        shrink = 1.0 - phi**2
         standard = innovation / (scale * np.sqrt(shrink))
         first = residual[:, :1] / scale
         log_scale = residual.shape[1] * np.log(scale[:, 0])
-        log_scale += (
-            0.5 * np.log(shrink).sum(axis=1) * (1 if shrink.shape[1] > 1 else time.size - 1)
-        )
+        repeats = (time.size - 1) // shrink.shape[1]  # one φ stands for all uniform steps
+        log_scale += 0.5 * repeats * np.log(shrink).sum(axis=1)
         density = _DENSITIES["student_t" if "noise_dof" in values else "normal"]
-        return density(first, values) + density(standard, values) - log_scale
+        total: Array = density(first, values) + density(standard, values) - log_scale
+        return total
 
     def draw(self, rng: np.random.Generator, time: Array, values: Mapping[str, Array]) -> Array:
         """Noise records, one for each of the n values, (n, T), kip."""
@@ -83,21 +83,18 @@ class Noise:
         return np.exp(-steps / values["noise_time"][:, None])
 
 
-def _log(phi: Array) -> Array:
-    with np.errstate(divide="ignore"):
-        return np.log(phi)
-
-
 def _normal(standard: Array, _: Mapping[str, Array]) -> Array:
     squares = np.einsum("nt,nt->n", standard, standard)
-    return -0.5 * squares - 0.5 * _LOG_2PI * standard.shape[1]
+    density: Array = -0.5 * squares - 0.5 * _LOG_2PI * standard.shape[1]
+    return density
 
 
 def _student_t(standard: Array, values: Mapping[str, Array]) -> Array:
     dof = values["noise_dof"]
     peak = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(dof * np.pi)
     tails = np.log1p(standard**2 / dof[:, None]).sum(axis=1)
-    return standard.shape[1] * peak - 0.5 * (dof + 1) * tails
+    density: Array = standard.shape[1] * peak - 0.5 * (dof + 1) * tails
+    return density
 
 
 _DENSITIES: dict[str, Callable[[Array, Mapping[str, Array]], Array]] = {

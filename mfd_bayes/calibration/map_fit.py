@@ -96,17 +96,21 @@ def _least_squares(posterior: Posterior, begin: Array, mean: Array, sd: Array) -
         q = np.tile(begin, (len(points), 1))
         q[:, moves] = mean[moves] + sd[moves] * points
         misfit = posterior.residual(q)[:, posterior.first :] * (inflation / unit)
-        return np.concatenate([misfit, points], axis=1)
+        return np.asarray(np.concatenate([misfit, points], axis=1))
 
     def jacobian(point: Array) -> Array:
         shifted = point + STEP * np.eye(len(point))
         both = residuals(np.concatenate([shifted, point - STEP * np.eye(len(point))]))
         ahead, behind = np.split(both, 2)
-        return (ahead - behind).T / (2 * STEP)
+        slopes: Array = (ahead - behind).T / (2 * STEP)
+        return slopes
+
+    def at(point: Array) -> Array:
+        return np.asarray(residuals(point[None])[0])
 
     w0 = (begin[moves] - mean[moves]) / sd[moves]
     fit = optimize.least_squares(
-        lambda w: residuals(w[None])[0],
+        at,
         np.clip(w0, -5, 5),
         jac=jacobian,
         bounds=(-8.0, 8.0),
@@ -144,22 +148,34 @@ def climb(density: Density, begin: Array, sd: Array) -> Mode:
     begin, sd : (dim,)
         Start, and the scale of each coordinate under its prior.
     """
-    q, factor = begin, np.diag(sd * 0.1)
+    q, covariance = begin, np.diag((0.1 * sd) ** 2)
     for _ in range(2):  # the second time whitened by the curvature near the mode
+        q = _ascend(density, q, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+        covariance = laplace_covariance(density, q, sd)
+    return Mode(q, float(density(q[None])[0]), covariance)
 
-        def whitened(w: Array, origin: Array = q, axes: Array = factor) -> Array:
-            return np.maximum(density(origin + w @ axes.T), -1e15)
 
-        fit = optimize.minimize(
-            lambda w, f=whitened: -float(f(w[None])[0]),
-            np.zeros_like(q),
-            jac=lambda w, f=whitened: -_gradient(f, w[None], STEP)[0],
-            method="BFGS",
-            options={"maxiter": 150, "gtol": 1e-2},
-        )
-        q = q + factor @ fit.x
-        factor = np.linalg.cholesky(laplace_covariance(density, q, sd))
-    return Mode(q, float(density(q[None])[0]), factor @ factor.T)
+def _ascend(density: Density, origin: Array, axes: Array) -> Array:
+    """Where BFGS ends that starts at `origin` and steps along `axes`, (dim,)."""
+
+    def whitened(w: Array) -> Array:
+        return np.maximum(density(origin + w @ axes.T), -1e15)
+
+    def loss(w: Array) -> float:
+        return -float(whitened(w[None])[0])
+
+    def slope(w: Array) -> Array:
+        return np.asarray(-_gradient(whitened, w[None], STEP)[0])
+
+    fit = optimize.minimize(
+        loss,
+        np.zeros_like(origin),
+        jac=slope,
+        method="BFGS",
+        options={"maxiter": 150, "gtol": 1e-2},
+    )
+    end: Array = origin + axes @ fit.x
+    return end
 
 
 def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
@@ -177,8 +193,7 @@ def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
     gradients = _gradient(scaled, corners, step)
     curvature = -(gradients[:dim] - gradients[dim:]) / (2 * step)
     values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    values = np.clip(values, 1.0 / 16.0, 1e8)
-    covariance = (vectors / values) @ vectors.T
+    covariance: Array = (vectors / np.clip(values, 1.0 / 16.0, 1e8)) @ vectors.T
     return covariance * sd * sd[:, None]
 
 

@@ -46,10 +46,11 @@ class Pivot:
     kinetic: int
     excess: int
     share: float
+    prior: Prior
 
     def shift(self, points: Array) -> Array:
         """What the sampled coordinate has more than log F_c, (n,)."""
-        excess = np.exp(np.minimum(points[:, self.excess], 700.0))
+        excess = self.prior.value(points[:, self.excess])
         shift: Array = np.log1p(self.share * excess)
         return shift
 
@@ -255,10 +256,8 @@ def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[str]
     return [name for name in KINDS if name in needed]
 
 
-def _pivots(
-    trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]
-) -> tuple[Pivot, ...]:
-    """Pivots of the directions in which friction and its excess are both positive and sampled."""
+def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -> tuple[Pivot, ...]:
+    """Pivots of the directions in which friction, on its log scale, and its excess are sampled."""
     if "v_s" not in priors:
         return ()
     velocity = trace.velocity
@@ -266,13 +265,13 @@ def _pivots(
     stribeck = np.exp(-((velocity / priors["v_s"].typical) ** 2))
     pivots = []
     for side, there in (("fwd", velocity > 0), ("bwd", velocity < 0)):
-        pair = (f"Fc_{side}", f"static_excess_{side}")
-        positive = all(
-            n in names and priors[n].lower == 0.0 and np.isinf(priors[n].upper) for n in pair
-        )
-        if positive and np.any(moving & there):
-            kinetic, excess = (names.index(n) for n in pair)
-            pivots.append(Pivot(kinetic, excess, float(np.mean(stribeck[moving & there]))))
+        kinetic, excess = f"Fc_{side}", f"static_excess_{side}"
+        if not (kinetic in names and excess in names and np.any(moving & there)):
+            continue
+        if priors[kinetic].lower == 0.0 and np.isinf(priors[kinetic].upper):
+            share = float(np.mean(stribeck[moving & there]))
+            at = names.index(kinetic), names.index(excess)
+            pivots.append(Pivot(*at, share, priors[excess]))
     return tuple(pivots)
 
 

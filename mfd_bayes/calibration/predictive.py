@@ -118,7 +118,7 @@ def _coverage_checks(record: Array, replica: Array) -> list[PredictiveCheck]:
 
 
 def _rms(values: Array) -> Array:
-    return np.sqrt(np.mean(values**2, axis=1))
+    return np.asarray(np.sqrt(np.mean(values**2, axis=1)))
 
 
 def _lag_one(values: Array) -> Array:

@@ -100,7 +100,8 @@ class Prior:
         if np.isinf(self.upper):
             return q
         width = np.log(self.upper - self.lower)
-        return width + special.log_expit(q) + special.log_expit(-q)
+        jacobian: Array = width + special.log_expit(q) + special.log_expit(-q)
+        return jacobian
 
     @property
     def typical(self) -> float:

@@ -260,7 +260,8 @@ class Marginal:
         mean = np.linalg.solve(precision, pull[..., None])[..., 0]
         log_det = np.linalg.slogdet(precision)[1]
         gain = np.einsum("nd,nd->n", pull, mean)
-        return log_terms + 0.5 * gain - 0.5 * log_det
+        total: Array = log_terms + 0.5 * gain - 0.5 * log_det
+        return total
 
     def _levels(self, h: Array) -> tuple[Array, Array, Array]:
         """Precision (n, d, d) and pull (n, d) of the levels, and what is left of the density."""

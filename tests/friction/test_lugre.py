@@ -1,0 +1,179 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.baselines import LuGre
+from mfd_bayes.friction.lugre import Friction, Steps, slip_force
+from mfd_bayes.records.trace import Trace
+
+VALUES = {
+    "sigma0": 40.0,
+    "sigma1": 0.03,
+    "sigma2": 0.02,
+    "Fs_fwd": 2.4,
+    "Fc_fwd": 2.0,
+    "Fs_bwd": 1.9,
+    "Fc_bwd": 1.5,
+    "v_s": 0.5,
+}
+
+
+def theta(**changes):
+    values = VALUES | changes
+    return np.array([[values[name] for name in LuGre().parameters]])
+
+
+def ramp(velocity, seconds=2.0, rate=100.0):
+    time = np.arange(0, seconds, 1 / rate)
+    return Trace.from_arrays(time, velocity * time, velocity=np.full_like(time, velocity))
+
+
+def stribeck(velocity, values=VALUES):
+    side = "fwd" if velocity >= 0 else "bwd"
+    static, kinetic = values[f"Fs_{side}"], values[f"Fc_{side}"]
+    return kinetic + (static - kinetic) * np.exp(-((velocity / values["v_s"]) ** 2))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    steps=st.integers(1, 50),
+    vectors=st.integers(1, 4),
+    seed=st.integers(0, 2**32 - 1),
+    stiff=st.booleans(),
+)
+def test_blocked_recurrence_equals_a_plain_loop(steps, vectors, seed, stiff):
+    rng = np.random.default_rng(seed)
+    decay = rng.uniform(size=(steps, vectors)) ** (20 if stiff else 0.1)
+    drive = rng.normal(size=(steps, vectors))
+    expected = np.zeros((steps + 1, vectors))
+    for k in range(steps):
+        expected[k + 1] = decay[k] * expected[k] + drive[k]
+
+    room = Steps.allocate(steps, vectors)
+    room.decay[:], room.drive[:] = decay, drive
+    np.testing.assert_allclose(room.solve(), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_recurrence_without_decay_is_a_running_sum():
+    drive = np.random.default_rng(1).normal(size=(1000, 3))
+    room = Steps.allocate(1000, 3)
+    room.decay[:], room.drive[:] = 1.0, drive
+    np.testing.assert_allclose(room.solve()[1:], np.cumsum(drive, axis=0), atol=1e-11)
+
+
+@pytest.mark.parametrize("velocities", [(0.3, -0.3), (3.0, -1.0, 0.2), (-0.05, 0.4, -4.0)])
+def test_exact_step_equals_a_stiff_solver_while_the_velocity_is_constant(velocities):
+    rate, samples = 50.0, 20
+    time, motion, states = [0.0], [0.0], [0.0]
+    for v in velocities:
+        span = np.arange(1, samples + 1) / rate
+        level = stribeck(v)
+
+        def slope(_, z, v=v, level=level):
+            return v - VALUES["sigma0"] * abs(v) * z / level
+
+        leg = solve_ivp(
+            slope,
+            (0, span[-1]),
+            [states[-1]],
+            method="Radau",
+            t_eval=span,
+            rtol=1e-11,
+            atol=1e-14,
+        )
+        time.extend(time[-1] + span)
+        motion.extend(motion[-1] + v * span)
+        states.extend(leg.y[0])
+    bristles = theta(sigma1=0.0, sigma2=0.0)
+    force = LuGre().force(bristles, Trace.from_arrays(time, motion))[0]
+    np.testing.assert_allclose(force, VALUES["sigma0"] * np.array(states), rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("velocity", [0.01, 0.3, 0.5, 5.0, -0.01, -0.3, -5.0])
+def test_steady_slip_follows_the_stribeck_curve(velocity):
+    trace = ramp(velocity, seconds=max(2.0, 2.0 / abs(velocity)))
+    expected = np.sign(velocity) * stribeck(velocity) + VALUES["sigma2"] * velocity
+    force = LuGre().force(theta(), trace)[0]
+    assert force[-1] == pytest.approx(expected, rel=1e-10)
+
+
+def test_small_motion_is_elastic_with_the_bristles_stiffness():
+    time = np.linspace(0, 1, 201)
+    motion = 1e-5 * np.sin(2 * np.pi * time)
+    force = LuGre().force(theta(sigma1=0.0, sigma2=0.0), Trace.from_arrays(time, motion))[0]
+    np.testing.assert_allclose(force, VALUES["sigma0"] * motion, atol=2e-3 * np.max(force))
+
+
+def test_micro_damping_acts_only_while_the_bristles_deflect():
+    trace = ramp(0.5)
+    with_damping = LuGre().force(theta(sigma1=0.1), trace)[0]
+    without = LuGre().force(theta(sigma1=0.0), trace)[0]
+    assert with_damping[0] - without[0] == pytest.approx(0.1 * 0.5)
+    assert with_damping[-1] == pytest.approx(without[-1], rel=1e-12)
+
+
+@pytest.mark.parametrize("stiffness", [1e-6, 1.0, 1e3, 1e9])
+def test_force_stays_bounded_at_any_stiffness_and_step(stiffness):
+    time = np.arange(0, 20, 0.25)
+    trace = Trace.from_arrays(time, 2 * np.sin(2.1 * time))
+    force = LuGre().force(theta(sigma0=stiffness, sigma1=0.0, sigma2=0.0), trace)
+    assert np.all(np.isfinite(force))
+    assert np.max(np.abs(force)) <= VALUES["Fs_fwd"] * (1 + 1e-12)
+
+
+def test_bristles_without_stiffness_carry_no_friction():
+    force = LuGre().force(theta(sigma0=0.0, sigma1=0.0), ramp(0.5))[0]
+    np.testing.assert_allclose(force, VALUES["sigma2"] * 0.5)
+
+
+def test_lugre_has_eight_parameters_and_no_gap():
+    model = LuGre()
+    assert model.parameters == tuple(VALUES)
+    assert not model.has_gap
+    trace = ramp(0.5)
+    np.testing.assert_array_equal(
+        model.force(theta(), trace, start=0.2), model.force(theta(), trace)
+    )
+
+
+def test_batch_equals_single_vectors():
+    time = np.linspace(0, 4, 401)
+    trace = Trace.from_arrays(time, np.sin(2 * np.pi * 0.5 * time) + 0.2 * np.sin(9 * time))
+    rng = np.random.default_rng(4)
+    batch = theta() * rng.lognormal(0, 0.5, size=(7, 8))
+    batch[:, 3] = batch[:, 4] * 1.2
+    batch[:, 5] = batch[:, 6] * 1.2
+    together = LuGre().force(batch, trace)
+    for row, force in zip(batch, together, strict=True):
+        np.testing.assert_allclose(LuGre().force(row[None], trace)[0], force, rtol=1e-12)
+
+
+def test_histories_and_constants_of_the_same_values_agree():
+    time = np.linspace(0, 4, 401)
+    trace = Trace.from_arrays(time, np.sin(3 * time))
+    constant = {name: np.full((1, 1), value) for name, value in VALUES.items()}
+    histories = dict(constant)
+    for name in ("sigma0", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd"):
+        histories[name] = np.full((time.size, 1), VALUES[name])
+    np.testing.assert_allclose(
+        slip_force(Friction(**histories), trace), slip_force(Friction(**constant), trace)
+    )
+
+
+@pytest.mark.parametrize("shape", [(8,), (1, 14), (1, 7)])
+def test_theta_of_another_shape_is_refused(shape):
+    with pytest.raises(FitError, match="lugre"):
+        LuGre().force(np.ones(shape), ramp(0.5))
+
+
+def test_a_stribeck_velocity_of_zero_gives_no_nan():
+    # either refused by name, or the limit: no static friction while it moves
+    try:
+        force = LuGre().force(theta(v_s=0.0), ramp(0.5))
+    except FitError as error:
+        assert "v_s" in str(error)  # noqa: PT017
+    else:
+        assert np.all(np.isfinite(force))
