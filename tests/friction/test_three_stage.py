@@ -1,0 +1,466 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.gap import Gap, follow
+from mfd_bayes.friction.three_stage import CHUNK, ThreeStage
+from mfd_bayes.records.trace import Trace
+
+MODEL = ThreeStage()
+VALUES = {
+    "sigma0": 60.0,
+    "sigma1": 0.02,
+    "sigma2": 0.01,
+    "Fs_fwd": 2.4,
+    "Fc_fwd": 2.0,
+    "Fs_bwd": 1.9,
+    "Fc_bwd": 1.5,
+    "k2": 0.5,
+    "k3": 30.0,
+    "d2": 0.1,
+    "d3": 0.08,
+    "gamma1": 1.0,
+    "gamma2": 0.005,
+    "v_s": 0.5,
+}
+SYMMETRIC = {"Fs_bwd": 2.4, "Fc_bwd": 2.0}
+D = VALUES["d2"] + VALUES["d3"]
+SECONDS = 8.0
+
+
+def theta(**changes):
+    values = VALUES | changes
+    return np.array([[values[name] for name in MODEL.parameters]])
+
+
+def random_theta(rng, n, **fixed):
+    batch = theta(**fixed) * rng.lognormal(0, 0.4, size=(n, len(VALUES)))
+    for kinetic in (MODEL.parameters.index(name) for name in ("Fc_fwd", "Fc_bwd")):
+        batch[:, kinetic - 1] = batch[:, kinetic] * rng.uniform(1, 1.5, n)
+    return batch
+
+
+class Sines:
+    """Motion of sines with their own growth: amplitude (a + b t), frequency, phase."""
+
+    def __init__(self, *terms):
+        self.terms = terms
+
+    def x(self, t):
+        return sum((a + b * t) * np.sin(2 * np.pi * f * t + p) for a, b, f, p in self.terms)
+
+    def v(self, t):
+        w = 2 * np.pi
+        return sum(
+            b * np.sin(w * f * t + p) + (a + b * t) * w * f * np.cos(w * f * t + p)
+            for a, b, f, p in self.terms
+        )
+
+    def trace(self, rate=100.0, seconds=SECONDS, **kwargs):
+        time = np.arange(round(seconds * rate) + 1) / rate
+        return Trace.from_arrays(time, self.x(time), velocity=self.v(time), **kwargs)
+
+
+FULL = Sines((1.0, 0.0, 0.5, 0.3))
+SLOW = Sines((1.0, 0.0, 0.1, 0.3))
+PARTIAL = Sines((0.02, 0.05, 0.5, 0.0), (0.0, 0.012, 1.3, 1.0))
+IN_GAP = Sines((0.05, 0.0, 0.5, 0.0), (0.02, 0.0, 1.1, 0.4))
+MOTIONS = {"full": FULL, "slow": SLOW, "partial": PARTIAL, "in gap": IN_GAP}
+
+
+def reference_slip(values, motion, time):
+    """F1 by a stiff solver on the motion itself, (T,), kip."""
+
+    def level(v):
+        side = "fwd" if v >= 0 else "bwd"
+        static, kinetic = values[f"Fs_{side}"], values[f"Fc_{side}"]
+        return kinetic + (static - kinetic) * math.exp(-((v / values["v_s"]) ** 2))
+
+    def rate(t, z):
+        v = float(motion.v(t))
+        return [v - values["sigma0"] * abs(v) * z[0] / level(v)]
+
+    z = solve_ivp(
+        rate,
+        (time[0], time[-1]),
+        [0.0],
+        method="LSODA",
+        t_eval=time,
+        rtol=1e-9,
+        atol=1e-12,
+        max_step=0.01,
+    ).y[0]
+    v = motion.v(time)
+    z_rate = np.array([rate(t, [state])[0] for t, state in zip(time, z, strict=True)])
+    return values["sigma0"] * z + values["sigma1"] * z_rate + values["sigma2"] * v
+
+
+def reference_gap(values, x, slip, w0):
+    """Force by model.md sections 3 and 4, one sample after the other."""
+    d2, width = values["d2"], values["d2"] + values["d3"]
+    ell = values["gamma2"] / values["gamma1"]
+    moving = np.flatnonzero(np.diff(x))
+    direction = s = 1.0 if x[moving[0] + 1] > x[moving[0]] else -1.0
+    y = s * (w0 - 0.5) * width
+    carried = 0.0
+
+    def m(distance):
+        return 0.5 * (1 + math.tanh(0.5 * distance / ell))
+
+    def blended(u, s, f1):
+        force = f1
+        m12 = max(2 * m(u) - 1, 0.0)
+        force = (1 - m12) * force + m12 * s * values["k2"] * u
+        m23 = m(u - d2)
+        force = (1 - m23) * force + m23 * s * (values["k2"] * d2 + values["k3"] * (u - d2))
+        m31 = m(u - width)
+        return (1 - m31) * force + m31 * f1
+
+    forces = [blended(width / 2 + s * y, s, slip[0])]
+    for n in range(1, len(x)):
+        dx = x[n] - x[n - 1]
+        if dx * direction < 0:  # the sample before was a turning point
+            direction = -direction
+            u = width / 2 + s * y
+            if u >= width or u <= 0:
+                y = math.copysign(width / 2, y)
+                s = direction
+                carried = forces[-1] - blended(0.0, s, slip[n - 1])
+        y += dx
+        u = width / 2 + s * y
+        fading = carried * (1 - math.tanh(abs(u) / (2 * ell)))
+        forces.append(blended(u, s, slip[n]) + fading)
+    return np.array(forces)
+
+
+def reference(values, motion, *, w0=0.5, finer=20, rate=100.0):
+    """Force at 100 Hz of the motion in continuous time (turning points to 1/2000 s)."""
+    time = np.arange(round(SECONDS * rate * finer) + 1) / (rate * finer)
+    slip = reference_slip(values, motion, time)
+    return reference_gap(values, motion.x(time), slip, w0)[::finer]
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_force_agrees_with_a_stiff_solver_within_two_thousandths_of_the_peak(motion):
+    expected = reference(VALUES, motion)
+    force = MODEL.force(theta(), motion.trace())[0]
+    peak = np.max(np.abs(expected))
+    assert peak > 0.01
+    assert np.max(np.abs(force - expected)) < 2e-3 * peak
+
+
+@pytest.mark.parametrize("start", [0.1, 0.9])
+def test_agreement_holds_for_other_starts_and_soft_transitions(start):
+    values = VALUES | {"gamma2": 0.01, "k3": 20.0, "sigma0": 25.0}
+    expected = reference(values, PARTIAL, w0=start)
+    force = MODEL.force(theta(**values), PARTIAL.trace(), start=start)[0]
+    assert np.max(np.abs(force - expected)) < 2e-3 * np.max(np.abs(expected))
+
+
+def test_agreement_is_not_for_lack_of_a_gap():
+    # the control: the same comparison tells a gap that is a fiftieth wider
+    expected = reference(VALUES, FULL)
+    force = MODEL.force(theta(d2=1.02 * VALUES["d2"]), FULL.trace())[0]
+    assert np.max(np.abs(force - expected)) > 2e-3 * np.max(np.abs(expected))
+
+
+def test_batch_equals_single_vectors_across_chunks():
+    rng = np.random.default_rng(0)
+    batch = random_theta(rng, 200)
+    start = rng.uniform(size=200)
+    trace = PARTIAL.trace()
+    together = MODEL.force(batch, trace, start=start)
+    assert together.shape == (200, trace.samples)
+    assert CHUNK < 200
+    for i in {*range(0, 200, 13), CHUNK - 1, CHUNK, 65, 66, 67, 132, 133, 134, 199}:
+        single = MODEL.force(batch[i : i + 1], trace, start=start[i : i + 1])[0]
+        np.testing.assert_allclose(together[i], single, rtol=1e-9, atol=1e-9)
+
+
+def test_force_retraces_inside_the_gap():
+    # after slip at +1: into the gap by 0.13, back by 0.07, on through it
+    time = np.arange(0, 4, 0.002)
+    corners = {0.0: 0.0, 1.0: 1.0, 1.5: 0.87, 2.0: 0.94, 3.999: -1.0}
+    motion = np.interp(time, list(corners), list(corners.values()))
+    trace = Trace.from_arrays(time, motion)
+    assert trace.turning_points.size == 3
+    force = MODEL.force(theta(gamma2=0.0012), trace)[0]
+    turns = trace.turning_points
+    first = slice(turns[0], turns[1] + 1)
+    deep = (motion >= 0.88) & (motion <= 0.93)
+    for later in (slice(turns[1], turns[2] + 1), slice(turns[2], None)):
+        x = motion[later][deep[later]]
+        again = np.interp(x, motion[first][::-1], force[first][::-1])
+        assert x.size > 10
+        # straight between samples but near d2, where the path bends over a few samples
+        straight = np.abs(1.0 - x - VALUES["d2"]) > 0.02
+        np.testing.assert_allclose(force[later][deep[later]][straight], again[straight], atol=1e-6)
+
+
+def test_force_inside_the_gap_is_a_function_of_displacement_alone():
+    # every displacement is met exactly again: the motion runs back over the same samples
+    down = np.linspace(1.0, 0.87, 66)[1:]
+    loop = np.concatenate([down, down[-2:30:-1], down[31:]])
+    motion = np.concatenate([np.linspace(0, 1, 101), loop, np.linspace(0.87, -1, 300)[1:]])
+    trace = Trace.from_arrays(0.01 * np.arange(motion.size), motion)
+    force = MODEL.force(theta(gamma2=0.0012), trace)[0]
+    begin, end = 101 + 31, 101 + loop.size
+    seen = {}
+    for x, f in zip(motion[begin:end], force[begin:end], strict=True):
+        assert f == pytest.approx(seen.setdefault(x, f), abs=1e-8)
+    assert len(seen) < end - begin
+
+
+def test_state_of_the_gap_is_untouched_by_turns_inside_it():
+    trace = IN_GAP.trace()
+    gap = Gap(*(np.array([v]) for v in (0.5, 30.0, 0.1, 0.08, 0.005)))
+    crossing = follow(gap, trace, np.array([0.5]), lambda _: np.array([2.0]))
+    assert trace.turning_points.size > 6
+    for state in (crossing.side, crossing.offset, crossing.carry):
+        np.testing.assert_array_equal(state, np.broadcast_to(state[:1], state.shape))
+
+
+@st.composite
+def dampers(draw):
+    fwd, bwd = draw(st.floats(0.3, 5)), draw(st.floats(0.3, 5))
+    return theta(
+        sigma0=draw(st.floats(5, 300)),
+        sigma1=draw(st.floats(0, 0.1)),
+        sigma2=draw(st.floats(0, 0.1)),
+        Fc_fwd=fwd,
+        Fs_fwd=fwd * draw(st.floats(1, 1.5)),
+        Fc_bwd=bwd,
+        Fs_bwd=bwd * draw(st.floats(1, 1.5)),
+        k2=draw(st.floats(0, 5)),
+        k3=draw(st.floats(5, 80)),
+        d2=draw(st.floats(0.02, 0.2)),
+        d3=draw(st.floats(0.02, 0.2)),
+        gamma2=draw(st.floats(0.003, 0.05)),
+        v_s=draw(st.floats(0.1, 2)),
+    )
+
+
+@st.composite
+def motions(draw):
+    terms = draw(
+        st.lists(
+            st.tuples(
+                st.floats(0.01, 0.5), st.floats(0, 0.05), st.floats(0.1, 1.0), st.floats(0, 6)
+            ),
+            min_size=1,
+            max_size=3,
+        )
+    )
+    return Sines(*terms)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(vector=dampers(), motion=motions(), start=st.floats(0, 1))
+def test_force_is_continuous_in_time(vector, motion, start):
+    # a jump does not shrink with the step; the force of a smooth motion does, in proportion
+    def largest_step(rate):
+        trace = motion.trace(rate, seconds=4.0, hysteresis=1e-9)
+        return np.max(np.abs(np.diff(MODEL.force(vector, trace, start=start)[0])))
+
+    peak = vector[0, 3:7].max()
+    assert largest_step(6400.0) < 0.25 * largest_step(400.0) + 1e-3 * peak
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(vector=dampers(), motion=motions(), start=st.floats(0, 1))
+def test_opposite_motion_gives_the_opposite_force_when_directions_are_equal(vector, motion, start):
+    names = MODEL.parameters
+    for kind in ("Fs", "Fc"):
+        vector[0, names.index(f"{kind}_bwd")] = vector[0, names.index(f"{kind}_fwd")]
+    time = np.arange(0, 4, 0.01)
+    there, back = (Trace.from_arrays(time, sign * motion.x(time)) for sign in (1, -1))
+    expected = -MODEL.force(vector, there, start=start)
+    np.testing.assert_allclose(
+        MODEL.force(vector, back, start=start), expected, rtol=1e-10, atol=1e-10
+    )
+
+
+def test_directions_differ_when_their_friction_does():
+    time = np.arange(0, 8, 0.01)
+    motion = FULL.x(time)
+    force = MODEL.force(theta(), Trace.from_arrays(time, motion))
+    back = MODEL.force(theta(), Trace.from_arrays(time, -motion))
+    assert np.max(np.abs(force + back)) > 0.3
+
+
+def test_a_closed_full_cycle_dissipates_about_the_slip_work():
+    time = np.arange(0, 8, 0.01)
+    x = np.sin(2 * np.pi * 0.5 * time)
+    trace = Trace.from_arrays(time, x)
+    batch = np.concatenate([theta(), random_theta(np.random.default_rng(1), 50)])
+    force = MODEL.force(batch, trace)
+    cycle = slice(400, 601)
+    energy = np.trapezoid(force[:, cycle], x[cycle], axis=1)
+    assert np.all(energy > 0)
+    slip = (VALUES["Fc_fwd"] + VALUES["Fc_bwd"]) * (2.0 - D)
+    assert energy[0] == pytest.approx(slip, rel=0.15)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(vector=dampers(), amplitude=st.floats(0.01, 1.0))
+def test_no_steady_cycle_returns_more_energy_than_it_took(vector, amplitude):
+    vector[0, MODEL.parameters.index("gamma2")] = 0.1 * vector[0, 9]  # as the priors: ℓ ≪ d2
+    time = np.arange(0, 12, 0.005)
+    x = amplitude * np.sin(2 * np.pi * 0.5 * time)
+    force = MODEL.force(vector, Trace.from_arrays(time, x))[0]
+    cycle = slice(1600, 2001)
+    energy = np.trapezoid(force[cycle], x[cycle])
+    assert energy > -1e-3 * vector[0, 3:7].max() * amplitude
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_without_friction_the_force_is_finite_and_that_of_the_gap(motion):
+    none = dict.fromkeys(("Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd", "sigma1", "sigma2"), 0.0)
+    trace = motion.trace()
+    force = MODEL.force(theta(**none), trace)[0]
+    assert np.all(np.isfinite(force))
+    deep = VALUES["k2"] * VALUES["d2"] + VALUES["k3"] * (VALUES["d3"] + 0.05)
+    assert np.max(np.abs(force)) < deep
+
+
+def test_start_is_the_middle_of_the_gap_when_left_out():
+    trace = PARTIAL.trace()
+    batch = random_theta(np.random.default_rng(2), 3)
+    expected = MODEL.force(batch, trace)
+    for start in (0.5, np.full(3, 0.5)):
+        np.testing.assert_array_equal(MODEL.force(batch, trace, start=start), expected)
+
+
+def test_start_matters_until_the_first_turn_after_slip_only():
+    trace = FULL.trace()
+    batch = np.repeat(theta(), 3, axis=0)
+    force = MODEL.force(batch, trace, start=np.array([0.0, 0.5, 1.0]))
+    travel = np.abs(trace.displacement - trace.displacement[0])
+    slipping = int(np.argmax(travel > D + 40 * VALUES["gamma2"]))
+    assert np.max(np.abs(force[0, :slipping] - force[2, :slipping])) > 1.0
+    np.testing.assert_allclose(force[:2, slipping:], force[1:, slipping:], atol=1e-9)
+
+
+def test_only_the_quotient_of_the_gammas_reaches_the_force():
+    trace = PARTIAL.trace()
+    expected = MODEL.force(theta(), trace)
+    for factor in (1e-3, 0.7, 50.0):
+        scaled = theta(gamma1=factor, gamma2=VALUES["gamma2"] * factor)
+        np.testing.assert_allclose(MODEL.force(scaled, trace), expected, rtol=1e-9, atol=1e-11)
+    assert np.max(np.abs(MODEL.force(theta(gamma1=2.0), trace) - expected)) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"k3": -1.0}, "k3"),
+        ({"k2": np.nan}, "k2"),
+        ({"d2": np.inf}, "d2"),
+        ({"sigma0": -1e-9}, "sigma0"),
+        ({"Fs_fwd": 1.0}, "Fs_fwd"),
+        ({"Fs_bwd": 1.0}, "Fs_bwd"),
+        ({"gamma1": 0.0}, "gamma1"),
+        ({"gamma2": 0.0}, "gamma2"),
+    ],
+)
+def test_values_that_no_damper_has_are_refused_by_name(changes, expected):
+    batch = np.concatenate([theta(), theta(**changes)])
+    with pytest.raises(FitError, match=expected):
+        MODEL.force(batch, FULL.trace())
+
+
+@pytest.mark.parametrize("shape", [(14,), (1, 13), (1, 2, 14), ()])
+def test_theta_of_another_shape_is_refused(shape):
+    with pytest.raises(FitError, match=r"theta must have shape \(n, 14\)"):
+        MODEL.force(np.ones(shape), FULL.trace())
+
+
+@pytest.mark.parametrize("start", [-0.1, 1.1, np.nan, [0.5, 0.5], [[0.5]]])
+def test_a_start_outside_the_gap_is_refused(start):
+    with pytest.raises(FitError, match="start"):
+        MODEL.force(theta(), FULL.trace(), start=start)
+
+
+def test_constant_history_of_actuation_equals_the_level():
+    trace = PARTIAL.trace()
+    history = PARTIAL.trace(actuation=np.full(trace.samples, 0.8))
+    level = PARTIAL.trace(actuation=0.8)
+    batch = random_theta(np.random.default_rng(3), 3)
+    np.testing.assert_allclose(
+        MODEL.force(batch, history), MODEL.force(batch, level), rtol=1e-12, atol=1e-12
+    )
+
+
+def test_friction_follows_the_actuation():
+    trace = FULL.trace()
+    late = trace.time >= 4.0
+    history = FULL.trace(actuation=np.where(late, 2.0, 1.0))
+    vector = theta(sigma2=0.0, Fs_fwd=2.0, Fs_bwd=1.5)  # at the mean actuation
+    force = MODEL.force(vector, history)[0]
+    mean = history.reference_actuation
+    assert np.max(force[late]) == pytest.approx(2.0 * 2.0 / mean, rel=1e-3)
+    assert np.min(force[late]) == pytest.approx(-1.5 * 2.0 / mean, rel=1e-3)
+    early = (trace.time > 1) & ~late
+    assert np.max(force[early]) == pytest.approx(2.0 / mean, rel=1e-3)
+    assert np.min(force[early]) == pytest.approx(-1.5 / mean, rel=1e-3)
+
+
+def test_given_scales_replace_the_proportional_law():
+    trace = FULL.trace()
+    late = np.where(trace.time >= 4.0, 3.0, 1.0)[None]
+    vector = theta(sigma2=0.0, Fs_fwd=2.0, Fs_bwd=1.5)
+    force = MODEL.force(vector, trace, scales={"Fs_fwd": late, "Fc_fwd": late})[0]
+    assert np.max(force[400:]) == pytest.approx(6.0, rel=1e-3)
+    assert np.min(force[400:]) == pytest.approx(-1.5, rel=1e-3)
+    # none at all switches the law off
+    history = FULL.trace(actuation=late[0])
+    np.testing.assert_allclose(
+        MODEL.force(vector, history, scales={}), MODEL.force(vector, trace), rtol=1e-12
+    )
+
+
+def test_scales_may_differ_from_vector_to_vector():
+    trace = FULL.trace()
+    batch = random_theta(np.random.default_rng(4), 150)
+    factors = np.random.default_rng(5).uniform(0.5, 2, size=(150, 1)) * np.linspace(
+        1, 2, trace.samples
+    )
+    scales = dict.fromkeys(("sigma0", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd"), factors)
+    together = MODEL.force(batch, trace, scales=scales)
+    for i in (0, 74, 75, 149):
+        own = {name: factor[i : i + 1] for name, factor in scales.items()}
+        single = MODEL.force(batch[i : i + 1], trace, scales=own)[0]
+        np.testing.assert_allclose(together[i], single, rtol=1e-9, atol=1e-9)
+
+
+def test_zero_actuation_all_along_leaves_no_friction():
+    samples = FULL.trace().samples
+    vector = theta(sigma2=0.0, sigma1=0.0, k2=0.0)
+    force = MODEL.force(vector, FULL.trace(actuation=np.zeros(samples)))[0]
+    assert np.all(np.isfinite(force))
+    slipping = np.abs(FULL.v(FULL.trace().time)) > 2.9
+    assert np.max(np.abs(force[slipping])) < 1e-6
+
+
+def test_actuation_that_drops_to_zero_and_comes_back_stays_finite_and_bounded():
+    trace = FULL.trace()
+    history = np.where((trace.time > 2) & (trace.time < 5), 0.0, 1.0)
+    force = MODEL.force(theta(), FULL.trace(actuation=history))[0]
+    assert np.max(np.abs(force)) < 2 * 2.4 / np.mean(history)
+
+
+@pytest.mark.parametrize("left", [0.0, 0.01, 0.1])
+def test_releasing_the_brake_at_rest_makes_no_spike(left):
+    # slip, rest while the pressure falls, then move on: micro-damping must not see an
+    # infinite bristle rate where F1 = σ0 z is far above what friction holds now
+    time = np.arange(0, 3, 0.01)
+    motion = np.interp(time, [0, 1, 2, 3], [0, 1, 1, 2])
+    history = np.where(time < 1.5, 1.0, left)
+    force = MODEL.force(theta(), Trace.from_arrays(time, motion, actuation=history))[0]
+    highest = VALUES["Fs_fwd"] / np.mean(history)
+    assert np.max(np.abs(force)) < 1.1 * highest

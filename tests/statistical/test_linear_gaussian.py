@@ -1,0 +1,116 @@
+"""The whole way from posterior to draws, on a posterior that is known in closed form."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.sampling import Draws, Effort, sample
+from mfd_bayes.records.trace import Trace
+
+NOISE = 0.2
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A spring and a dashpot: linear in its parameters."""
+
+    name: str = "linear"
+    parameters: tuple[str, ...] = ("sigma2", "k2")
+    has_gap: bool = False
+
+    def force(
+        self,
+        theta: np.ndarray,
+        trace: Trace,
+        start: np.ndarray | None = None,
+        *,
+        scales: Mapping[str, np.ndarray] | None = None,
+    ) -> np.ndarray:
+        return theta @ np.stack([trace.velocity, trace.displacement])
+
+
+PRIORS = PriorFile(
+    path=Path("linear.toml"),
+    title="linear",
+    parameters={
+        "sigma2": Prior("normal", {"mean": 0.0, "sd": 1.0}),
+        "k2": Prior("normal", {"mean": 1.0, "sd": 0.5}),
+        "offset": Prior("normal", {"mean": 0.0, "sd": 0.3}),
+        "noise_sd": Prior("fixed", {"value": NOISE}),
+    },
+    scatter={},
+)
+
+
+def make_posterior() -> Posterior:
+    rng = np.random.default_rng(5)
+    time = np.linspace(0.0, 4.0, 60)
+    x = np.sin(2.0 * time) + 0.3 * np.sin(5.0 * time)
+    plain = Trace.from_arrays(time, x)
+    force = 0.3 * plain.velocity + 1.4 * x + 0.1 + NOISE * rng.standard_normal(time.size)
+    return Posterior(Trace.from_arrays(time, x, force=force), PRIORS, "iid", Linear())
+
+
+def closed_form(posterior: Posterior, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of (sigma2, k2, offset), for a noise level."""
+    trace = posterior.trace
+    design = np.stack([trace.velocity, trace.displacement, np.ones(trace.samples)], axis=1)
+    means, sds = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.5, 0.3])
+    precision = design.T @ design / noise**2 + np.diag(sds**-2.0)
+    pull = design.T @ np.asarray(trace.force) / noise**2 + means / sds**2
+    covariance = np.linalg.inv(precision)
+    return covariance @ pull, covariance
+
+
+def agrees(draws: Draws, mean: np.ndarray, covariance: np.ndarray) -> bool:
+    """Whether means lie within 4 Monte Carlo errors and sds within 10 %."""
+    flat = draws.q.reshape(-1, 3)
+    sd = np.sqrt(np.diag(covariance))
+    error = sd / np.sqrt(draws.convergence.ess_bulk)
+    close = np.all(np.abs(flat.mean(axis=0) - mean) < 4.0 * error)
+    return bool(close and np.all(np.abs(flat.std(axis=0) / sd - 1.0) < 0.10))
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[Posterior, Draws]:
+    posterior = make_posterior()
+    return posterior, sample(posterior, Effort(ess=800, block=300, limit=3000), seed=3)
+
+
+def test_draws_agree_with_the_closed_form(fitted: tuple[Posterior, Draws]) -> None:
+    posterior, draws = fitted
+    assert posterior.names == ("sigma2", "k2", "offset")
+    assert agrees(draws, *closed_form(posterior, NOISE))
+
+
+def test_a_wrong_closed_form_is_told_apart(fitted: tuple[Posterior, Draws]) -> None:
+    posterior, draws = fitted
+    assert not agrees(draws, *closed_form(posterior, 1.3 * NOISE))
+    mean, covariance = closed_form(posterior, NOISE)
+    assert not agrees(draws, mean + 0.5 * np.sqrt(np.diag(covariance)), covariance)
+
+
+def test_the_mode_is_exact_and_so_is_its_covariance(fitted: tuple[Posterior, Draws]) -> None:
+    posterior, draws = fitted
+    mean, covariance = closed_form(posterior, NOISE)
+    sd = np.sqrt(np.diag(covariance))
+    assert np.all(np.abs(draws.modes[0].q - mean) < 0.01 * sd)
+    np.testing.assert_allclose(draws.modes[0].covariance, covariance, rtol=1e-3, atol=1e-9)
+
+
+def test_log_prior_and_log_likelihood_add_up(fitted: tuple[Posterior, Draws]) -> None:
+    _, draws = fitted
+    np.testing.assert_allclose(draws.log_prior + draws.log_likelihood, draws.log_prob)
+
+
+def test_the_same_seed_gives_the_same_draws() -> None:
+    effort = Effort(ess=1, block=40, limit=40, r_hat=2.0, length=0.0)
+    first, again, other = (sample(make_posterior(), effort, seed=s) for s in (7, 7, 8))
+    np.testing.assert_array_equal(first.q, again.q)
+    assert not np.array_equal(first.q, other.q)
