@@ -120,10 +120,11 @@ FAMILIES: dict[str, tuple[set[str], set[str]]] = {
     "half_normal": ({"sd"}, set()),
     "uniform": ({"lower", "upper"}, set()),
     "gamma": ({"shape", "scale"}, set()),
+    "beta": ({"a", "b"}, set()),
     "fixed": ({"value"}, set()),
 }
 """Figures that each family needs, and those that it may have besides."""
-_POSITIVE = frozenset({"median", "spread", "sd", "shape", "scale"})
+_POSITIVE = frozenset({"median", "spread", "sd", "shape", "scale", "a", "b"})
 
 
 def _check_figures(family: str, figures: Mapping[str, float]) -> None:
@@ -156,6 +157,7 @@ _SUPPORTS: dict[str, Callable[[Mapping[str, float]], tuple[float, float]]] = {
     "half_normal": _half_line,
     "uniform": lambda f: (f["lower"], f["upper"]),
     "gamma": _half_line,
+    "beta": lambda _: (0.0, 1.0),
     "fixed": _whole_line,
 }
 
@@ -187,6 +189,11 @@ _LOG_DENSITIES: dict[str, Callable[[Array, Mapping[str, float]], Array]] = {
         - special.gammaln(f["shape"])
         - f["shape"] * np.log(f["scale"])
     ),
+    "beta": lambda x, f: (
+        special.xlogy(f["a"] - 1, x)
+        + special.xlog1py(f["b"] - 1, -x)
+        - special.betaln(f["a"], f["b"])
+    ),
     "fixed": lambda x, _: np.zeros_like(x),
 }
 
@@ -207,5 +214,6 @@ _DRAWS: dict[str, Callable[[np.random.Generator, int, Mapping[str, float]], Arra
     "half_normal": lambda rng, n, f: np.abs(rng.normal(0.0, f["sd"], n)),
     "uniform": lambda rng, n, f: rng.uniform(f["lower"], f["upper"], n),
     "gamma": lambda rng, n, f: rng.gamma(f["shape"], f["scale"], n),
+    "beta": lambda rng, n, f: rng.beta(f["a"], f["b"], n),
     "fixed": lambda _, n, f: np.full(n, f["value"]),
 }

@@ -70,7 +70,14 @@ FULL = Sines((1.0, 0.0, 0.5, 0.3))
 SLOW = Sines((1.0, 0.0, 0.1, 0.3))
 PARTIAL = Sines((0.02, 0.05, 0.5, 0.0), (0.0, 0.012, 1.3, 1.0))
 IN_GAP = Sines((0.05, 0.0, 0.5, 0.0), (0.02, 0.0, 1.1, 0.4))
-MOTIONS = {"full": FULL, "slow": SLOW, "partial": PARTIAL, "in gap": IN_GAP}
+ON_SAMPLES = Sines((1.0, 0.0, 0.5, 0.0))
+MOTIONS = {
+    "full, turning on samples": ON_SAMPLES,
+    "full, turning between samples": FULL,
+    "slow": SLOW,
+    "partial": PARTIAL,
+    "in gap": IN_GAP,
+}
 
 
 def reference_slip(values, motion, time):
@@ -403,11 +410,11 @@ def test_friction_follows_the_actuation():
     vector = theta(sigma2=0.0, Fs_fwd=2.0, Fs_bwd=1.5)  # at the mean actuation
     force = MODEL.force(vector, history)[0]
     mean = history.reference_actuation
-    assert np.max(force[late]) == pytest.approx(2.0 * 2.0 / mean, rel=1e-3)
-    assert np.min(force[late]) == pytest.approx(-1.5 * 2.0 / mean, rel=1e-3)
-    early = (trace.time > 1) & ~late
-    assert np.max(force[early]) == pytest.approx(2.0 / mean, rel=1e-3)
-    assert np.min(force[early]) == pytest.approx(-1.5 / mean, rel=1e-3)
+    deep = np.abs(trace.velocity) > 2.9  # in full slip, past the build-up
+    for part, level in ((trace.time > 5, 2.0), ((trace.time > 1) & ~late, 1.0)):
+        slip = force[part & deep]
+        np.testing.assert_allclose(slip[slip > 0], 2.0 * level / mean, rtol=1e-3)
+        np.testing.assert_allclose(slip[slip < 0], -1.5 * level / mean, rtol=1e-3)
 
 
 def test_given_scales_replace_the_proportional_law():
@@ -415,8 +422,9 @@ def test_given_scales_replace_the_proportional_law():
     late = np.where(trace.time >= 4.0, 3.0, 1.0)[None]
     vector = theta(sigma2=0.0, Fs_fwd=2.0, Fs_bwd=1.5)
     force = MODEL.force(vector, trace, scales={"Fs_fwd": late, "Fc_fwd": late})[0]
-    assert np.max(force[400:]) == pytest.approx(6.0, rel=1e-3)
-    assert np.min(force[400:]) == pytest.approx(-1.5, rel=1e-3)
+    slip = force[(trace.time > 5) & (np.abs(trace.velocity) > 2.9)]
+    np.testing.assert_allclose(slip[slip > 0], 6.0, rtol=1e-3)
+    np.testing.assert_allclose(slip[slip < 0], -1.5, rtol=1e-3)
     # none at all switches the law off
     history = FULL.trace(actuation=late[0])
     np.testing.assert_allclose(
@@ -441,9 +449,10 @@ def test_scales_may_differ_from_vector_to_vector():
 def test_zero_actuation_all_along_leaves_no_friction():
     samples = FULL.trace().samples
     vector = theta(sigma2=0.0, sigma1=0.0, k2=0.0)
-    force = MODEL.force(vector, FULL.trace(actuation=np.zeros(samples)))[0]
+    trace = FULL.trace(actuation=np.zeros(samples))
+    force = MODEL.force(vector, trace)[0]
     assert np.all(np.isfinite(force))
-    slipping = np.abs(FULL.v(FULL.trace().time)) > 2.9
+    slipping = (np.abs(trace.velocity) > 2.9) & (trace.time > 1)
     assert np.max(np.abs(force[slipping])) < 1e-6
 
 

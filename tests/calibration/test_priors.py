@@ -1,0 +1,225 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from mfd_bayes.calibration.prior_files import find_priors, load_priors
+from mfd_bayes.calibration.priors import FAMILIES, KINDS, Prior
+from mfd_bayes.errors import PriorError
+
+SHIPPED = sorted(p.stem for p in (Path(__file__).parents[2] / "priors").glob("*.toml"))
+
+CASES = {
+    "lognormal": (Prior("lognormal", {"median": 2.0, "spread": 0.7}), stats.lognorm(0.7, scale=2)),
+    "normal": (Prior("normal", {"mean": -1.0, "sd": 0.2}), stats.norm(-1.0, 0.2)),
+    "truncated above and below": (
+        Prior("truncated_normal", {"mean": 1.0, "sd": 2.0, "lower": 0.5, "upper": 2.0}),
+        stats.truncnorm(-0.25, 0.5, loc=1.0, scale=2.0),
+    ),
+    "truncated below": (
+        Prior("truncated_normal", {"mean": 1.0, "sd": 2.0, "lower": -0.5}),
+        stats.truncnorm(-0.75, np.inf, loc=1.0, scale=2.0),
+    ),
+    "truncated in the upper tail": (
+        Prior("truncated_normal", {"mean": 0.0, "sd": 1.0, "lower": 9.0, "upper": 11.0}),
+        stats.truncnorm(9.0, 11.0),
+    ),
+    "truncated in the lower tail": (
+        Prior("truncated_normal", {"mean": 0.0, "sd": 1.0, "lower": -12.0, "upper": -9.0}),
+        stats.truncnorm(-12.0, -9.0),
+    ),
+    "half_normal": (Prior("half_normal", {"sd": 0.3}), stats.halfnorm(scale=0.3)),
+    "uniform": (Prior("uniform", {"lower": 0.2, "upper": 3.0}), stats.uniform(0.2, 2.8)),
+    "gamma": (Prior("gamma", {"shape": 2.0, "scale": 0.1}), stats.gamma(2.0, scale=0.1)),
+    "gamma, spiked at zero": (
+        Prior("gamma", {"shape": 0.5, "scale": 3.0}),
+        stats.gamma(0.5, scale=3.0),
+    ),
+}
+EVERY = pytest.mark.parametrize(("prior", "law"), CASES.values(), ids=CASES)
+
+
+def coordinates(prior, law, n=41):
+    return prior.coordinate(law.ppf(np.linspace(0.001, 0.999, n)))
+
+
+def numerical_jacobian(prior, q):
+    step = 1e-4
+    return (prior.value(q + step) - prior.value(q - step)) / (2 * step)
+
+
+def test_every_family_is_tested():
+    assert {prior.family for prior, _ in CASES.values()} | {"fixed"} == set(FAMILIES)
+
+
+@EVERY
+def test_density_is_scipys_with_the_jacobian(prior, law):
+    q = coordinates(prior, law)
+    expected = law.logpdf(prior.value(q)) + np.log(numerical_jacobian(prior, q))
+    np.testing.assert_allclose(prior.log_density(q), expected, rtol=1e-6, atol=1e-6)
+
+
+@EVERY
+def test_density_of_the_coordinate_integrates_to_one(prior, law):
+    ends = np.sort(prior.coordinate(law.ppf([1e-9, 0.5, 1 - 1e-9])))
+    low, middle, high = ends
+    pieces = np.concatenate(
+        [np.linspace(3 * low - 2 * middle, middle, 40), np.linspace(middle, 3 * high - 2 * middle, 40)]
+    )
+    mass = 0.0
+    for a, b in zip(pieces, pieces[1:], strict=False):
+        mass += integrate.fixed_quad(lambda q: np.exp(prior.log_density(q)), a, b, n=20)[0]
+    assert mass == pytest.approx(1.0, abs=1e-6)
+
+
+@EVERY
+def test_values_and_coordinates_invert_each_other(prior, law):
+    x = law.ppf(np.linspace(0.001, 0.999, 41))
+    np.testing.assert_allclose(prior.value(prior.coordinate(x)), x, rtol=1e-12)
+    assert np.all(np.diff(prior.coordinate(x)) > 0)
+
+
+@EVERY
+def test_draws_follow_the_law(prior, law):
+    draws = prior.draw(np.random.default_rng(11), 4000)
+    assert stats.kstest(draws, law.cdf).pvalue > 0.001
+    # the control: an eighth of a standard deviation off is seen
+    assert stats.kstest(draws + law.std() / 8, law.cdf).pvalue < 0.001
+    again = prior.draw(np.random.default_rng(11), 4000)
+    np.testing.assert_array_equal(draws, again)
+
+
+@EVERY
+def test_typical_value_is_near_the_median(prior, law):
+    assert law.cdf(prior.typical) == pytest.approx(0.5, abs=0.05)
+
+
+@EVERY
+@pytest.mark.parametrize("far", [-1e4, -800.0, 800.0, 1e4, np.inf, -np.inf])
+def test_far_coordinates_have_low_density_and_no_nan(prior, law, far):
+    density = prior.log_density(np.array([far]))[0]
+    assert density < prior.log_density(coordinates(prior, law)).min()
+    assert not np.isnan(density)
+
+
+@pytest.mark.parametrize(
+    ("family", "figures", "expected"),
+    [
+        ("lognormal", {"median": 1.0}, "median and spread"),
+        ("lognormal", {"median": 1.0, "spread": 0.5, "sd": 1.0}, "median and spread"),
+        ("lognormal", {"median": -1.0, "spread": 0.5}, "median must be positive"),
+        ("normal", {"mean": 0.0, "sd": 0.0}, "sd must be positive"),
+        ("gamma", {"shape": 0.0, "scale": 1.0}, "shape must be positive"),
+        ("uniform", {"lower": 1.0, "upper": 1.0}, "upper must be above lower"),
+        ("truncated_normal", {"mean": 0.0, "sd": 1.0}, "lower"),
+        ("half_normal", {"sd": np.nan}, "sd"),
+    ],
+)
+def test_bad_figures_are_named(family, figures, expected):
+    with pytest.raises(PriorError, match=expected):
+        Prior(family, figures)
+
+
+GOOD = 'family = "lognormal"\nmedian = "2 kip"\nspread = 0.7\nreason = "r"\n'
+
+
+def write(folder, body, name="Fc_fwd"):
+    path = folder / "mine.toml"
+    path.write_text(f"[parameters.{name}]\n{body}", encoding="utf-8")
+    return path
+
+
+def test_figures_are_converted_to_internal_units(tmp_path):
+    body = 'family = "normal"\nmean = "1000 lbf"\nsd = "4.4482216 kN"\n'
+    prior = load_priors(str(write(tmp_path, body))).parameters["Fc_fwd"]
+    assert prior.figures["mean"] == pytest.approx(1.0)
+    assert prior.figures["sd"] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_truncated_normal_may_be_bounded_above_alone(tmp_path):
+    # as the head of every shipped prior file says: "lower and/or upper"
+    body = 'family = "truncated_normal"\nmean = "0 kip"\nsd = "1 kip"\nupper = "0.5 kip"\n'
+    prior = load_priors(str(write(tmp_path, body, "offset"))).parameters["offset"]
+    assert np.all(prior.draw(np.random.default_rng(0), 200) <= 0.5)
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        ('family = "cauchy"\n', "family must be one of lognormal"),
+        ("", "family must be one of lognormal"),
+        ('family = "lognormal"\nmedian = "2 kip"\n', "median and spread"),
+        ('family = "lognormal"\nmedian = "2 kip"\nspread = -1\n', "spread must be positive"),
+        ('family = "lognormal"\nmedian = "2 in"\nspread = 1\n', "median.*force"),
+        ('family = "lognormal"\nmedian = "2 furlongforce"\nspread = 1\n', "median.*furlongforce"),
+        ('family = "lognormal"\nmedian = 2.0\nspread = 1\n', "median.*unit"),
+        ('family = "lognormal"\nmedian = true\nspread = 1\n', "median"),
+        ('family = "lognormal"\nmedian = "2 kip"\nspread = nan\n', "spread.*finite"),
+        ('family = "lognormal"\nmedian = "2 kip"\nspread = [1]\n', "spread"),
+    ],
+)
+def test_a_bad_prior_names_its_parameter_and_file(tmp_path, body, expected):
+    with pytest.raises(PriorError, match=rf"(?s)Fc_fwd in mine\.toml.*{expected}") as caught:
+        load_priors(str(write(tmp_path, body)))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_parameter_lists_the_known(tmp_path):
+    with pytest.raises(PriorError, match=r"mine\.toml.*sigma0.*v_s"):
+        load_priors(str(write(tmp_path, GOOD, name="Fc_forward")))
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("[parameters\n", "not valid TOML"),
+        (b"\xff\xfe", "not valid TOML"),
+        ("[priors.Fc_fwd]\n", "unknown key 'priors'"),
+        ("parameters = 3\n", "must hold tables"),
+        ("[parameters]\nFc_fwd = 3\n", "must hold tables"),
+        ('[scatter.friction]\nparameters = ["Fc"]\nsd = 0.1\n', "'Fc'"),
+        ('[scatter.friction]\nparameters = ["Fc_fwd"]\nsd = 0.0\n', "sd must be positive"),
+        ('[scatter.friction]\nparameters = "Fc_fwd"\nsd = 0.1\n', "a list"),
+        ('[scatter.friction]\nparameters = ["Fc_fwd"]\n', "sd"),
+    ],
+)
+def test_a_bad_file_is_named(tmp_path, content, expected):
+    path = tmp_path / "mine.toml"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(PriorError, match=expected) as caught:
+        load_priors(str(path))
+    assert "mine.toml" in str(caught.value)
+
+
+def test_priors_are_found_by_name_and_by_path(tmp_path):
+    assert find_priors("mfd").name == "mfd.toml"
+    path = write(tmp_path, GOOD)
+    assert find_priors(str(path)) == path
+    assert find_priors("mine.toml", tmp_path) == path
+
+
+@pytest.mark.parametrize("name", ["mdf", "../priors/mfd", "", "mfd.toml.bak", "."])
+def test_an_unknown_name_lists_the_known(name, tmp_path):
+    with pytest.raises(PriorError, match=", ".join(SHIPPED)):
+        find_priors(name, tmp_path)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_priors_are_complete_and_say_why(name):
+    file = load_priors(name)
+    assert file.title
+    assert set(file.parameters) == set(KINDS)
+    for entries in (file.parameters, file.scatter):
+        assert all(len(entry.reason) > 5 for entry in entries.values())
+    scattered = [member for scatter in file.scatter.values() for member in scatter.parameters]
+    assert len(scattered) == len(set(scattered))
+    assert 0.05 < file.gap < 1.0
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_priors_put_static_friction_above_kinetic_by_construction(name):
+    for side in ("fwd", "bwd"):
+        prior = load_priors(name).parameters[f"static_excess_{side}"]
+        assert prior.lower >= 0
+        assert np.all(prior.draw(np.random.default_rng(0), 1000) >= 0)

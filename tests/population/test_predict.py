@@ -1,0 +1,199 @@
+"""Bands of a population that is written down, not sampled."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.likelihood import find_noise
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.population.hierarchy import Population, pool
+from mfd_bayes.population.predict import KINDS, Forecast, band_of, predict
+from mfd_bayes.records.trace import Trace
+
+MEDIANS = {
+    "sigma0": 30.0,
+    "sigma1": 0.02,
+    "sigma2": 0.015,
+    "Fc_fwd": 1.3,
+    "Fc_bwd": 1.6,
+    "static_excess_fwd": 0.15,
+    "static_excess_bwd": 0.1,
+    "k2": 0.6,
+    "k3": 20.0,
+    "d2": 0.09,
+    "d3": 0.07,
+    "ell": 0.02,
+    "v_s": 0.4,
+    "offset": 0.03,
+    "noise_sd": 0.05,
+    "noise_time": 0.1,
+}
+TIME = np.arange(401) / 100
+MOTION = np.sin(2 * np.pi * 0.5 * TIME)
+SLIDING = (np.abs(MOTION) < 0.3) & (TIME > 0.5)
+"""Well after every gap."""
+NOISE = find_noise("ou")
+
+
+def make_population(laws=None, *, level_sd=0.01, scatter=0.1):
+    """Medians known to 1 %, at 1 ksi, with 10 % of scatter."""
+    priors = load_priors("mfd")
+    pooling = replace(pool(priors, tuple(MEDIANS), [0.5, 1.0, 2.0], laws), reference=1.0)
+    rng = np.random.default_rng(1)
+    centre = np.array([priors.parameters[n].coordinate(np.array(v)) for n, v in MEDIANS.items()])
+    spread = np.where(np.array(pooling.names) == "offset", 0.02, scatter)
+    groups = [spread[pooling.member == g][0] for g in range(len(pooling.groups))]
+    return Population(
+        pooling=pooling,
+        levels=centre + level_sd * rng.normal(size=(4, 100, len(MEDIANS))),
+        shapes={name: np.ones((4, 100)) for name in pooling.shaped},
+        scatter=np.broadcast_to(groups, (4, 100, len(groups))),
+        priors={name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")},
+        actuation_unit="ksi",
+        walkers=10,
+        convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
+    )
+
+
+@pytest.fixture(scope="module")
+def population():
+    return make_population()
+
+
+def ask(population, actuation, tested=None, **forecast):
+    trace = Trace.from_arrays(TIME, MOTION, actuation)
+    return predict(population, ThreeStage(), NOISE, trace, Forecast(**forecast), tested)
+
+
+def widths(population, actuation=1.0, **forecast):
+    bands = [ask(population, actuation, kind=kind, draws=400, **forecast) for kind in KINDS]
+    return [float(np.mean(band.upper - band.lower)) for band in bands]
+
+
+def test_the_three_kinds_are_nested(population):
+    device, new_test, observation = widths(population)
+    assert 1.2 * device < new_test
+    assert 1.02 * new_test < observation
+
+
+def test_without_scatter_a_new_test_is_the_device():
+    same = make_population(scatter=0.0)
+    device = ask(same, 1.0, kind="device")
+    new_test = ask(same, 1.0, kind="new_test")
+    np.testing.assert_allclose(np.mean(device.upper), np.mean(new_test.upper), rtol=0.02)
+
+
+def test_a_band_says_what_it_is(population):
+    band = ask(population, 0.7, kind="observation", probability=0.5, draws=60)
+    assert (band.kind, band.probability, band.interval) == ("observation", 0.5, "equal-tailed")
+    assert "population" in band.source
+    assert band.draws.shape == (60, TIME.size)
+    for line in (band.time, band.lower, band.median, band.upper):
+        assert line.shape == TIME.shape
+    np.testing.assert_array_equal(band.time, TIME)
+    assert np.all(band.lower <= band.median)
+    assert np.all(band.median <= band.upper)
+
+
+def test_bounds_are_the_quantiles_of_the_draws(population):
+    band = ask(population, 0.7, probability=0.9, draws=200)
+    low, mid, high = np.quantile(band.draws, [0.05, 0.5, 0.95], axis=0)
+    np.testing.assert_allclose(band.lower, low)
+    np.testing.assert_allclose(band.median, mid)
+    np.testing.assert_allclose(band.upper, high)
+    again = band_of(band.time, band.draws, band.kind, 0.9, band.source)
+    np.testing.assert_array_equal(again.upper, band.upper)
+
+
+def test_a_wider_probability_gives_a_wider_band(population):
+    half, most = (ask(population, 1.0, probability=p, draws=200) for p in (0.5, 0.95))
+    np.testing.assert_array_equal(half.median, most.median)
+    assert np.all(most.upper >= half.upper)
+    assert np.mean(most.upper - most.lower) > 2 * np.mean(half.upper - half.lower)
+
+
+def test_the_same_seed_gives_the_same_band(population):
+    first, again, other = (ask(population, 1.0, seed=seed, draws=50) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.draws, again.draws)
+    assert np.any(first.draws != other.draws)
+
+
+def test_slip_force_is_in_proportion_to_the_actuation(population):
+    half, whole = (np.abs(ask(population, p, kind="device").median[SLIDING]) for p in (0.5, 1.0))
+    viscous = 0.015 * np.pi  # does not follow the actuation
+    np.testing.assert_allclose((whole - viscous) / (half - viscous), 2.0, rtol=0.08)
+
+
+def test_without_actuation_there_is_no_slip_force(population):
+    band = ask(population, 0.0, kind="new_test", draws=100)
+    assert np.all(np.isfinite(band.draws))
+    speed = np.abs(np.gradient(MOTION, TIME))
+    # what slides is held by the viscous part alone: 0.015 kip·s/in, with scatter at most twice
+    assert np.all(np.abs(band.draws[:, SLIDING]) < 2 * (0.015 + 0.02) * speed[SLIDING])
+    assert np.median(np.abs(ask(population, 1.0).median[SLIDING])) > 1.0  # the control
+
+
+def test_a_history_that_never_changes_is_the_constant(population):
+    constant = ask(population, 0.8, kind="new_test", draws=40)
+    history = ask(population, np.full(TIME.size, 0.8), kind="new_test", draws=40)
+    np.testing.assert_allclose(history.draws, constant.draws, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", ["proportional", "affine", "power"])
+def test_a_history_of_two_levels_follows_either_of_them(law):
+    population = make_population({"Fc_fwd": law, "Fc_bwd": law}, level_sd=1e-9)
+    step = np.where(TIME < 2.0, 0.5, 1.5)
+    history = ask(population, step, kind="device", draws=20).median
+    before, after = (ask(population, p, kind="device", draws=20).median for p in (0.5, 1.5))
+    early = (TIME > 0.8) & (TIME < 1.95)
+    late = TIME > 2.6  # the first reversal after the step at 2.5 s, and the gap, are over
+    np.testing.assert_allclose(history[early], before[early], atol=0.01)
+    np.testing.assert_allclose(history[late], after[late], atol=0.03)
+    assert np.mean(np.abs(before[late] - after[late])) > 0.3  # the control
+
+
+def test_a_valve_that_closes_leaves_no_friction(population):
+    history = np.where(TIME < 2.0, 1.0, 0.0)
+    band = ask(population, history, kind="new_test", draws=40)
+    assert np.all(np.isfinite(band.draws))
+    slides = (TIME > 3.3) & (np.abs(MOTION) < 0.3)
+    assert np.all(np.abs(band.draws[:, slides]) < 0.3)
+
+
+def test_tested_draws_are_the_device_at_that_level(population):
+    n = 30
+    tested = {name: np.full(n, value) for name, value in MEDIANS.items()}
+    tested |= {"Fc_fwd": np.full(n, 2.6), "start": np.full(n, 0.5), "gamma1": np.ones(n)}
+    told = ask(population, 1.0, tested, kind="device")
+    forward = SLIDING & (np.gradient(MOTION) > 0)
+    assert np.mean(told.median[forward]) == pytest.approx(2.6 + 0.015 * 3.1, rel=0.05)
+    assert "tests at this actuation" in told.source
+    # a new test is another one, whatever was tested
+    new = ask(population, 1.0, tested, kind="new_test")
+    plain = ask(population, 1.0, kind="new_test")
+    np.testing.assert_array_equal(new.draws, plain.draws)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ({"kind": "sometimes"}, "unknown kind 'sometimes'.*device, new_test, observation"),
+        ({"probability": 1.5}, "between 0 and 1, got 1.5"),
+        ({"probability": 0.0}, "between 0 and 1"),
+        ({"probability": float("nan")}, "between 0 and 1"),
+        ({"draws": 3}, "at least 10 draws, got 3"),
+    ],
+)
+def test_a_forecast_that_makes_no_sense_is_refused(fault, words):
+    with pytest.raises(FitError, match=words):
+        Forecast(**fault)
+
+
+def test_a_prediction_needs_an_actuation(population):
+    trace = Trace.from_arrays(TIME, MOTION)
+    with pytest.raises(FitError, match=r"needs the trace's actuation.*ksi"):
+        predict(population, ThreeStage(), NOISE, trace, Forecast())

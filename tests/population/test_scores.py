@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from mfd_bayes.population.scores import PROBABILITIES, crps, rrse, score
+
+
+def normal_crps(mean, sd, y):
+    """Gneiting and Raftery (2007), Eq. 21."""
+    z = (y - mean) / sd
+    return sd * (z * (2 * stats.norm.cdf(z) - 1) + 2 * stats.norm.pdf(z) - 1 / np.sqrt(np.pi))
+
+
+def naive_crps(draws, y):
+    pairs = np.abs(draws[:, None] - draws[None])
+    return np.abs(draws - y).mean(axis=0) - 0.5 * pairs.mean(axis=(0, 1))
+
+
+def test_crps_is_the_closed_form_of_a_normal():
+    draws = np.random.default_rng(1).normal(2.0, 0.5, size=(40000, 5))
+    y = np.array([0.5, 1.8, 2.0, 2.3, 4.0])
+    np.testing.assert_allclose(crps(draws, y), normal_crps(2.0, 0.5, y), atol=0.01)
+    assert np.max(np.abs(crps(draws, y) - normal_crps(2.0, 1.0, y))) > 0.05  # the control
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 60])
+def test_crps_is_that_of_all_pairs(n):
+    rng = np.random.default_rng(n)
+    draws, y = rng.standard_t(3, size=(n, 9)), rng.normal(size=9)
+    np.testing.assert_allclose(crps(draws, y), naive_crps(draws, y), rtol=1e-12, atol=1e-14)
+
+
+def test_crps_of_one_draw_is_its_absolute_error():
+    np.testing.assert_allclose(crps(np.array([[1.0, -2.0]]), np.array([3.0, -2.0])), [2.0, 0.0])
+
+
+def test_crps_does_not_depend_on_the_order_of_draws():
+    rng = np.random.default_rng(4)
+    draws, y = rng.normal(size=(50, 3)), rng.normal(size=3)
+    np.testing.assert_allclose(crps(draws[::-1], y), crps(draws, y), rtol=1e-13)
+
+
+def test_calibrated_draws_cover_as_often_as_they_say():
+    rng = np.random.default_rng(5)
+    centre = np.sin(np.linspace(0, 20, 4000))
+    observed = centre + 0.3 * rng.normal(size=4000)
+    right = score(centre + 0.3 * rng.normal(size=(1000, 4000)), observed)
+    np.testing.assert_allclose(right.coverage, PROBABILITIES, atol=0.03)
+    assert right.width == pytest.approx(2 * 1.96 * 0.3, rel=0.02)
+    narrow = score(centre + 0.1 * rng.normal(size=(1000, 4000)), observed)  # the control
+    assert narrow.coverage[-1] < 0.6
+    assert narrow.crps > right.crps
+
+
+def test_an_exact_prediction_has_no_error():
+    observed = np.sin(np.linspace(0, 6, 50))
+    found = score(np.tile(observed, (20, 1)), observed)
+    assert found.coverage == (1.0, 1.0, 1.0)
+    np.testing.assert_allclose((found.width, found.crps, found.rrse), 0.0, atol=1e-14)
+
+
+def test_rrse_of_the_mean_is_one():
+    observed = np.random.default_rng(6).normal(size=100)
+    assert rrse(np.full(100, observed.mean()), observed) == pytest.approx(1.0)
+    assert rrse(0.5 * (observed + observed.mean()), observed) == pytest.approx(0.5)
+    assert rrse(observed - 3 * observed.std(), observed) == pytest.approx(3.0)

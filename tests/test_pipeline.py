@@ -1,0 +1,563 @@
+"""The whole way: a small synthetic campaign, calibrated once with the installed command."""
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli import app
+from mfd_bayes.demo import Truth, write_campaign
+from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.planning import Options, plan_campaign
+
+COMMAND = Path(sys.executable).parent / "mfd-bayes"
+TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
+HELD_OUT = "p1200_f0.5"
+TIME = np.arange(201) / 50.0
+MOTION = np.sin(np.pi * TIME)
+
+
+def environment():
+    """A user's, who has set no thread counts."""
+    return {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
+
+
+def mfd(*arguments):
+    """Outcome of the installed command."""
+    command = [COMMAND, *map(str, arguments)]
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment(), timeout=300, check=False
+    )
+
+
+def here(*arguments):
+    """Outcome of the command in this process, where warnings are errors."""
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def calibrate(campaign, out, *options):
+    return "calibrate", campaign, "-o", out, "--effort", "quick", *options
+
+
+def refused(outcome, words):
+    assert outcome.exit_code == 2
+    (sentence,) = outcome.stderr.splitlines()
+    assert sentence.startswith("mfd-bayes: ")
+    assert words in sentence
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """Campaign file of three tests and one held out, and what is true of them."""
+    folder = tmp_path_factory.mktemp("campaign")
+    truth = Truth(
+        pressures=(500.0, 1000.0, 1500.0), frequencies=(0.5,), cycles=(2,), held_out=(1200.0, 0.5)
+    )
+    known = write_campaign(folder, 1, truth)
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"'))
+    return path, known
+
+
+@pytest.fixture(scope="module")
+def finished(campaign, tmp_path_factory):
+    """Run folder of the campaign, calibrated in two processes, and what was printed."""
+    out = tmp_path_factory.mktemp("run") / "out"
+    return out, mfd(*calibrate(campaign[0], out, "--jobs", 2))
+
+
+@pytest.fixture(scope="module")
+def out(finished):
+    folder, outcome = finished
+    assert outcome.returncode == 0, outcome.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(out):
+    return mb.open_run(out)
+
+
+@pytest.fixture
+def copied(out, tmp_path):
+    """Copy of the run that a test may spoil."""
+    return Path(shutil.copytree(out, tmp_path / "copy"))
+
+
+def parameters(out):
+    return pd.read_csv(out / "parameters.csv").set_index(["test", "parameter"])
+
+
+def draws_of(path):
+    return mb.open_run(path.parents[2]).tests[path.parent.name].draws
+
+
+# --- what comes out
+
+
+def test_calibrate_says_what_it_does_and_nothing_on_stderr(finished):
+    folder, outcome = finished
+    assert outcome.returncode == 0
+    assert outcome.stderr == ""
+    for test in TESTS:
+        assert f"{test}: done" in outcome.stdout
+    assert f"look next at {folder / 'report.html'}" in outcome.stdout
+    assert "\x1b" not in outcome.stdout  # plain lines where there is no terminal
+
+
+@pytest.mark.parametrize("name", ["k3", "Fc_fwd", "Fc_bwd", "gap", "ell"])
+@pytest.mark.parametrize("test", TESTS)
+def test_the_posterior_finds_the_truth(campaign, run, test, name):
+    known = campaign[1]["tests"][test]
+    draws = run.tests[test].draws
+    if name == "gap":
+        sample, truth = (draws["d2"] + draws["d3"]).to_numpy(), known["d2"] + known["d3"]
+    else:
+        sample, truth = draws[name].to_numpy(), known[name]
+    assert np.median(sample) == pytest.approx(truth, abs=4 * np.std(sample))
+    assert np.median(sample) == pytest.approx(truth, rel=0.15)
+    assert np.std(sample) < 0.15 * truth
+
+
+def test_the_posteriors_tell_the_tests_apart(run):
+    friction = [run.tests[test].draws["Fc_fwd"].to_numpy() for test in TESTS]
+    assert friction[0].max() < friction[1].min()
+    assert friction[1].max() < friction[2].min()
+
+
+@pytest.mark.parametrize("name", ["K_c_fwd", "K_c_bwd"])
+def test_the_laws_find_the_truth(campaign, out, run, name):
+    truth = campaign[1]["population"][name]
+    slope = run.population.slopes[name]
+    low, high = np.quantile(slope, [0.025, 0.975])
+    assert low <= truth <= high or abs(slope.mean() - truth) < 3 * slope.std()
+    assert np.median(slope) == pytest.approx(truth, rel=0.15)
+    row = pd.read_csv(out / "laws.csv").set_index("constant").loc[name]
+    assert row["unit"] == "in^2"
+    assert row["q50"] == pytest.approx(np.median(slope), rel=1e-4)
+
+
+def test_the_sampling_converges(out):
+    checks = pd.read_csv(out / "checks.csv")
+    sampling = checks[checks["check"].isin(["R-hat", "bulk ESS", "tail ESS"])]
+    assert {*TESTS, "population"} == set(sampling["subject"])
+    assert (sampling["verdict"] == "pass").all()
+
+
+def test_the_held_out_test_is_covered_and_was_not_fitted(out, run):
+    scores = pd.read_csv(out / "scores.csv").set_index("test")
+    held = scores.loc[HELD_OUT]
+    assert held["role"] == "validate"
+    assert held["coverage_95"] > 0.8
+    assert held["rrse"] < 0.25
+    assert held["width_95_kip"] < 1.5  # of a force of 4 kip from peak to peak
+    assert set(run.tests) == set(TESTS)
+    assert set(run.held_out) == {HELD_OUT}
+    assert not (out / "tests" / HELD_OUT / "posterior.nc").exists()
+
+
+# --- the run folder
+
+
+def test_every_file_of_the_contract_is_there(out, campaign):
+    names = ("manifest.json", "population.nc", "parameters.csv", "laws.csv", "checks.csv")
+    for name in (*names, "report.html"):
+        assert (out / name).stat().st_size > 0
+    assert (out / "campaign.toml").read_bytes() == campaign[0].read_bytes()
+    assert list((out / "figures").glob("*.png"))
+    for test in TESTS:
+        assert (out / "tests" / test / "posterior.nc").is_file()
+        pictures = {p.stem for p in (out / "tests" / test).glob("*.png")}
+        assert {"loops", "history", "corner", "trace"} <= pictures
+    assert not list(out.rglob("*.part"))
+    assert not list(out.rglob(".*"))
+
+
+def test_the_report_is_one_file_without_network(out):
+    page = (out / "report.html").read_text()
+    for name in (*TESTS, HELD_OUT, "K_c"):
+        assert name in page
+    for call in ('src="http', "src='http", "@import", "<link", "url(http"):
+        assert call not in page
+
+
+def test_parameters_csv_is_table_one_with_uncertainty(out):
+    table = parameters(out)
+    columns = {"unit", "mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat"}
+    assert columns <= set(table.columns)
+    assert set(table.index.get_level_values("test")) == set(TESTS)
+    names = mb.ThreeStage().parameters
+    for test in TESTS:
+        assert set(names) <= set(table.loc[test].index)
+        assert list(table.loc[test].index[: len(names)]) == list(names)  # in the paper's order
+    assert (table["q2.5"] <= table["q50"]).all()
+    assert (table["q50"] <= table["q97.5"]).all()
+    assert (table["sd"] > 0).all()
+    sampled = table.dropna(subset=["r_hat"])
+    assert (sampled["ess_bulk"] > 50).all()
+    assert table.loc[(TESTS[0], "k3"), "unit"] == "kip/in"
+
+
+def test_the_table_is_that_of_the_draws(out, run):
+    table = parameters(out)
+    for name in ("Fs_bwd", "k3", "gamma2", "noise_sd"):
+        draws = run.tests[TESTS[1]].draws[name].to_numpy()
+        row = table.loc[(TESTS[1], name)]
+        assert row["mean"] == pytest.approx(draws.mean(), rel=1e-5)
+        assert row["q97.5"] == pytest.approx(np.quantile(draws, 0.975), rel=1e-5)
+
+
+def test_the_manifest_says_how_it_came_about(out, campaign):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    manifest = json.loads((out / "manifest.json").read_text(), parse_constant=refuse)
+    assert manifest["status"] == "finished"
+    assert manifest["seed"] == 1
+    assert manifest["effort"]["name"] == "quick"
+    assert manifest["versions"]["mfd_bayes"] == mb.__version__
+    assert {"python", "numpy", "scipy", "emcee", "arviz"} <= set(manifest["versions"])
+    assert manifest["platform"]
+    assert manifest["settings"]["rate"] == 50.0
+    assert manifest["settings"]["model"] == "three_stage"
+    folder = campaign[0].parent
+    for file in ("campaign.toml", *(f"{test}.csv" for test in (*TESTS, HELD_OUT))):
+        digest = hashlib.sha256((folder / file).read_bytes()).hexdigest()
+        assert digest in manifest["inputs"].values()
+    assert manifest["seconds"] > 0
+    for test in TESTS:
+        assert manifest["tests"][test]["status"] == "done"
+        assert manifest["tests"][test]["seconds"] > 0
+    assert manifest["command"].startswith("mfd-bayes calibrate")
+
+
+# --- the run in Python
+
+
+def test_arviz_reads_the_draws(run, out):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz as az
+    draws = run.tests[TESTS[0]].draws
+    summary = az.summary(draws)
+    assert set(mb.ThreeStage().parameters) <= set(summary.index)
+    assert draws["k3"].dims == ("chain", "draw")
+    assert draws.sizes["chain"] >= 4
+    assert (draws["k3"].attrs["units"], draws["v_s"].attrs["units"]) == ("kip/in", "in/s")
+    data = az.from_netcdf(out / "tests" / TESTS[0] / "posterior.nc")
+    for group in ("posterior", "sample_stats", "observed_data", "posterior_predictive"):
+        assert group in data.groups()
+    assert {"lp", "log_prior", "log_likelihood"} <= set(data.sample_stats.data_vars)
+    assert data.posterior_predictive["force"].dims == ("chain", "draw", "time")
+
+
+def test_what_holds_by_construction_holds_in_the_draws(run):
+    draws = run.tests[TESTS[2]].draws
+    assert bool((draws["Fs_fwd"] >= draws["Fc_fwd"]).all())
+    assert bool((draws["Fs_bwd"] >= draws["Fc_bwd"]).all())
+    np.testing.assert_allclose(draws["gamma2"], draws["ell"] * draws["gamma1"], rtol=1e-12)
+
+
+def test_the_population_holds_laws_and_scatter(run):
+    population = run.population
+    assert {"K_c_fwd", "K_c_bwd", "K_s_fwd", "K_s_bwd"} <= set(population.slopes)
+    assert {"alpha_sigma0", "sigma0_0"} <= set(population.slopes)
+    assert {"friction", "stiffness", "travel"} <= set(population.scatters)
+    assert all(np.all(tau > 0) for tau in population.scatters.values())
+    assert population.law_weights["Fc_fwd"] == {"proportional": 1.0}
+    assert population.law_weights["sigma0"] == {"affine": 1.0}
+
+
+def predicted(run, actuation, **options):
+    trace = mb.Trace.from_arrays(TIME, MOTION, actuation=actuation)
+    return run.predict(trace, draws=300, **options)
+
+
+@pytest.mark.parametrize("actuation", [1.0, 0.7], ids=["tested", "untested"])
+def test_the_kinds_of_prediction_are_nested(run, actuation):
+    kinds = ("device", "new_test", "observation")
+    bands = [predicted(run, actuation, kind=kind) for kind in kinds]
+    for kind, band in zip(kinds, bands, strict=True):
+        assert isinstance(band, mb.Band)
+        assert (band.kind, band.probability) == (kind, 0.95)
+        assert band.draws.shape == (300, TIME.size)
+        assert band.lower.shape == band.median.shape == band.upper.shape == TIME.shape
+        assert np.all(np.isfinite(band.draws))
+    device, new_test, observation = (np.mean(band.upper - band.lower) for band in bands)
+    assert device < new_test < observation
+
+
+def test_a_prediction_is_the_same_for_the_same_seed(run):
+    first, again, other = (predicted(run, 0.7, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.draws, again.draws)
+    assert np.any(first.draws != other.draws)
+    half = predicted(run, 0.7, seed=1, probability=0.5)
+    assert np.mean(half.upper - half.lower) < 0.6 * np.mean(first.upper - first.lower)
+
+
+def test_a_prediction_follows_the_actuation(campaign, run):
+    slope = campaign[1]["population"]["K_c_fwd"]
+    forward = (TIME > 1.8) & (TIME < 2.2)
+    for level in (0.6, 1.4):
+        force = predicted(run, level).median[forward].mean()
+        assert force == pytest.approx(slope * level, rel=0.2)
+
+
+def test_a_history_of_actuation_is_followed(run):
+    history = np.where(TIME < 2.0, 0.5, 1.5)
+    band = predicted(run, history)
+    early, late = (TIME > 1.9) & (TIME < 2.0), (TIME > 2.05) & (TIME < 2.2)
+    assert band.median[late].mean() > 2 * band.median[early].mean()
+
+
+def test_without_actuation_there_is_no_prediction(run):
+    with pytest.raises(FitError, match="actuation"):
+        run.predict(mb.Trace.from_arrays(TIME, MOTION))
+
+
+# --- the other commands
+
+
+def test_report_remakes_the_report_without_sampling(copied):
+    stored = copied / "tests" / TESTS[0] / "posterior.nc"
+    before = stored.stat().st_mtime_ns, hashlib.sha256(stored.read_bytes()).hexdigest()
+    tables = {n: (copied / n).read_bytes() for n in ("parameters.csv", "laws.csv", "checks.csv")}
+    (copied / "report.html").unlink()
+    shutil.rmtree(copied / "figures")
+    outcome = here("report", copied)
+    assert outcome.exit_code == 0, outcome.output
+    assert (copied / "report.html").stat().st_size > 10_000
+    assert list((copied / "figures").glob("*.png"))
+    for name, content in tables.items():
+        assert (copied / name).read_bytes() == content
+    after = stored.stat().st_mtime_ns, hashlib.sha256(stored.read_bytes()).hexdigest()
+    assert after == before
+
+
+@pytest.fixture
+def motion(tmp_path):
+    path = tmp_path / "quake.csv"
+    table = np.column_stack([TIME, MOTION])
+    np.savetxt(path, table, delimiter=",", header="time_s,displacement_in", comments="")
+    return path
+
+
+def test_predict_writes_a_table_and_a_picture(out, motion, tmp_path):
+    bands = tmp_path / "new" / "bands.csv"
+    outcome = here("predict", out, "--motion", motion, "--actuation", "700 psi", "-o", bands)
+    assert outcome.exit_code == 0, outcome.output
+    assert "new_test" in outcome.stdout
+    assert "95 %" in outcome.stdout
+    table = pd.read_csv(bands, comment="#")
+    columns = ["time_s", "displacement_in", "lower_kip", "median_kip", "upper_kip"]
+    assert list(table.columns) == columns
+    assert (table["lower_kip"] <= table["median_kip"]).all()
+    assert (table["median_kip"] <= table["upper_kip"]).all()
+    np.testing.assert_allclose(np.interp(table["time_s"], TIME, MOTION), table["displacement_in"])
+    head = bands.read_text().splitlines()[0]
+    assert head.startswith("#")
+    assert "95 %" in head
+    assert "new_test" in head
+    assert bands.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--actuation", "30 lbf"), "must be a pressure"),
+        (("--actuation", "30 in"), "pressure"),
+        (("--actuation", "1000"), "no unit"),
+        (("--actuation", "-5 psi"), "negative"),
+        (("--actuation", "1 ksi", "--probability", "1.5"), "between 0 and 1, got 1.5"),
+        (("--actuation", "1 ksi", "--probability", "0"), "between 0 and 1"),
+        (("--actuation", "1 ksi", "--probability", "nan"), "between 0 and 1"),
+    ],
+)
+def test_a_prediction_that_makes_no_sense_is_refused(out, motion, tmp_path, options, words):
+    bands = tmp_path / "bands.csv"
+    refused(here("predict", out, "--motion", motion, "-o", bands, *options), words)
+    assert not bands.exists()
+
+
+def test_an_unknown_kind_is_refused_with_those_there_are(out, motion, tmp_path):
+    bands = tmp_path / "bands.csv"
+    arguments = ("--motion", motion, "--actuation", "1 ksi", "-o", bands, "--kind", "maybe")
+    outcome = here("predict", out, *arguments)
+    assert outcome.exit_code == 2
+    assert "observation" in outcome.stderr
+    assert not bands.exists()
+
+
+def test_a_motion_that_cannot_be_read_is_refused(out, tmp_path):
+    bands = tmp_path / "bands.csv"
+    ask = ("--actuation", "1 ksi", "-o", bands)
+    refused(here("predict", out, "--motion", tmp_path / "no.csv", *ask), "no.csv")
+    (tmp_path / "text.csv").write_text("time_s,displacement_in\n0,0\n0.1,a\n")
+    refused(here("predict", out, "--motion", tmp_path / "text.csv", *ask), "line 3")
+    assert not bands.exists()
+
+
+def test_bands_are_not_lost_under_their_own_picture(out, motion, tmp_path):
+    bands = tmp_path / "bands.png"
+    outcome = here("predict", out, "--motion", motion, "--actuation", "1 ksi", "-o", bands)
+    refused(outcome, "bands.png")
+
+
+def test_bands_that_cannot_be_written_are_refused(out, motion, tmp_path):
+    (tmp_path / "file").write_text("")
+    ask = ("--motion", motion, "--actuation", "1 ksi", "-o", tmp_path / "file" / "bands.csv")
+    refused(here("predict", out, *ask), "bands.csv")
+
+
+def test_check_exits_by_the_verdicts(out):
+    failed = (pd.read_csv(out / "checks.csv")["verdict"] == "fail").any()
+    outcome = here("check", out)
+    assert outcome.exit_code == (1 if failed else 0), outcome.output
+    assert "R-hat" in outcome.stdout
+
+
+def test_check_fails_where_a_limit_is_not_kept(copied):
+    manifest = json.loads((copied / "manifest.json").read_text())
+    manifest["effort"]["ess"] = 1e9
+    (copied / "manifest.json").write_text(json.dumps(manifest))
+    outcome = here("check", copied)
+    assert outcome.exit_code == 1
+    assert "do not use these figures" in outcome.stdout
+
+
+# --- stopping and going on
+
+
+def test_resuming_a_finished_run_keeps_its_draws(campaign, copied):
+    files = [copied / "tests" / test / "posterior.nc" for test in TESTS]
+    before = [file.stat().st_mtime_ns for file in files]
+    outcome = here(*calibrate(campaign[0], copied, "--resume"))
+    assert outcome.exit_code == 0, outcome.output
+    assert "sampling" not in outcome.stdout
+    assert [file.stat().st_mtime_ns for file in files] == before
+    manifest = json.loads((copied / "manifest.json").read_text())
+    assert manifest["status"] == "finished"
+    assert (copied / "laws.csv").read_bytes()
+
+
+def test_an_existing_run_is_refused_and_kept(campaign, copied):
+    before = (copied / "manifest.json").read_bytes()
+    outcome = here(*calibrate(campaign[0], copied))
+    refused(outcome, "--resume")
+    assert "--force" in outcome.stderr
+    assert (copied / "manifest.json").read_bytes() == before
+
+
+def test_another_seed_cannot_resume(campaign, copied):
+    before = (copied / "manifest.json").read_bytes()
+    refused(here(*calibrate(campaign[0], copied, "--resume", "--seed", 2)), "seed")
+    assert (copied / "manifest.json").read_bytes() == before
+
+
+def test_another_record_cannot_resume(campaign, copied, tmp_path):
+    folder = shutil.copytree(campaign[0].parent, tmp_path / "campaign")
+    with (folder / f"{TESTS[0]}.csv").open("a") as file:
+        file.write("4.01,0.0,0.0\n")
+    outcome = here(*calibrate(folder / "campaign.toml", copied, "--resume"))
+    refused(outcome, f"{TESTS[0]}.csv")
+
+
+def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
+    """Replace a run, interrupt that, give back what could be finished by then, and go on."""
+    (copied / "mine.txt").write_text("keep me")
+    command = [COMMAND, *map(str, calibrate(campaign[0], copied, "--force", "--jobs", 2))]
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment() | {"PYTHONUNBUFFERED": "1"},
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    seen = []
+    for line in process.stdout:
+        seen.append(line)
+        if "sampling" in line:
+            break
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
+    began = time.monotonic()
+    printed, complaint = process.communicate(timeout=30)
+    assert process.returncode == 130, (seen, printed, complaint)
+    assert time.monotonic() - began < 20
+    (sentence,) = complaint.splitlines()
+    assert sentence.startswith("mfd-bayes: interrupted")
+    assert "--resume" in sentence
+    # --force has removed what the run had written, and only that
+    assert not (copied / "report.html").exists()
+    assert not (copied / "parameters.csv").exists()
+    assert not list(copied.rglob("posterior.nc"))
+    assert (copied / "mine.txt").read_text() == "keep me"
+    assert json.loads((copied / "manifest.json").read_text())["status"] == "running"
+    refused(here("report", copied), "not finished")
+    with pytest.raises(StoreError, match="--resume"):
+        mb.open_run(copied)
+
+    for test in TESTS[:2]:
+        home = copied / "tests" / test
+        home.mkdir(parents=True, exist_ok=True)
+        shutil.copy(out / "tests" / test / "posterior.nc", home)
+    outcome = mfd(*calibrate(campaign[0], copied, "--resume", "--jobs", 1))
+    assert outcome.returncode == 0, outcome.stderr
+    assert f"{TESTS[2]}: done" in outcome.stdout
+    assert f"{TESTS[0]}: " not in outcome.stdout
+    # one process here, two there; the draws are the same to the bit, and so is what follows
+    first, again = (draws_of(f / "tests" / TESTS[2] / "posterior.nc") for f in (out, copied))
+    assert first.data_vars.keys() == again.data_vars.keys()
+    for name in first.data_vars:
+        np.testing.assert_array_equal(first[name], again[name], err_msg=str(name))
+    for table in ("parameters.csv", "laws.csv", "checks.csv"):
+        assert (copied / table).read_bytes() == (out / table).read_bytes()
+
+
+def test_a_damaged_posterior_is_named(copied):
+    damaged = copied / "tests" / TESTS[1] / "posterior.nc"
+    damaged.write_bytes(damaged.read_bytes()[:5000])
+    refused(here("check", copied), str(damaged))
+    damaged.unlink()
+    refused(here("check", copied), str(damaged))
+
+
+# --- the plan
+
+
+def test_every_input_has_its_hash_even_if_names_repeat(campaign, tmp_path):
+    folder = campaign[0].parent
+    for place, test in (("a", TESTS[0]), ("b", TESTS[1])):
+        (tmp_path / place).mkdir()
+        shutil.copy(folder / f"{test}.csv", tmp_path / place / "test.csv")
+    head = campaign[0].read_text().split("[[test]]")[0]
+    entry = '[[test]]\nid = "{0}"\nfile = "{0}/test.csv"\nactuation = "500 psi"\n'
+    path = tmp_path / "campaign.toml"
+    path.write_text(head + entry.format("a") + entry.format("b"))
+    plan = plan_campaign(path, Options(effort="quick"))
+    for place in ("a", "b"):
+        digest = hashlib.sha256((tmp_path / place / "test.csv").read_bytes()).hexdigest()
+        assert digest in plan.manifest["inputs"].values()
+
+
+def test_a_tests_seed_does_not_depend_on_its_neighbours(campaign, tmp_path):
+    folder = shutil.copytree(campaign[0].parent, tmp_path / "campaign")
+    head, *entries = (folder / "campaign.toml").read_text().split("[[test]]")
+    (folder / "less.toml").write_text(f"{head}[[test]]{entries[2]}")
+    whole = plan_campaign(folder / "campaign.toml", Options()).tasks
+    (alone,) = plan_campaign(folder / "less.toml", Options()).tasks
+    assert (alone.id, alone.seed) == (whole[2].id, whole[2].seed)
+    assert len({task.seed for task in whole}) == 3
