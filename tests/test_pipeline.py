@@ -17,6 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
+from mfd_bayes import calibrating
 from mfd_bayes.cli import app
 from mfd_bayes.demo import Truth, write_campaign
 from mfd_bayes.errors import FitError, StoreError
@@ -187,9 +188,9 @@ def test_every_file_of_the_contract_is_there(out, campaign):
 
 def test_the_report_is_one_file_without_network(out):
     page = (out / "report.html").read_text()
-    for name in (*TESTS, HELD_OUT, "K_c"):
+    for name in (*TESTS, HELD_OUT, "K<sub>c,fwd</sub>", "k3", "Provenance"):
         assert name in page
-    for call in ('src="http', "src='http", "@import", "<link", "url(http"):
+    for call in ('src="http', "src='http", "@import", "stylesheet", "url(http"):
         assert call not in page
 
 
@@ -443,13 +444,14 @@ def test_check_fails_where_a_limit_is_not_kept(copied):
 def test_resuming_a_finished_run_keeps_its_draws(campaign, copied):
     files = [copied / "tests" / test / "posterior.nc" for test in TESTS]
     before = [file.stat().st_mtime_ns for file in files]
-    outcome = here(*calibrate(campaign[0], copied, "--resume"))
-    assert outcome.exit_code == 0, outcome.output
-    assert "sampling" not in outcome.stdout
+    steps = []
+    run = calibrating.calibrate(
+        campaign[0], copied, Options(effort="quick", resume=True), steps.append
+    )
+    assert steps == []
     assert [file.stat().st_mtime_ns for file in files] == before
-    manifest = json.loads((copied / "manifest.json").read_text())
-    assert manifest["status"] == "finished"
-    assert (copied / "laws.csv").read_bytes()
+    assert run.manifest["status"] == "finished"
+    assert set(mb.open_run(copied).tests) == set(TESTS)
 
 
 def test_an_existing_run_is_refused_and_kept(campaign, copied):
@@ -474,25 +476,45 @@ def test_another_record_cannot_resume(campaign, copied, tmp_path):
     refused(outcome, f"{TESTS[0]}.csv")
 
 
-def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
-    """Replace a run, interrupt that, give back what could be finished by then, and go on."""
-    (copied / "mine.txt").write_text("keep me")
-    command = [COMMAND, *map(str, calibrate(campaign[0], copied, "--force", "--jobs", 2))]
-    process = subprocess.Popen(
-        command,
+def start(*arguments):
+    """Start the installed command as a terminal does, in a process group of its own."""
+    return subprocess.Popen(
+        [COMMAND, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env=environment() | {"PYTHONUNBUFFERED": "1"},
         start_new_session=True,
     )
+
+
+@pytest.mark.parametrize("wait", [0.05, 0.12])
+def test_an_interrupt_while_processes_start_is_one_sentence_too(campaign, tmp_path, wait):
+    out = tmp_path / "out"
+    process = start(*calibrate(campaign[0], out, "--jobs", 2))
+    last = out / "tests" / HELD_OUT / "record.nc"  # is written just before
+    while process.poll() is None and not last.exists():
+        time.sleep(0.01)
+    time.sleep(wait)  # Python starts in the new processes
+    os.killpg(process.pid, signal.SIGINT)
+    _, complaint = process.communicate(timeout=30)
+    assert process.returncode == 130
+    (sentence,) = complaint.splitlines()
+    assert sentence.startswith("mfd-bayes: interrupted")
+
+
+def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
+    """Replace a run, interrupt that, give back what could be finished by then, and go on."""
+    (copied / "mine.txt").write_text("keep me")
+    process = start(*calibrate(campaign[0], copied, "--force", "--jobs", 2))
     assert process.stdout is not None
     seen = []
     for line in process.stdout:
         seen.append(line)
-        if "sampling" in line:
+        if "finding modes" in line and len(seen) == 2:
             break
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)
     began = time.monotonic()
     printed, complaint = process.communicate(timeout=30)
     assert process.returncode == 130, (seen, printed, complaint)

@@ -190,15 +190,11 @@ def test_a_truncated_file_is_named(tmp_path, read, share):
         read(path)
 
 
-@READERS
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # h5netcdf's close
-@pytest.mark.parametrize("twentieth", range(20))
+@pytest.mark.parametrize("read", [load_test, load_arrays])
+@pytest.mark.parametrize("twentieth", [1, 8])
 def test_a_file_with_a_damaged_part_is_named_or_still_read(tmp_path, read, twentieth):
-    path = tmp_path / "posterior.nc"
-    if read is load_trace:
-        save_trace(path, TRACE, FACTS)
-    else:
-        save(path)
+    path = save(tmp_path / "posterior.nc")
     content = bytearray(path.read_bytes())
     begin, end = (len(content) * k // 20 for k in (twentieth, twentieth + 1))
     content[begin:end] = b"\xff" * (end - begin)

@@ -141,9 +141,7 @@ def test_draws_at_irregular_times_are_white_once_their_memory_is_removed():
 
 def test_draws_follow_their_own_values_and_the_seed():
     values = {"noise_sd": np.array([0.01, 10.0]), "noise_time": np.array([0.05, 0.05])}
-    first, again = (
-        NOISES["ou"].draw(np.random.default_rng(5), UNIFORM, values) for _ in range(2)
-    )
+    first, again = (NOISES["ou"].draw(np.random.default_rng(5), UNIFORM, values) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     assert first.shape == (2, UNIFORM.size)
     assert first[1].std() > 100 * first[0].std()

@@ -32,7 +32,7 @@ def run(moves, *, seed=0, steps=STEPS, begin=None):
         begin = MEAN + rng.normal(size=(total, DIM)) @ FACTOR.T
     weighted = [(Apart(move, ENSEMBLES), weight) for move, weight in moves]
     sampler = emcee.EnsembleSampler(total, DIM, log_density, moves=weighted, vectorize=True)
-    state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())  # noqa: NPY002
+    state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())
     sampler.run_mcmc(state, steps)
     chain = sampler.get_chain().reshape(steps, ENSEMBLES, WALKERS, DIM)
     return np.swapaxes(chain, 0, 1), np.mean(sampler.acceptance_fraction)

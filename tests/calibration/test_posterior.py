@@ -177,7 +177,9 @@ def test_gamma1_is_not_sampled_but_keeps_its_prior():
 def test_static_friction_is_at_least_kinetic_for_every_coordinate():
     posterior = build()
     q = 5 * np.random.default_rng(4).normal(size=(500, posterior.dim))
-    columns = dict(zip(ThreeStage().parameters, posterior.theta(posterior.values(q)).T, strict=True))
+    columns = dict(
+        zip(ThreeStage().parameters, posterior.theta(posterior.values(q)).T, strict=True)
+    )
     for side in ("fwd", "bwd"):
         assert np.all(columns[f"Fs_{side}"] >= columns[f"Fc_{side}"])
 

@@ -1,3 +1,4 @@
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ CASES = {
     "half_normal": (Prior("half_normal", {"sd": 0.3}), stats.halfnorm(scale=0.3)),
     "uniform": (Prior("uniform", {"lower": 0.2, "upper": 3.0}), stats.uniform(0.2, 2.8)),
     "gamma": (Prior("gamma", {"shape": 2.0, "scale": 0.1}), stats.gamma(2.0, scale=0.1)),
+    "beta": (Prior("beta", {"a": 2.0, "b": 5.0}), stats.beta(2.0, 5.0)),
     "gamma, spiked at zero": (
         Prior("gamma", {"shape": 0.5, "scale": 3.0}),
         stats.gamma(0.5, scale=3.0),
@@ -65,10 +67,13 @@ def test_density_of_the_coordinate_integrates_to_one(prior, law):
     ends = np.sort(prior.coordinate(law.ppf([1e-9, 0.5, 1 - 1e-9])))
     low, middle, high = ends
     pieces = np.concatenate(
-        [np.linspace(3 * low - 2 * middle, middle, 40), np.linspace(middle, 3 * high - 2 * middle, 40)]
+        [
+            np.linspace(3 * low - 2 * middle, middle, 40),
+            np.linspace(middle, 3 * high - 2 * middle, 40),
+        ]
     )
     mass = 0.0
-    for a, b in zip(pieces, pieces[1:], strict=False):
+    for a, b in itertools.pairwise(pieces):
         mass += integrate.fixed_quad(lambda q: np.exp(prior.log_density(q)), a, b, n=20)[0]
     assert mass == pytest.approx(1.0, abs=1e-6)
 
@@ -111,6 +116,7 @@ def test_far_coordinates_have_low_density_and_no_nan(prior, law, far):
         ("lognormal", {"median": -1.0, "spread": 0.5}, "median must be positive"),
         ("normal", {"mean": 0.0, "sd": 0.0}, "sd must be positive"),
         ("gamma", {"shape": 0.0, "scale": 1.0}, "shape must be positive"),
+        ("beta", {"a": 2.0, "b": 0.0}, "b must be positive"),
         ("uniform", {"lower": 1.0, "upper": 1.0}, "upper must be above lower"),
         ("truncated_normal", {"mean": 0.0, "sd": 1.0}, "lower"),
         ("half_normal", {"sd": np.nan}, "sd"),

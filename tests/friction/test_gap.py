@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -31,7 +32,7 @@ def literal(u, side, slip, ell=ELL):
 
 def legs(*corners, samples=11):
     """Trace that goes straight from corner to corner."""
-    pieces = [np.linspace(a, b, samples)[1:] for a, b in zip(corners, corners[1:], strict=False)]
+    pieces = [np.linspace(a, b, samples)[1:] for a, b in itertools.pairwise(corners)]
     motion = np.concatenate([[corners[0]], *pieces])
     return Trace.from_arrays(0.01 * np.arange(motion.size), motion)
 

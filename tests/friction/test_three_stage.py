@@ -266,7 +266,7 @@ def motions(draw):
     return Sines(*terms)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 @given(vector=dampers(), motion=motions(), start=st.floats(0, 1))
 def test_force_is_continuous_in_time(vector, motion, start):
     # a jump does not shrink with the step; the force of a smooth motion does, in proportion
@@ -410,7 +410,7 @@ def test_friction_follows_the_actuation():
     vector = theta(sigma2=0.0, Fs_fwd=2.0, Fs_bwd=1.5)  # at the mean actuation
     force = MODEL.force(vector, history)[0]
     mean = history.reference_actuation
-    deep = np.abs(trace.velocity) > 2.9  # in full slip, past the build-up
+    deep = (np.abs(trace.velocity) > 2.9) & (trace.displacement * trace.velocity > 0)  # full slip
     for part, level in ((trace.time > 5, 2.0), ((trace.time > 1) & ~late, 1.0)):
         slip = force[part & deep]
         np.testing.assert_allclose(slip[slip > 0], 2.0 * level / mean, rtol=1e-3)
@@ -422,7 +422,8 @@ def test_given_scales_replace_the_proportional_law():
     late = np.where(trace.time >= 4.0, 3.0, 1.0)[None]
     vector = theta(sigma2=0.0, Fs_fwd=2.0, Fs_bwd=1.5)
     force = MODEL.force(vector, trace, scales={"Fs_fwd": late, "Fc_fwd": late})[0]
-    slip = force[(trace.time > 5) & (np.abs(trace.velocity) > 2.9)]
+    deep = (np.abs(trace.velocity) > 2.9) & (trace.displacement * trace.velocity > 0)  # full slip
+    slip = force[(trace.time > 5) & deep]
     np.testing.assert_allclose(slip[slip > 0], 6.0, rtol=1e-3)
     np.testing.assert_allclose(slip[slip < 0], -1.5, rtol=1e-3)
     # none at all switches the law off

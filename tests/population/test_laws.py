@@ -45,7 +45,9 @@ def test_a_falling_power_law_overflows_nowhere():
     assert found[0, 1] == pytest.approx(0.5**-1.5)
 
 
-@pytest.mark.parametrize(("name", "shape"), [("proportional", 0.0), ("affine", 0.4), ("power", 0.6)])
+@pytest.mark.parametrize(
+    ("name", "shape"), [("proportional", 0.0), ("affine", 0.4), ("power", 0.6)]
+)
 def test_laws_rise_with_the_actuation(name, shape):
     values = LAWS[name].ratio(np.linspace(0, 4, 101), np.array(shape))
     assert np.all(np.diff(values) > 0)

@@ -42,7 +42,9 @@ def test_a_population_comes_back_bit_by_bit(tmp_path, priors, population):
     for name, shape in population.shapes.items():
         np.testing.assert_array_equal(back.shapes[name], shape)
     for name in Pooling.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(back.pooling, name), getattr(population.pooling, name))
+        np.testing.assert_array_equal(
+            getattr(back.pooling, name), getattr(population.pooling, name)
+        )
     for name in Convergence.__dataclass_fields__:
         expected = getattr(population.convergence, name)
         np.testing.assert_array_equal(getattr(back.convergence, name), expected)
