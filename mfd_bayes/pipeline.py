@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.assessment import assess, fails
-from mfd_bayes.calibrate_test import Step
-from mfd_bayes.calibrating import calibrate, discard
+from mfd_bayes.task import Step
+from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign import load_campaign
 from mfd_bayes.demo import write_campaign
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.inspection import Inspection, inspect_record, inspect_test, prior_fan, share_inside
-from mfd_bayes.planning import Options, Plan, plan_campaign
+from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace

@@ -17,11 +17,11 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes import calibrating
+from mfd_bayes import execution
 from mfd_bayes.cli import app
 from mfd_bayes.demo import Truth, write_campaign
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.planning import Options, plan_campaign
+from mfd_bayes.plan import Options, plan_campaign
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
@@ -445,7 +445,7 @@ def test_resuming_a_finished_run_keeps_its_draws(campaign, copied):
     files = [copied / "tests" / test / "posterior.nc" for test in TESTS]
     before = [file.stat().st_mtime_ns for file in files]
     steps = []
-    run = calibrating.calibrate(
+    run = execution.calibrate(
         campaign[0], copied, Options(effort="quick", resume=True), steps.append
     )
     assert steps == []

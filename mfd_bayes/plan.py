@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibrate_test import Task
+from mfd_bayes.task import Task
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.sampling import find_effort

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibrate_test import Outcome, Step, Task, calibrate_test
+from mfd_bayes.task import Outcome, Step, Task, calibrate_test
 from mfd_bayes.calibration.sampling import find_effort
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.planning import Options, Plan, plan_campaign
+from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.hierarchy import infer, pool, summarize
 from mfd_bayes.population.storage import save_population
 from mfd_bayes.run import Run, TestResult, load_result
