@@ -6,16 +6,18 @@ import json
 import multiprocessing
 import os
 import shutil
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mfd_bayes.task import Outcome, Step, Task, calibrate_test
 from mfd_bayes.calibration.sampling import find_effort
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.plan import Options, Plan, plan_campaign
@@ -23,6 +25,7 @@ from mfd_bayes.population.hierarchy import infer, pool, summarize
 from mfd_bayes.population.storage import save_population
 from mfd_bayes.run import Run, TestResult, load_result
 from mfd_bayes.store import MANIFEST, read_json, save_trace, write_bytes, write_json
+from mfd_bayes.task import Outcome, Step, Task, calibrate_test
 
 Observe = Callable[[Step], None]
 
@@ -74,8 +77,8 @@ def calibrate(
         write_json(out / MANIFEST, manifest)
     for task in plan.tasks:
         if task not in todo:
-            manifest["tests"][task.id] |= {"status": "done"}
-    manifest["seconds"] = time.perf_counter() - began
+            manifest["tests"][task.id]["status"] = "done"
+    manifest["seconds"] = manifest.get("seconds", 0.0) + time.perf_counter() - began
     return _pool_tests(plan, out, options)
 
 
@@ -120,9 +123,14 @@ def _pool_tests(plan: Plan, out: Path, options: Options) -> Run:
 
 def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
     """Make the folder, or check that it may be finished or replaced."""
-    if not out.exists() or _is_free(plan, out):
-        out.mkdir(parents=True, exist_ok=True)
-        return
+    if options.resume and options.force:
+        raise StoreError("give either --resume or --force, not both")
+    try:
+        if not out.exists() or _is_free(plan, out):
+            out.mkdir(parents=True, exist_ok=True)
+            return
+    except OSError as error:
+        raise StoreError(f"cannot make the run folder {out}: {error.strerror}") from error
     if not (options.resume or options.force):
         raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
     if options.force:
@@ -136,6 +144,18 @@ def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
                 f"{out} cannot be resumed: {key}{changed} changed since it was started; "
                 "give --force to start again"
             )
+    for part in out.rglob(".*.part"):  # what a killed process was writing
+        part.unlink(missing_ok=True)
+    _keep(plan.manifest, before)
+
+
+def _keep(manifest: dict[str, Any], before: dict[str, Any]) -> None:
+    """Take over from an earlier session what this one will not find out again."""
+    manifest |= {key: before[key] for key in ("truth", "started") if key in before}
+    manifest["seconds"] = before.get("seconds") or 0.0
+    for name, entry in before.get("tests", {}).items():
+        if entry.get("status") == "done":
+            manifest["tests"][name] |= entry
 
 
 def _is_free(plan: Plan, out: Path) -> bool:
@@ -181,9 +201,11 @@ def _run_tasks(
     for name in _THREADS:  # read by numpy when a process starts
         os.environ.setdefault(name, "1")
     context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager, ProcessPoolExecutor(jobs, mp_context=context) as pool_:
-        steps = manager.Queue()
-        waiting = {pool_.submit(calibrate_test, task, out, steps.put) for task in tasks}
+    with ExitStack() as stack:
+        with _deaf():
+            steps = stack.enter_context(context.Manager()).Queue()
+            pool_ = stack.enter_context(ProcessPoolExecutor(jobs, mp_context=context))
+            waiting = {pool_.submit(calibrate_test, task, out, steps.put) for task in tasks}
         try:
             while waiting:
                 done, waiting = wait(waiting, timeout=0.2)
@@ -196,3 +218,16 @@ def _run_tasks(
                 process.terminate()
             pool_.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Ignore Ctrl-C while processes start, which inherit that: this one is to stop them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

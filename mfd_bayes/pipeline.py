@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.assessment import assess, fails
-from mfd_bayes.task import Step
-from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign import load_campaign
 from mfd_bayes.demo import write_campaign
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
+from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.inspection import Inspection, inspect_record, inspect_test, prior_fan, share_inside
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band
@@ -22,6 +21,7 @@ from mfd_bayes.reporting.tables import checks_csv, laws_csv, parameters_csv, sco
 from mfd_bayes.reporting.views import CampaignView, Check, Fan, Interval
 from mfd_bayes.run import open_run
 from mfd_bayes.store import write_atomically, write_bytes, write_text
+from mfd_bayes.task import Step
 from mfd_bayes.units import parse_actuation
 
 __all__ = [
@@ -142,6 +142,10 @@ def predict(out: Path, question: Question) -> Band:
     MfdError
         When the run, the motion, the actuation, the kind or the probability cannot be used.
     """
+    if question.bands.suffix.lower() == ".png":
+        raise StoreError(
+            f"{question.bands} must not end in .png: the picture goes beside the table"
+        )
     run = open_run(out)
     level, unit = parse_actuation(question.actuation, of="--actuation")
     if unit != run.actuation_unit:

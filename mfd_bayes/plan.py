@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.task import Task
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.sampling import find_effort
@@ -21,6 +20,7 @@ from mfd_bayes.campaign import Campaign, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.population.hierarchy import pool
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.task import Task
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -87,7 +87,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     inputs[priors.path.name] = _sha256(priors.path)
     for test in campaign.tests:
         traces[test.id], rates[test.id] = _read(campaign, priors, test)
-        inputs[test.path.name] = _sha256(test.path)
+        inputs[test.path.relative_to(campaign.folder).as_posix()] = _sha256(test.path)
     tasks = tuple(
         _task(campaign, priors, test, traces[test.id], options)
         for test in campaign.tests

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import RecordError, StoreError
 from mfd_bayes.records.trace import Trace
 
 if TYPE_CHECKING:
@@ -95,10 +96,10 @@ def _plain(content: object) -> object:
         return {str(key): _plain(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
         return [_plain(value) for value in content]
-    if isinstance(content, float | np.floating):
-        return float(content) if np.isfinite(content) else None
-    if isinstance(content, np.integer):
-        return int(content)
+    if isinstance(content, np.ndarray | np.generic):
+        return _plain(content.tolist())
+    if isinstance(content, float):
+        return content if np.isfinite(content) else None
     return str(content) if isinstance(content, Path) else content
 
 
@@ -176,14 +177,16 @@ def load_test(path: Path) -> StoredTest:
     StoreError
         When the file is missing or is no such file.
     """
-    groups = _read_groups(path, ("posterior", "sample_stats", "observed_data", "constant_data"))
-    posterior = groups["posterior"]
-    return StoredTest(
-        draws=posterior,
-        stats=groups["sample_stats"],
-        trace=_trace_of(groups),
-        facts=json.loads(posterior.attrs["facts"]),
-    )
+    with _reading(path):
+        names = ("posterior", "sample_stats", "observed_data", "constant_data")
+        groups = _read_groups(path, names)
+        posterior = groups["posterior"]
+        return StoredTest(
+            draws=posterior,
+            stats=groups["sample_stats"],
+            trace=_trace_of(groups),
+            facts=json.loads(posterior.attrs["facts"]),
+        )
 
 
 def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
@@ -201,8 +204,9 @@ def load_trace(path: Path) -> tuple[Trace, dict[str, Any]]:
     StoreError
         When the file is missing or is no such file.
     """
-    groups = _read_groups(path, ("observed_data", "constant_data"))
-    return _trace_of(groups), json.loads(groups["constant_data"].attrs["facts"])
+    with _reading(path):
+        groups = _read_groups(path, ("observed_data", "constant_data"))
+        return _trace_of(groups), json.loads(groups["constant_data"].attrs["facts"])
 
 
 def save_arrays(path: Path, arrays: Mapping[str, Array], facts: Mapping[str, Any]) -> None:
@@ -225,9 +229,10 @@ def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     StoreError
         When the file is missing or is no such file.
     """
-    posterior = _read_groups(path, ("posterior",))["posterior"]
-    arrays = {str(k): v.to_numpy() for k, v in posterior.data_vars.items()}
-    return arrays, json.loads(posterior.attrs["facts"])
+    with _reading(path):
+        posterior = _read_groups(path, ("posterior",))["posterior"]
+        arrays = {str(k): v.to_numpy() for k, v in posterior.data_vars.items()}
+        return arrays, json.loads(posterior.attrs["facts"])
 
 
 def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
@@ -268,13 +273,21 @@ def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
     import xarray as xr
 
+    groups = {}
+    for name in names:
+        with xr.open_dataset(path, group=name, engine="h5netcdf") as dataset:
+            groups[name] = dataset.load()
+    return groups
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Name the file in whatever a missing, damaged or foreign one makes of its reading."""
     if not path.is_file():
         raise StoreError(f"{path} does not exist")
+    damage = (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, RecordError)
     try:
-        groups = {}
-        for name in names:
-            with xr.open_dataset(path, group=name, engine="h5netcdf") as dataset:
-                groups[name] = dataset.load()
-    except (OSError, ValueError, KeyError) as error:
-        raise StoreError(f"{path} is not a posterior of this program: {error}") from error
-    return groups
+        yield
+    except damage as error:
+        reason = " ".join(str(error).split())
+        raise StoreError(f"{path} is damaged or not of this program: {reason}") from error

@@ -12,5 +12,7 @@ def data_folder() -> Path:
     root = Path(os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data"))
     folder = root / "brfd"
     if not folder.is_dir():
-        pytest.skip(f"real records not found at {folder}; set MFD_BAYES_DATA to their parent folder")
+        pytest.skip(
+            f"real records not found at {folder}; set MFD_BAYES_DATA to their parent folder"
+        )
     return folder

@@ -108,7 +108,6 @@ def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
         )
     from arviz_stats.base import array_stats
 
-
     def new_ess(x: Array, kind: str) -> float:
         tails = {"prob": (0.05, 0.95)} if kind == "tail" else {}
         return float(array_stats.ess(x, chain_axis=0, draw_axis=1, method=kind, **tails))

@@ -44,10 +44,9 @@ class Noise:
         -------
         (n,)
         """
-        phi = self._correlation(time, values)
+        phi, shrink = self._correlation(time, values)
         innovation = residual[:, 1:] - phi * residual[:, :-1]
         scale = values["noise_sd"][:, None]
-        shrink = 1.0 - phi**2
         standard = innovation / (scale * np.sqrt(shrink))
         first = residual[:, :1] / scale
         log_scale = residual.shape[1] * np.log(scale[:, 0])
@@ -66,21 +65,23 @@ class Noise:
             noise *= np.sqrt(dof / rng.chisquare(dof, (time.size, n)))
         noise *= values["noise_sd"]
         if "noise_time" in values:
-            phi = self._correlation(time, values).T
-            phi = np.broadcast_to(phi, (time.size - 1, n))
-            noise[1:] *= np.sqrt(1.0 - phi**2)
+            both = self._correlation(time, values)
+            phi, shrink = (np.broadcast_to(a.T, (time.size - 1, n)) for a in both)
+            noise[1:] *= np.sqrt(shrink)
             for k in range(1, time.size):
                 noise[k] += phi[k - 1] * noise[k - 1]
         return noise.T
 
-    def _correlation(self, time: Array, values: Mapping[str, Array]) -> Array:
-        """Correlation φ of neighbours: (n, T − 1), or (n, 1) where sampling is uniform."""
+    def _correlation(self, time: Array, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """φ of neighbours, and 1 − φ²: (n, T − 1), or (n, 1) where sampling is uniform."""
         if "noise_time" not in self.parameters:
-            return np.zeros((values["noise_sd"].size, 1))
+            n = values["noise_sd"].size
+            return np.zeros((n, 1)), np.ones((n, 1))
         steps = np.diff(time)
         if np.ptp(steps) <= 1e-6 * steps[0]:
             steps = steps[:1]
-        return np.exp(-steps / values["noise_time"][:, None])
+        ratio = steps / values["noise_time"][:, None]
+        return np.exp(-ratio), -np.expm1(-2.0 * ratio)
 
 
 def _normal(standard: Array, _: Mapping[str, Array]) -> Array:

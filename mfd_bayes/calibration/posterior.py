@@ -111,6 +111,8 @@ class Posterior:
             raise FitError("a posterior needs a trace with a measured force")
         if isinstance(model, str) and model not in MODELS:
             raise FitError(f"unknown model {model!r}: expected one of {', '.join(MODELS)}")
+        if start not in ("sample", "mask"):
+            raise FitError(f"unknown start {start!r}: expected 'sample' or 'mask'")
         file = load_priors(priors, folder) if isinstance(priors, str) else priors
         chosen = MODELS[model] if isinstance(model, str) else model
         noise_model = find_noise(noise)
@@ -119,6 +121,8 @@ class Posterior:
         if missing:
             raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
         chosen_priors = {name: file.parameters[name] for name in wanted}
+        if chosen.name in MODELS:
+            _check_signs(file.path.name, chosen_priors)
         names = tuple(n for n in wanted if n != UNIDENTIFIABLE and not chosen_priors[n].fixed)
         values = {
             "trace": trace,
@@ -254,6 +258,17 @@ def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[str]
     if model.has_gap and sampled_start:
         needed.add("start")
     return [name for name in KINDS if name in needed]
+
+
+def _check_signs(file: str, priors: Mapping[str, Prior]) -> None:
+    """Refuse priors that let a quantity be negative that no damper has so."""
+    for name, prior in priors.items():
+        lowest = prior.figures["value"] if prior.fixed else prior.lower
+        if name != "offset" and lowest < 0:
+            raise PriorError(
+                f"prior of {name} in {file}: {prior.family} allows negative values, "
+                f"which {name} cannot have"
+            )
 
 
 def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -> tuple[Pivot, ...]:

@@ -126,9 +126,10 @@ def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
         if key not in ("family", "reason")
     }
     try:
-        return Prior(str(family), figures, str(table.get("reason", "")))
+        prior = Prior(str(family), figures, str(table.get("reason", "")))
     except PriorError as error:
         raise PriorError(f"{where}: {error}") from error
+    return prior
 
 
 def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:

@@ -37,7 +37,7 @@ KINDS = {
 """What each sampled quantity measures."""
 
 _LOG_2PI = float(np.log(2 * np.pi))
-_RANGE = 1e15  # values beyond this are out of support: no damper has them
+_RANGE = 1e15  # values beyond this, or as near to a bound, are out of support: no damper has them
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ class Prior:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             x = self.value(q)
             density = _LOG_DENSITIES[self.family](x, self.figures) + self._log_jacobian(q)
-        return np.where((np.abs(x) < _RANGE) & np.isfinite(density), density, -np.inf)
+            inside = (np.abs(x) < _RANGE) & (x - self.lower > 1.0 / _RANGE)
+        return np.where(inside & np.isfinite(density), density, -np.inf)
 
     def _log_jacobian(self, q: Array) -> Array:
         if np.isinf(self.lower):
@@ -167,6 +168,11 @@ def _normal(x: Array, mean: float, sd: float) -> Array:
     return density
 
 
+def _beta(x: Array, a: float, b: float) -> Array:
+    powers = special.xlogy(a - 1, x) + special.xlog1py(b - 1, -x)
+    return np.asarray(powers - special.betaln(a, b), dtype=np.float64)
+
+
 def _log_mass(f: Mapping[str, float]) -> float:
     """Log of a normal's mass between its bounds, in the tail where it keeps its digits."""
     a = (f["lower"] - f["mean"]) / f["sd"]
@@ -189,11 +195,7 @@ _LOG_DENSITIES: dict[str, Callable[[Array, Mapping[str, float]], Array]] = {
         - special.gammaln(f["shape"])
         - f["shape"] * np.log(f["scale"])
     ),
-    "beta": lambda x, f: (
-        special.xlogy(f["a"] - 1, x)
-        + special.xlog1py(f["b"] - 1, -x)
-        - special.betaln(f["a"], f["b"])
-    ),
+    "beta": lambda x, f: _beta(x, f["a"], f["b"]),
     "fixed": lambda x, _: np.zeros_like(x),
 }
 
@@ -214,6 +216,6 @@ _DRAWS: dict[str, Callable[[np.random.Generator, int, Mapping[str, float]], Arra
     "half_normal": lambda rng, n, f: np.abs(rng.normal(0.0, f["sd"], n)),
     "uniform": lambda rng, n, f: rng.uniform(f["lower"], f["upper"], n),
     "gamma": lambda rng, n, f: rng.gamma(f["shape"], f["scale"], n),
-    "beta": lambda rng, n, f: rng.beta(f["a"], f["b"], n),
+    "beta": lambda rng, n, f: np.asarray(rng.beta(f["a"], f["b"], n), dtype=np.float64),
     "fixed": lambda _, n, f: np.full(n, f["value"]),
 }

@@ -42,4 +42,5 @@ class LuGre:
     ) -> Array:
         """Force of every parameter vector, (n, T), kip; see `ThreeStage.force`."""
         columns = actuate(check_theta(self, theta), trace, scales)
-        return slip_force(Friction(**{f.name: columns[f.name] for f in fields(Friction)}), trace).T
+        friction = Friction(**{f.name: columns[f.name] for f in fields(Friction)})
+        return slip_force(friction, trace.path)[trace.path.samples].T

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Path
 
 Array = NDArray[np.float64]
 
@@ -97,35 +97,36 @@ def _logistic(u: Array, centre: Array, scale: Array) -> Array:
     return np.reciprocal(weight, out=weight)
 
 
-def follow(gap: Gap, trace: Trace, start: Array, slip_at: Callable[[int], Array]) -> Crossing:
+def follow(gap: Gap, path: Path, start: Array, slip_at: Callable[[int], Array]) -> Crossing:
     """State of the gap in every stretch between turning points.
 
     At a turning point after slip (u ≥ D or u ≤ 0) the travel starts again at 0 in the new
-    direction, and the force just before it less F1 is carried on; inside the gap nothing is
-    reset, so that the force retraces the path on which it came.
+    direction, and the force just before it less that just after it is carried on; inside the
+    gap nothing is reset, so that the force retraces the path on which it came.
 
     Parameters
     ----------
     gap : Gap
-    trace : Trace
+    path : Path
     start : (n,), 1
         u/D at the first sample.
     slip_at : callable
         F1 at a sample, (n,), kip.
     """
-    x, turns = trace.displacement, trace.turning_points
+    x, turns = path.displacement, path.turning_points
     stretches, n = turns.size + 1, gap.k2.size
     side, offset, carry = (np.empty((stretches, n)) for _ in range(3))
-    side[0] = trace.direction
-    offset[0] = start * gap.width - trace.direction * x[0]
+    side[0] = path.direction
+    offset[0] = start * gap.width - path.direction * x[0]
     carry[0] = 0.0
-    direction = trace.direction
+    direction = path.direction
     for k, sample in enumerate(turns, start=1):
         direction = -direction
         slip = slip_at(int(sample))
         u = offset[k - 1] + side[k - 1] * x[sample]
         slipped = (u >= gap.width) | (u <= 0.0)
-        left = blend(gap, u, side[k - 1], slip) + carry[k - 1] * fade(gap, u) - slip
+        left = blend(gap, u, side[k - 1], slip) + carry[k - 1] * fade(gap, u)
+        left -= blend(gap, np.zeros_like(u), np.full_like(u, direction), slip)
         side[k] = np.where(slipped, direction, side[k - 1])
         offset[k] = np.where(slipped, -direction * x[sample], offset[k - 1])
         carry[k] = np.where(slipped, left, carry[k - 1])

@@ -9,7 +9,7 @@ from math import isqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Path
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ class Friction:
     """LuGre's parameters, time first.
 
     `sigma0` and the four forces are (1, n) where the actuation is constant and
-    (T, n) where it varies; the others are (1, n).
+    (P, n) where it varies; the others are (1, n).
     """
 
     sigma0: Array
@@ -35,21 +35,21 @@ class Friction:
     v_s: Array
 
 
-def slip_force(friction: Friction, trace: Trace) -> Array:
-    """Force F1 of the bristles that start undeflected, (T, n), kip.
+def slip_force(friction: Friction, path: Path) -> Array:
+    """Force F1 of the bristles that start undeflected, (P, n), kip.
 
     F1 = σ0 z + σ1 ż + σ2 v with ż = v − σ0 |v| z / g(v). Between samples the velocity is
     taken constant, so that Δx is exact and the equation for z linear (model.md section 2):
 
         z_{n+1} = a_n z_n + (1 − a_n) sgn(Δx_n) g_n/σ0,   a_n = exp(−σ0 |Δx_n| / g_n)
 
-    The rate terms at sample n use the velocity of the trace and the g of the step before it.
+    The rate terms at sample n use the velocity of the path and the g of the step before it.
     """
-    dx = np.diff(trace.displacement)[:, None]
+    dx = np.diff(path.displacement)[:, None]
     n = max(friction.sigma1.shape[1], friction.sigma0.shape[1])
     steps = Steps.allocate(dx.size, n)
     # σ0/g, 1/in
-    reach = _slip_level(friction, dx / np.diff(trace.time)[:, None], n)
+    reach = _slip_level(friction, dx / np.diff(path.time)[:, None], n)
     np.divide(_midpoints(friction.sigma0), reach, out=reach)
     decay = np.multiply(reach, -np.abs(dx), out=steps.decay)
     np.exp(decay, out=decay)
@@ -58,10 +58,12 @@ def slip_force(friction: Friction, trace: Trace) -> Array:
     drive *= np.sign(dx)
     z = steps.solve()
 
-    v = trace.velocity[:, None]
+    v = path.velocity[:, None]
     force = np.empty_like(z)
     np.multiply(reach, np.abs(v[1:]), out=force[1:])
     np.multiply(reach[0], np.abs(v[0]), out=force[0])
+    if len(friction.Fc_fwd) > 1:
+        force *= _unrelaxed(friction, z, reach)
     force *= -friction.sigma1
     force += friction.sigma0
     force *= z
@@ -70,7 +72,7 @@ def slip_force(friction: Friction, trace: Trace) -> Array:
 
 
 def _slip_level(friction: Friction, velocity: Array, n: int) -> Array:
-    """Stribeck curve g(v) = F_c + (F_s − F_c) exp(−(v/v_s)²) of each step, (T−1, n), kip."""
+    """Stribeck curve g(v) = F_c + (F_s − F_c) exp(−(v/v_s)²) of each step, (P − 1, n), kip."""
     level = np.empty((velocity.size, n))
     np.multiply(velocity**2, -1.0 / friction.v_s**2, out=level)
     np.exp(level, out=level)
@@ -88,6 +90,19 @@ def _slip_level(friction: Friction, velocity: Array, n: int) -> Array:
         run *= static - kinetic
         run += kinetic
     return np.maximum(level, FORCE_FLOOR, out=level)
+
+
+def _unrelaxed(friction: Friction, z: Array, reach: Array) -> Array:
+    """Factor that bounds σ0 |z|/g, which has no bound where actuation fell at rest, (P, n).
+
+    Under constant actuation it is at most the largest static over the least kinetic friction.
+    """
+    static = np.maximum(friction.Fs_fwd, friction.Fs_bwd)
+    kinetic = np.minimum(friction.Fc_fwd, friction.Fc_bwd)
+    most = np.maximum(static, FORCE_FLOOR) / np.maximum(kinetic, FORCE_FLOOR)
+    found = np.abs(z) * np.concatenate([reach[:1], reach])
+    factor: Array = np.minimum(1.0, most / np.maximum(found, 1e-300))
+    return factor
 
 
 def _midpoints(values: Array) -> Array:

@@ -36,6 +36,9 @@ ACTUATED = ("sigma0", *FRICTION_FORCES)
 """The parameters that follow the actuation (paper Eq. 5)."""
 
 
+_POSITIVE = frozenset({"sigma0", "gamma1", "gamma2", "v_s"})  # the model divides by them
+
+
 class Model(Protocol):
     """A friction model: a name, its parameters in order, and their force."""
 
@@ -75,10 +78,11 @@ def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
     if values.ndim != 2 or values.shape[1] != width:
         raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
     for column, name in zip(values.T, model.parameters, strict=True):
-        bad = ~(np.isfinite(column) & (column >= 0.0))
+        least = "positive" if name in _POSITIVE else "not negative"
+        bad = ~(np.isfinite(column) & (column >= 0.0)) | ((column == 0.0) & (name in _POSITIVE))
         if np.any(bad):
             got = column[np.argmax(bad)]
-            raise FitError(f"parameter {name} must be finite and not negative, got {got}")
+            raise FitError(f"parameter {name} must be finite and {least}, got {got}")
     columns = {
         name: np.ascontiguousarray(values[:, i])[None] for i, name in enumerate(model.parameters)
     }
@@ -92,7 +96,7 @@ def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
 def actuate(
     columns: dict[str, Array], trace: Trace, scales: Mapping[str, Array] | None
 ) -> dict[str, Array]:
-    """Columns with those that follow a varying actuation made histories, (T, n).
+    """Columns with those that follow a varying actuation made histories along the path, (P, n).
 
     Parameters
     ----------
@@ -103,6 +107,11 @@ def actuate(
         Factor of each actuated parameter at each sample. When left out and the actuation
         varies, friction is in proportion to it (paper Eq. 5) and σ0 stays constant, since
         one test cannot tell σ0's slope from its intercept.
+
+    Raises
+    ------
+    FitError
+        When a name or a shape in `scales` does not fit.
     """
     if scales is None:
         if not trace.varying:
@@ -110,4 +119,12 @@ def actuate(
         reference = trace.reference_actuation
         share = np.asarray(trace.actuation)[None] / (reference if reference > 0 else 1.0)
         scales = dict.fromkeys(FRICTION_FORCES, share)
-    return columns | {name: columns[name] * factor.T for name, factor in scales.items()}
+    n = next(iter(columns.values())).shape[1]
+    for name, factor in scales.items():
+        if name not in ACTUATED or factor.shape not in ((n, trace.samples), (1, trace.samples)):
+            raise FitError(
+                f"scales may hold {', '.join(ACTUATED)} with shape ({n}, {trace.samples}) or "
+                f"(1, {trace.samples}), got {name} with {factor.shape}"
+            )
+    nearest = trace.path.nearest
+    return columns | {name: columns[name] * factor.T[nearest] for name, factor in scales.items()}

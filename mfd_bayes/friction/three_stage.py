@@ -83,32 +83,31 @@ def _check_start(start: ArrayLike | None, n: int) -> Array:
 
 def _force(columns: dict[str, Array], trace: Trace, start: Array) -> Array:
     """Force with time first, (T, n), kip."""
-    slip = slip_force(Friction(**{f.name: columns[f.name] for f in fields(Friction)}), trace)
+    path = trace.path
+    slip = slip_force(Friction(**{f.name: columns[f.name] for f in fields(Friction)}), path)
     k2, k3, d2, d3 = (columns[name][0] for name in ("k2", "k3", "d2", "d3"))
-    if not np.all(columns["gamma1"] > 0) or not np.all(columns["gamma2"] > 0):
-        raise FitError("gamma1 and gamma2 must be positive: their quotient is a length")
     gap = Gap(k2, k3, d2, d3, (columns["gamma2"] / columns["gamma1"])[0])
-    crossing = follow(gap, trace, start, lambda sample: slip[sample])
-    stretch = np.zeros(trace.samples, dtype=np.intp)
-    stretch[trace.turning_points + 1] = 1  # a turning point ends its stretch
+    crossing = follow(gap, path, start, lambda sample: slip[sample])
+    stretch = np.zeros(path.time.size, dtype=np.intp)
+    stretch[path.turning_points + 1] = 1  # a turning point ends its stretch
     np.cumsum(stretch, out=stretch)
-    near = np.flatnonzero(_crossing(gap, crossing, trace.displacement, stretch))
+    near = np.flatnonzero(_crossing(gap, crossing, path.displacement, stretch))
     stretch = stretch[near]
     side = crossing.side[stretch]
-    u = side * trace.displacement[near, None]
+    u = side * path.displacement[near, None]
     u += crossing.offset[stretch]
     force = blend(gap, u, side, slip[near])
     carry = crossing.carry[stretch]
     carry *= fade(gap, u)
     force += carry
     slip[near] = force
-    return slip
+    return slip[path.samples]
 
 
 def _crossing(
     gap: Gap, crossing: Crossing, displacement: Array, stretch: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Samples at which a transition of any vector is not yet 0 or 1 to double precision, (T,).
+    """Samples at which a transition of any vector is not yet 0 or 1 to double precision, (P,).
 
     Elsewhere the force is F1: the carried force has faded, and the gap is crossed.
     """

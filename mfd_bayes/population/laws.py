@@ -39,7 +39,7 @@ def _affine(ratio: Array, shape: Array) -> Array:
 
 
 def _power(ratio: Array, shape: Array) -> Array:
-    return np.where(ratio > 0, np.power(np.maximum(ratio, 1e-300), shape), 0.0)
+    return np.where(ratio > 0, np.power(np.where(ratio > 0, ratio, 1.0), shape), 0.0)
 
 
 LAWS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,35 @@ Array = NDArray[np.float64]
 
 HYSTERESIS = 1e-3
 """Reversals smaller than this share of the peak-to-peak displacement are sensor noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A trace's motion with the vertex of every turn as a sample of its own.
+
+    The true extreme lies between two samples. Left out, the way since the turn would be
+    short by up to a (ω Δt)²/8, which a stiff unloading shows.
+
+    Attributes
+    ----------
+    time, displacement, velocity : (P,), s, in, in/s
+    turning_points : (K,), int
+        Samples of the path at which the motion turns.
+    direction : int
+        +1 or -1, the direction of the first stretch of motion.
+    nearest : (P,), int
+        The trace's sample at, or beside, each of the path's.
+    samples : (T,), int
+        The path's samples that are the trace's.
+    """
+
+    time: Array
+    displacement: Array
+    velocity: Array
+    turning_points: NDArray[np.intp]
+    direction: int
+    nearest: NDArray[np.intp]
+    samples: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +130,11 @@ class Trace:
         """Number of samples T."""
         return self.time.size
 
+    @cached_property
+    def path(self) -> Path:
+        """The motion with the vertices of its turns, on which forces are computed."""
+        return _path(self)
+
     @property
     def varying(self) -> bool:
         """Whether the actuation is a history."""
@@ -109,6 +144,46 @@ class Trace:
     def reference_actuation(self) -> float:
         """The constant actuation, or a history's mean: the level that theta belongs to."""
         return float(np.mean(self.actuation))
+
+
+def _path(trace: Trace) -> Path:
+    """Path of a trace: beside the sample of every smooth turn, its vertex.
+
+    Between the samples where the velocity changes sign the acceleration is taken constant,
+    so that the velocity is linear in time.
+    """
+    t, x, v, turns = trace.time, trace.displacement, trace.velocity, trace.turning_points
+    after = v[turns] * (x[turns] - x[turns - 1]) > 0  # the sample is still on its old way
+    left = np.where(after, turns, turns - 1)
+    before, behind = np.abs(v[left]), np.abs(v[left + 1])
+    share = before / np.maximum(before + behind, 1e-300)
+    step = t[left + 1] - t[left]
+    beyond = 0.5 * v[turns] * step * np.where(after, share, share - 1.0)
+    inside = (v[left] * v[left + 1] < 0) & (np.abs(share - 0.5) < 0.499)
+    inside &= _smooth(x, turns) & (np.abs(beyond) < 0.5 * np.abs(x[left + 1] - x[left - 1]))
+    kept = np.flatnonzero(inside)
+    at = left[kept] + 1
+    samples = np.arange(t.size) + np.searchsorted(at, np.arange(t.size), side="right")
+    turning = samples[turns]
+    turning[kept] = at + np.arange(at.size)
+    return Path(
+        time=np.insert(t, at, (t[left] + share * step)[kept]),
+        displacement=np.insert(x, at, (x[turns] + beyond)[kept]),
+        velocity=np.insert(v, at, 0.0),
+        turning_points=turning,
+        direction=trace.direction,
+        nearest=np.insert(np.arange(t.size), at, turns[kept]),
+        samples=samples,
+    )
+
+
+def _smooth(displacement: Array, turns: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether the motion bends beside each turn about as it does at it: no corner, no noise."""
+    bend = np.zeros(displacement.size)
+    bend[1:-1] = np.diff(displacement, 2)
+    beside = np.minimum(bend[turns - 1] / bend[turns], bend[turns + 1] / bend[turns])
+    smooth: NDArray[np.bool_] = beside > 0.5
+    return smooth
 
 
 def turning_points(displacement: Array, hysteresis: float) -> NDArray[np.intp]:

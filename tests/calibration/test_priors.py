@@ -143,11 +143,10 @@ def test_figures_are_converted_to_internal_units(tmp_path):
     assert prior.figures["sd"] == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_truncated_normal_may_be_bounded_above_alone(tmp_path):
-    # as the head of every shipped prior file says: "lower and/or upper"
+def test_a_truncated_normal_needs_its_lower_bound(tmp_path):
     body = 'family = "truncated_normal"\nmean = "0 kip"\nsd = "1 kip"\nupper = "0.5 kip"\n'
-    prior = load_priors(str(write(tmp_path, body, "offset"))).parameters["offset"]
-    assert np.all(prior.draw(np.random.default_rng(0), 200) <= 0.5)
+    with pytest.raises(PriorError, match=r"offset.*lower"):
+        load_priors(str(write(tmp_path, body, "offset")))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,32 @@
+"""Bands and scores of force draws."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.population.scores import score
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.views import Fan, Interval, ScoreRow
+
+Array = NDArray[np.float64]
+
+PROBABILITIES = (0.5, 0.95)
+"""Equal-tailed bands that are drawn."""
+
+
+def fan_of(kind: str, draws: Array) -> Fan:
+    """Median and bands of draws (n, T)."""
+    tails = [0.5 * (1.0 - p) for p in PROBABILITIES]
+    levels = [0.5, *tails, *(1.0 - t for t in tails)]
+    median, *bounds = np.quantile(draws, levels, axis=0)
+    n = len(tails)
+    intervals = (Interval(p, bounds[i], bounds[n + i]) for i, p in enumerate(PROBABILITIES))
+    return Fan(kind, median, tuple(intervals))
+
+
+def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
+    """Scores of a record against the draws that predict it, from sample `first` on."""
+    found = score(draws[:, first:], np.asarray(trace.force)[first:])
+    half, most, nearly = found.coverage
+    return ScoreRow(name, role, half, most, nearly, found.width, found.crps, found.rrse)

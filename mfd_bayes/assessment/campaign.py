@@ -1,0 +1,161 @@
+"""The whole report: every test, the laws, the verdict with its reason, and where it is from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from mfd_bayes.assessment.checks import INFORMED, PREDICTIVE, SAMPLING, convergence_checks
+from mfd_bayes.assessment.laws import law_rows, law_views
+from mfd_bayes.assessment.tests import SCALE_NOTE, calibrated_view, held_out_view
+from mfd_bayes.reporting.views import CampaignView, Check, Row, TestView, TruthRow
+from mfd_bayes.run import Run
+
+
+def assess(run: Run) -> CampaignView:
+    """Everything that the report of a run shows."""
+    manifest = run.manifest
+    tests = [calibrated_view(run, test) for test in run.tests.values()]
+    tests += [held_out_view(run, name, trace) for name, trace in run.held_out.items()]
+    order = list(manifest["tests"])
+    tests.sort(key=lambda view: order.index(view.id))
+    table = law_rows(run)
+    checks = [check for view in tests for check in view.checks]
+    checks += convergence_checks("population", table, manifest["effort"])
+    failures = {
+        name: entry["error"] for name, entry in manifest["tests"].items() if entry.get("error")
+    }
+    checks += [Check(n, "calibration", "finished", 0.0, "finished", "fail") for n in failures]
+    verdict = "fail" if any(check.verdict == "fail" for check in checks) else "pass"
+    return CampaignView(
+        title=manifest["title"],
+        verdict=verdict,
+        sentence=_sentence(manifest, checks, len(run.tests)),
+        actuation_unit=run.actuation_unit,
+        tests=tuple(tests),
+        failures=failures,
+        laws=law_views(run),
+        law_rows=table,
+        checks=tuple(checks),
+        scores=tuple(view.score for view in tests),
+        truth=_truth_rows(manifest, tests, table),
+        provenance=_provenance(manifest),
+        remarks=_remarks(run, tests),
+    )
+
+
+def fails(view: CampaignView) -> tuple[Check, ...]:
+    """The checks that failed."""
+    return tuple(check for check in view.checks if check.verdict == "fail")
+
+
+def _truth_rows(
+    manifest: Mapping[str, Any], tests: list[TestView], table: tuple[Row, ...]
+) -> tuple[TruthRow, ...]:
+    """Synthetic truth beside each posterior, for the quantities whose truth is known.
+
+    The noise of a record that was low-passed is no longer the noise that it was made with.
+    """
+    truth = manifest.get("truth")
+    if not truth:
+        return ()
+    known = {"population": dict(truth["population"])}
+    for name, values in truth["tests"].items():
+        entry = manifest["tests"][name]
+        filtered = entry["rate"] < 0.999 * entry["record_rate"]
+        known[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
+        if filtered:
+            known["population"].pop("scatter_noise", None)
+    rows = [row for view in tests for row in view.rows] + list(table)
+    found = []
+    for row in rows:
+        value = known.get(row.subject, {}).get(row.name)
+        if value is None:
+            continue
+        found.append(
+            TruthRow(
+                subject=row.subject,
+                name=row.name,
+                unit=row.unit,
+                truth=float(value),
+                lower=row.lower,
+                median=row.median,
+                upper=row.upper,
+                inside=bool(row.lower <= value <= row.upper),
+                informed=not row.note,
+            )
+        )
+    return tuple(found)
+
+
+def _sentence(manifest: Mapping[str, Any], checks: list[Check], calibrated: int) -> str:
+    """The verdict with its reason."""
+    failed = [check for check in checks if check.verdict == "fail"]
+    sampling = [c for c in failed if c.name in SAMPLING]
+    lost = [c for c in failed if c.name == "calibration"]
+    effort = manifest["effort"]
+    limits = f"R-hat <= {effort['r_hat']:g}, bulk and tail ESS >= {effort['ess']:g}"
+    parts = []
+    if lost:
+        parts.append(f"{len(lost)} test(s) could not be calibrated")
+    if sampling:
+        where = ", ".join(sorted({c.subject for c in sampling}))
+        parts.append(f"the sampling fell short of {limits} in {where}: do not use these figures")
+    else:
+        parts.append(f"all {calibrated} calibrated tests and the laws converged ({limits})")
+    predictive = [c for c in failed if c.name == PREDICTIVE]
+    total = sum(c.name == PREDICTIVE for c in checks)
+    if predictive:
+        often = Counter(c.target.split(" (")[0].split(",")[0] for c in predictive)
+        what = ", ".join(f"{name} ({count})" for name, count in often.most_common(4))
+        parts.append(
+            f"{len(predictive)} of {total} predictive checks are extreme, so the model does not "
+            f"reproduce everything: {what}"
+        )
+    else:
+        parts.append(f"none of {total} predictive checks is extreme")
+    text = "; ".join(parts) + "."
+    return text[0].upper() + text[1:]
+
+
+def _remarks(run: Run, tests: list[TestView]) -> tuple[str, ...]:
+    remarks = []
+    if run.manifest.get("truth"):
+        remarks.append(
+            "The tests are synthetic: they were computed from a stated truth, with stated noise; "
+            "where a record was low-passed for the fit, the noise has no truth to compare with."
+        )
+    weak: Counter[str] = Counter()
+    for view in tests:
+        weak.update(r.name for r in view.rows if r.contraction < INFORMED)
+    if weak:
+        names = ", ".join(f"{name} ({count})" for name, count in weak.most_common())
+        remarks.append(f"Not informed by the data (number of tests): {names}.")
+    if any("gamma1" in {r.name for r in view.rows} for view in tests):
+        remarks.append("gamma1 and gamma2 are " + SCALE_NOTE + "; gamma1 keeps its prior.")
+    levels = {round(t.trace.reference_actuation, 9) for t in run.tests.values()}
+    if len(levels) < 2:
+        remarks.append(
+            "All calibrated tests are at one actuation: the laws beyond it rest on their form."
+        )
+    return tuple(remarks)
+
+
+def _provenance(manifest: Mapping[str, Any]) -> dict[str, str]:
+    effort = manifest["effort"]
+    facts = {
+        "command": manifest["command"],
+        "started": manifest["started"],
+        "finished": manifest["finished"],
+        "seed": str(manifest["seed"]),
+        "effort": f"{effort['name']}: {effort['ensembles']} ensembles, at most "
+        f"{effort['limit']} steps each",
+        "model and noise": f"{manifest['settings']['model']}, {manifest['settings']['noise']}",
+        "priors": manifest["settings"]["priors"],
+        "platform": manifest["platform"],
+        "versions": ", ".join(f"{k} {v}" for k, v in manifest["versions"].items()),
+    }
+    for name, digest in manifest["inputs"].items():
+        facts[f"SHA-256 of {name}"] = digest
+    return facts

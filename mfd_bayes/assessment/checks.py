@@ -1,0 +1,71 @@
+"""Checks of one test or of the population, and their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.calibration.predictive import PredictiveCheck
+from mfd_bayes.reporting.views import Check, Row
+
+INFORMED = 0.5
+"""Share of the prior's variance that the data must remove from a parameter to inform it."""
+
+EXTREME = 0.005
+"""A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
+
+LENGTH = "autocorrelation times kept"
+PREDICTIVE = "posterior predictive p-value"
+SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
+"""Names of the checks that say whether the sampling can be trusted."""
+
+
+def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, Any]) -> list[Check]:
+    """R-hat and effective sample sizes against the effort's targets."""
+    checks = []
+    for row in rows:
+        if not np.isfinite(row.r_hat):
+            continue
+        for name, value, limit, good in (
+            ("R-hat", row.r_hat, f"<= {effort['r_hat']:g}", row.r_hat <= effort["r_hat"]),
+            ("bulk ESS", row.ess_bulk, f">= {effort['ess']:g}", row.ess_bulk >= effort["ess"]),
+            ("tail ESS", row.ess_tail, f">= {effort['ess']:g}", row.ess_tail >= effort["ess"]),
+        ):
+            checks.append(Check(subject, name, row.name, value, limit, "pass" if good else "fail"))
+    return checks
+
+
+def length_check(subject: str, facts: Mapping[str, Any], effort: Mapping[str, Any]) -> Check:
+    """Whether the chains are long against their own memory."""
+    slowest, time = max(facts["autocorrelation"].items(), key=lambda item: item[1])
+    lengths = (facts["steps"] - facts["discarded"]) / time
+    good = lengths >= effort["length"]
+    verdict = "pass" if good else "fail"
+    return Check(subject, LENGTH, slowest, lengths, f">= {effort['length']:g}", verdict)
+
+
+def predictive_check(subject: str, check: PredictiveCheck) -> Check:
+    """Posterior predictive p-value against its limits."""
+    good = EXTREME <= check.p_value <= 1.0 - EXTREME
+    return Check(
+        subject,
+        PREDICTIVE,
+        f"{check.name} (observed {check.observed:.3g}, expected {check.expected:.3g})",
+        check.p_value,
+        f"in [{EXTREME:g}, {1 - EXTREME:g}]",
+        "pass" if good else "fail",
+    )
+
+
+def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Check]:
+    """What a reader must know that is no failure: parameters not informed, several modes."""
+    found = [
+        Check(subject, "prior variance removed", r.name, r.contraction, f">= {INFORMED:g}", "note")
+        for r in rows
+        if np.isfinite(r.contraction) and r.contraction < INFORMED
+    ]
+    if facts["modes"] > 1:
+        found.append(Check(subject, "modes found", "posterior", facts["modes"], "1", "note"))
+    return found

@@ -1,0 +1,144 @@
+"""One test in the report: bands, parameters, checks and scores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.assessment.bands import fan_of, score_of
+from mfd_bayes.assessment.checks import (
+    INFORMED,
+    convergence_checks,
+    length_check,
+    notes,
+    predictive_check,
+)
+from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
+from mfd_bayes.calibration.predictive import check_predictive, replicate
+from mfd_bayes.quantities import UNITS
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.views import Marginal, Row, TestView
+from mfd_bayes.run import Run, TestResult
+
+Array = NDArray[np.float64]
+
+SCALE_ONLY = frozenset({"gamma1", "gamma2"})
+SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
+_CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")
+
+
+def calibrated_view(run: Run, test: TestResult) -> TestView:
+    """A test that was fitted."""
+    posterior, facts = test.posterior, test.stored.facts
+    values = test.stored.values()
+    replicas = replicate(posterior, values, np.random.default_rng(0))
+    gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
+    rows = _rows(test, values)
+    checks = convergence_checks(test.id, rows, run.manifest["effort"])
+    checks.append(length_check(test.id, facts, run.manifest["effort"]))
+    checks += [predictive_check(test.id, c) for c in check_predictive(posterior, replicas, gap)]
+    checks += notes(test.id, rows, facts)
+    informed = {row.name: row.contraction >= INFORMED for row in rows}
+    return TestView(
+        id=test.id,
+        role="calibrate",
+        actuation=_actuation(run, test.trace),
+        trace=test.trace,
+        first=posterior.first,
+        device=fan_of("device", replicas.force),
+        observation=fan_of("observation", replicas.observed),
+        rows=tuple(rows),
+        marginals=_marginals(test, values, rows),
+        chains={name: _by_step(test, name) for name in posterior.names},
+        corner=tuple(name for name in _CORNER if informed.get(name)),
+        checks=tuple(checks),
+        score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
+    )
+
+
+def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
+    """A test that was predicted from the others."""
+    band = run.predict(trace, kind="observation", draws=800)
+    return TestView(
+        id=name,
+        role="validate",
+        actuation=_actuation(run, trace),
+        trace=trace,
+        first=0,
+        device=None,
+        observation=fan_of("observation", band.draws),
+        rows=(),
+        marginals=(),
+        chains={},
+        corner=(),
+        checks=(),
+        score=score_of(name, "validate", trace, band.draws, 0),
+    )
+
+
+def _actuation(run: Run, trace: Trace) -> str:
+    level, unit = trace.reference_actuation, run.actuation_unit
+    text = f"{1000 * level:.4g} {'psi' if unit == 'ksi' else 'lbf'}"
+    return f"{text} (mean of a history)" if trace.varying else text
+
+
+def _rows(test: TestResult, values: Mapping[str, Array]) -> list[Row]:
+    """Table I of one test: every parameter with its uncertainty and convergence."""
+    prior = _prior_values(test)
+    facts = test.stored.facts
+    rows = []
+    for name, draws in values.items():
+        shrunk = float("nan")
+        if name not in SCALE_ONLY:
+            before, after = log_if_positive(prior[name], draws)
+            shrunk = float(contraction(np.array([before.std()]), after[:, None])[0])
+        note = SCALE_NOTE if name in SCALE_ONLY else ""
+        if shrunk < INFORMED:
+            note = "the data do not inform it: the posterior is about the prior"
+        lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
+        r_hat, bulk, tail = facts["convergence"].get(name, (np.nan, np.nan, np.nan))
+        rows.append(
+            Row(
+                subject=test.id,
+                name=name,
+                unit=UNITS[name],
+                mean=float(draws.mean()),
+                sd=float(draws.std()),
+                lower=float(lower),
+                median=float(median),
+                upper=float(upper),
+                r_hat=r_hat,
+                ess_bulk=bulk,
+                ess_tail=tail,
+                contraction=shrunk,
+                note=note,
+            )
+        )
+    return rows
+
+
+def _prior_values(test: TestResult, n: int = 2000) -> dict[str, Array]:
+    """Prior draws of every stored quantity, derived ones too."""
+    posterior = test.posterior
+    drawn = posterior.draw_prior(np.random.default_rng(0), n)
+    theta = posterior.theta(drawn)
+    return drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
+
+
+def _marginals(
+    test: TestResult, values: Mapping[str, Array], rows: list[Row]
+) -> tuple[Marginal, ...]:
+    prior = _prior_values(test)
+    shrunk = {row.name: row.contraction for row in rows}
+    sampled = test.posterior.names
+    return tuple(Marginal(n, UNITS[n], prior[n], values[n], shrunk[n]) for n in sampled)
+
+
+def _by_step(test: TestResult, name: str) -> Array:
+    """Mean over walkers at each kept step, (chain, step)."""
+    draws = test.draws[name].to_numpy()
+    walkers = test.stored.facts["walkers"]
+    mean: Array = draws.reshape(len(draws), walkers, -1).mean(axis=1)
+    return mean
