@@ -53,8 +53,11 @@ class Effort:
     kept: int = 3000
 
 
+STRIDE = 4
+"""Steps of which one is stored: neighbours are so alike that the others are only memory."""
+
 EFFORTS = {
-    "quick": Effort(ess=100, block=150, limit=2700, r_hat=1.03, length=2.0, kept=1200),
+    "quick": Effort(ess=100, block=160, limit=2720, r_hat=1.03, length=2.0, kept=1200),
     "standard": Effort(ess=400, block=400, limit=8000),
     "thorough": Effort(ess=2000, block=1000, limit=40000, kept=8000),
 }
@@ -214,8 +217,9 @@ def sample_density(
     sampler, state = _ensembles(density, modes, effort, rng)
     steps, wait = 0, effort.block
     while True:
-        state = sampler.run_mcmc(state, wait, skip_initial_state_check=True)
-        steps += wait
+        stored = max(1, wait // STRIDE)
+        state = sampler.run_mcmc(state, stored, thin_by=STRIDE, skip_initial_state_check=True)
+        steps += stored * STRIDE
         chains = _gather(sampler, steps, effort)
         found = chains.convergence
         if report is not None:
@@ -286,8 +290,9 @@ def _disperse(
 
 def _gather(sampler: emcee.EnsembleSampler, steps: int, effort: Effort) -> Chains:
     """Draws of the second half of the steps, thinned, and what they say of convergence."""
-    discarded = steps // 2
-    kept = steps - discarded
+    total = steps // STRIDE
+    discarded = total // 2
+    kept = total - discarded
     walkers = sampler.nwalkers // effort.ensembles
     dim = sampler.ndim
     apart = (kept, effort.ensembles, walkers)
@@ -301,9 +306,9 @@ def _gather(sampler: emcee.EnsembleSampler, steps: int, effort: Effort) -> Chain
         log_prob=np.swapaxes(log_prob, 1, 2).reshape(effort.ensembles, -1),
         walkers=walkers,
         steps=steps,
-        thin=thin,
-        discarded=discarded,
+        thin=thin * STRIDE,
+        discarded=discarded * STRIDE,
         acceptance=acceptance.mean(axis=1),
-        autocorrelation=autocorrelation_time(full),
+        autocorrelation=STRIDE * autocorrelation_time(full),
         convergence=measure(chains),
     )
