@@ -14,7 +14,7 @@ from mfd_bayes.cli import app
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 COMMANDS = ("demo", "calibrate", "report", "predict", "check", "inspect", "prior-check")
-PRIORS = Path(mfd_bayes.__file__).parents[1] / "priors" / "mfd.toml"
+PRIORS = Path(__file__).parents[1] / "priors" / "mfd.toml"
 CAMPAIGN = """\
 [campaign]
 title = "Small"
