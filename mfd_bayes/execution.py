@@ -22,6 +22,7 @@ from mfd_bayes.calibration.sampling import find_effort
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.hierarchy import infer, pool, summarize
+from mfd_bayes.population.standing import free_exponents
 from mfd_bayes.population.storage import save_population
 from mfd_bayes.run import Run, TestResult, load_result
 from mfd_bayes.store import MANIFEST, read_json, save_trace, write_bytes, write_json
@@ -115,6 +116,13 @@ def _pool_tests(plan: Plan, out: Path, options: Options) -> Run:
     )
     save_population(out / "population.nc", population)
     manifest = plan.manifest
+    manifest["free_exponents"] = free_exponents(
+        pooling,
+        summaries,
+        some.priors,
+        find_effort("quick"),
+        np.random.default_rng([options.seed, 1]),
+    )
     manifest["status"] = "finished"
     manifest["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
     write_json(out / MANIFEST, manifest)

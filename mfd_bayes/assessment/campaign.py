@@ -6,7 +6,14 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from mfd_bayes.assessment.checks import INFORMED, PREDICTIVE, SAMPLING, convergence_checks
+from mfd_bayes.assessment.checks import (
+    INFORMED,
+    PREDICTIVE,
+    SAMPLING,
+    STANDING,
+    convergence_checks,
+    standing_checks,
+)
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.tests import SCALE_NOTE, calibrated_view, held_out_view
 from mfd_bayes.reporting.views import CampaignView, Check, Row, TestView, TruthRow
@@ -23,6 +30,7 @@ def assess(run: Run) -> CampaignView:
     table = law_rows(run)
     checks = [check for view in tests for check in view.checks]
     checks += convergence_checks("population", table, manifest["effort"])
+    checks += standing_checks(manifest.get("free_exponents", {}))
     failures = {
         name: entry["error"] for name, entry in manifest["tests"].items() if entry.get("error")
     }
@@ -115,6 +123,12 @@ def _sentence(manifest: Mapping[str, Any], checks: list[Check], calibrated: int)
         )
     else:
         parts.append(f"none of {total} predictive checks is extreme")
+    bent = [c for c in failed if c.name == STANDING]
+    if bent:
+        what = ", ".join(f"{c.target.split(' (')[0]}: exponent {c.value:.2f}" for c in bent)
+        parts.append(
+            f"the proportional law is not supported ({what}, not 1): do not extrapolate with it"
+        )
     text = "; ".join(parts) + "."
     return text[0].upper() + text[1:]
 

@@ -17,6 +17,7 @@ EXTREME = 0.005
 """A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
 
 LENGTH = "autocorrelation times kept"
+STANDING = "exponent if the law were a power law"
 PREDICTIVE = "posterior predictive p-value"
 SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""
@@ -69,3 +70,13 @@ def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[C
     if facts["modes"] > 1:
         found.append(Check(subject, "modes found", "posterior", facts["modes"], "1", "note"))
     return found
+
+
+def standing_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
+    """Whether each proportional law's exponent, if it were free, may be 1."""
+    checks = []
+    for name, (low, middle, high) in exponents.items():
+        verdict = "pass" if low <= 1.0 <= high else "fail"
+        target = f"{name} (95 % interval {low:.2f} to {high:.2f})"
+        checks.append(Check("population", STANDING, target, middle, "interval holds 1", verdict))
+    return checks
