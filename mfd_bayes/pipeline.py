@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mfd_bayes.assessment import assess, fails
+from mfd_bayes.assessment import assess, fails, verdicts
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign import load_campaign
 from mfd_bayes.demo import write_campaign
@@ -20,7 +20,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import checks_csv, laws_csv, parameters_csv, scores_csv
 from mfd_bayes.reporting.views import CampaignView, Check, Fan, Interval
 from mfd_bayes.run import open_run
-from mfd_bayes.store import write_atomically, write_bytes, write_text
+from mfd_bayes.store import MANIFEST, write_atomically, write_bytes, write_json, write_text
 from mfd_bayes.task import Step
 from mfd_bayes.units import parse_actuation
 
@@ -88,7 +88,9 @@ def report(out: Path, observe: Observe = lambda _: None) -> CampaignView:
         When the folder is no finished run.
     """
     observe(Step("report", "checks and bands"))
-    view = assess(open_run(out))
+    run = open_run(out)
+    view = assess(run)
+    write_json(out / MANIFEST, run.manifest | {"verdicts": verdicts(view)})
     write_text(out / "parameters.csv", parameters_csv(r for t in view.tests for r in t.rows))
     write_text(out / "laws.csv", laws_csv(view.law_rows))
     write_text(out / "checks.csv", checks_csv(view.checks))

@@ -104,6 +104,15 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         "rate": campaign.rate,
         "area": campaign.area,
         "actuation_unit": campaign.actuation_unit,
+        "tests": {
+            test.id: {
+                "file": test.path.relative_to(campaign.folder).as_posix(),
+                "actuation": test.actuation,
+                "fit": test.window,
+                "columns": {role: list(column) for role, column in test.columns.items()},
+            }
+            for test in campaign.tests
+        },
     }
     manifest = {
         "status": "running",

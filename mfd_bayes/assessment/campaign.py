@@ -58,6 +58,13 @@ def fails(view: CampaignView) -> tuple[Check, ...]:
     return tuple(check for check in view.checks if check.verdict == "fail")
 
 
+def verdicts(view: CampaignView) -> dict[str, str]:
+    """Verdict of the campaign with its sentence, and of every subject of a check."""
+    found = {check.subject: "pass" for check in view.checks}
+    found |= {check.subject: "fail" for check in fails(view)}
+    return {"campaign": view.verdict, "sentence": view.sentence} | found
+
+
 def _truth_rows(
     manifest: Mapping[str, Any], tests: list[TestView], table: tuple[Row, ...]
 ) -> tuple[TruthRow, ...]:

@@ -40,7 +40,10 @@ class LuGre:
         *,
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
-        """Force of every parameter vector, (n, T), kip; see `ThreeStage.force`."""
+        """Force of every parameter vector, (n, T), kip; see `ThreeStage.force`.
+
+        theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
+        """
         columns = actuate(check_theta(self, theta), trace, scales)
         friction = Friction(**{f.name: columns[f.name] for f in fields(Friction)})
         return slip_force(friction, trace.path)[trace.path.samples].T

@@ -68,6 +68,8 @@ class Model(Protocol):
 def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
     """Columns of theta by name, (1, n) each.
 
+    A model with fewer parameters takes its own from a theta in the paper's order, (n, 14), too.
+
     Raises
     ------
     FitError
@@ -75,6 +77,8 @@ def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
     """
     values = np.asarray(theta, dtype=np.float64)
     width = len(model.parameters)
+    if values.ndim == 2 and values.shape[1] == len(UNITS) != width:
+        values = values[:, [list(UNITS).index(name) for name in model.parameters]]
     if values.ndim != 2 or values.shape[1] != width:
         raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
     for column, name in zip(values.T, model.parameters, strict=True):

@@ -15,7 +15,8 @@ from mfd_bayes.reporting.views import CampaignView, Check, Row
 UNINFORMED = 0.5
 """Below this contraction the page says that the data do not inform a parameter."""
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = ("prior variance removed", "calibration")  # shown as contraction, and as failures
+_LAW = "exponent if the law were a power law"
+_ELSEWHERE = ("prior variance removed", "calibration", _LAW)  # shown in sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 
@@ -64,6 +65,7 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> str:
         convergence=_convergence(view),
         judged=[check for check in view.checks if check.verdict != "note"],
         fit=_grid(check for check in view.checks if _is_of_fit(check)),
+        standing=[check for check in view.checks if check.name == _LAW],
         sampler=_grid(check for check in view.checks if is_of_sampler(check)),
         uninformed=_uninformed(view),
         limit=UNINFORMED,

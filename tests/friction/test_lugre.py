@@ -168,7 +168,7 @@ def test_histories_and_constants_of_the_same_values_agree():
     )
 
 
-@pytest.mark.parametrize("shape", [(8,), (1, 14), (1, 7)])
+@pytest.mark.parametrize("shape", [(8,), (1, 13), (1, 7)])
 def test_theta_of_another_shape_is_refused(shape):
     with pytest.raises(FitError, match="lugre"):
         LuGre().force(np.ones(shape), ramp(0.5))
@@ -181,3 +181,12 @@ def test_a_stribeck_velocity_of_zero_gives_no_nan():
     except FitError as error:
         force = np.zeros(1) if "v_s" in str(error) else np.full(1, np.nan)
     assert np.all(np.isfinite(force))
+
+
+def test_lugre_takes_its_own_from_all_of_the_papers_parameters():
+    time = np.linspace(0.0, 4.0, 201)
+    trace = Trace.from_arrays(time, np.sin(2.0 * time))
+    own = np.array([[60.0, 0.02, 0.01, 2.4, 2.0, 1.9, 1.5, 0.5]])
+    gap = np.array([[0.5, 30.0, 0.1, 0.08, 1.0, 0.005]])
+    everything = np.concatenate([own[:, :7], gap, own[:, 7:]], axis=1)
+    np.testing.assert_array_equal(LuGre().force(everything, trace), LuGre().force(own, trace))

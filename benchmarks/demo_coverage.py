@@ -1,0 +1,48 @@
+"""How often the demo's truth lies inside its 95 % intervals, over several seeds.
+
+    python benchmarks/demo_coverage.py [SEEDS] > benchmarks/demo_coverage.txt
+
+runs `mfd-bayes demo --quick` for seeds 1 to SEEDS (5): some five minutes on two cores.
+"""
+
+import platform
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+from mfd_bayes.assessment import assess
+from mfd_bayes.run import open_run
+
+
+def main() -> None:
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    command = str(Path(sys.executable).parent / "mfd-bayes")
+    inside: Counter[str] = Counter()
+    known: Counter[str] = Counter()
+    print(f"demo --quick, {platform.platform()}, Python {platform.python_version()}")
+    print(f"{'seed':>6}{'inside':>9}{'known':>8}{'share':>9}  verdict")
+    for seed in range(1, seeds + 1):
+        with tempfile.TemporaryDirectory() as folder:
+            out = Path(folder) / "out"
+            subprocess.run(
+                [command, "demo", str(out), "--quick", "--seed", str(seed)],
+                check=True,
+                capture_output=True,
+            )
+            view = assess(open_run(out))
+        rows = [row for row in view.truth if row.informed]
+        hits = sum(row.inside for row in rows)
+        known.update(row.name for row in rows)
+        inside.update(row.name for row in rows if row.inside)
+        print(f"{seed:6d}{hits:9d}{len(rows):8d}{hits / len(rows):9.1%}  {view.verdict}")
+    total, hits = sum(known.values()), sum(inside.values())
+    print(f"{'all':>6}{hits:9d}{total:8d}{hits / total:9.1%}")
+    print("\nby quantity")
+    for name in sorted(known):
+        print(f"{name:22s}{inside[name]:5d} of {known[name]}")
+
+
+if __name__ == "__main__":
+    main()
