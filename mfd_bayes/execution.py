@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.sampling import find_effort
+from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.hierarchy import infer, pool, summarize
+from mfd_bayes.population.hierarchy import infer, pool
+from mfd_bayes.population.marginal import summarize
 from mfd_bayes.population.standing import free_exponents
 from mfd_bayes.population.storage import save_population
 from mfd_bayes.run import Run, TestResult, load_result

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.calibration.sampling import find_effort
 from mfd_bayes.campaign import Campaign, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.population.hierarchy import pool

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.sampling import Effort
-from mfd_bayes.population.hierarchy import Pooling, TestSummary, infer
+from mfd_bayes.population.hierarchy import infer
+from mfd_bayes.population.marginal import Pooling, TestSummary
 
 LEVELS = 3
 """Fewest actuation levels from which an exponent can be told from scatter."""

@@ -8,7 +8,8 @@ import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.population.hierarchy import Pooling, Population
+from mfd_bayes.population.hierarchy import Population
+from mfd_bayes.population.marginal import Pooling
 from mfd_bayes.store import load_arrays, save_arrays
 
 

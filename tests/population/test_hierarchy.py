@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.calibration.sampling import Effort
 from mfd_bayes.errors import FitError, PriorError
-from mfd_bayes.population.hierarchy import Marginal, Pooling, TestSummary, infer, pool, summarize
+from mfd_bayes.population.hierarchy import infer, pool
 from mfd_bayes.population.laws import LAWS
+from mfd_bayes.population.marginal import Marginal, Pooling, TestSummary, summarize
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
 EFFORT = Effort(ess=200, block=200, limit=3000, length=2.0, kept=2000)

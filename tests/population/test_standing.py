@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.calibration.sampling import Effort
-from mfd_bayes.population.hierarchy import Pooling, TestSummary, pool, summarize
+from mfd_bayes.population.hierarchy import pool
+from mfd_bayes.population.marginal import Pooling, TestSummary, summarize
 from mfd_bayes.population.standing import free_exponents
 
 PRIORS = load_priors("brfd")

@@ -6,7 +6,8 @@ import pytest
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import StoreError
-from mfd_bayes.population.hierarchy import Pooling, Population, pool
+from mfd_bayes.population.hierarchy import Population, pool
+from mfd_bayes.population.marginal import Pooling
 from mfd_bayes.population.storage import load_population, save_population
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.sampling import Draws, Effort, sample
+from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.records.trace import Trace
 
 NOISE = 0.2

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import PredictiveCheck, check_predictive, replicate
-from mfd_bayes.calibration.sampling import Effort, sample
+from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.trace import Trace
 
 EFFORT = Effort(ess=100, block=200, limit=600, r_hat=1.05, length=1.0)

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.sampling import Effort, sample
+from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.trace import Trace
 
 TESTS = 12
