@@ -118,7 +118,8 @@ def _sentence(manifest: Mapping[str, Any], checks: list[Check], calibrated: int)
         where = ", ".join(sorted({c.subject for c in sampling}))
         parts.append(f"the sampling fell short of {limits} in {where}: do not use these figures")
     else:
-        parts.append(f"all {calibrated} calibrated tests and the laws converged ({limits})")
+        tests = "the calibrated test" if calibrated == 1 else f"all {calibrated} calibrated tests"
+        parts.append(f"{tests} and the laws converged ({limits})")
     predictive = [c for c in failed if c.name == PREDICTIVE]
     total = sum(c.name == PREDICTIVE for c in checks)
     if predictive:
