@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.assessment.bands import fan_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign import Campaign, Test
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.views import Fan, Interval
+from mfd_bayes.reporting.views import Fan
 
 Array = NDArray[np.float64]
 
@@ -71,9 +72,7 @@ def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
     posterior = Posterior(trace, priors, campaign.noise, campaign.model)
     drawn = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
     force = posterior.force(drawn) + drawn["offset"][:, None]
-    levels = np.quantile(force, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
-    intervals = (Interval(0.5, levels[1], levels[3]), Interval(0.95, levels[0], levels[4]))
-    return Fan("prior", levels[2], intervals)
+    return fan_of("prior", force)
 
 
 def share_inside(fan: Fan, trace: Trace) -> float:

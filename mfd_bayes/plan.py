@@ -19,6 +19,7 @@ from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.campaign import Campaign, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.population.hierarchy import pool
+from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.task import Task
 
@@ -83,11 +84,13 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     priors = load_priors(campaign.priors, campaign.folder)
     effort = find_effort(options.effort)
     laws = _laws(campaign)
-    traces, rates, inputs = {}, {}, {campaign.path.name: _sha256(campaign.path)}
-    inputs[priors.path.name] = _sha256(priors.path)
+    traces, rates, inputs = {}, {}, {campaign.path.name: hash_file(campaign.path)}
+    inputs[priors.path.name] = hash_file(priors.path)
     for test in campaign.tests:
-        traces[test.id], rates[test.id] = _read(campaign, priors, test)
-        inputs[test.path.relative_to(campaign.folder).as_posix()] = _sha256(test.path)
+        record = _read(campaign, test)
+        traces[test.id] = record.trace(campaign.rate, gap=priors.gap)
+        rates[test.id] = _rates(record, traces[test.id])
+        inputs[test.path.relative_to(campaign.folder).as_posix()] = record.sha256
     tasks = tuple(
         _task(campaign, priors, test, traces[test.id], options)
         for test in campaign.tests
@@ -154,16 +157,19 @@ def _laws(campaign: Campaign) -> dict[str, str]:
     return laws
 
 
-def _read(campaign: Campaign, priors: PriorFile, test: Test) -> tuple[Trace, dict[str, float]]:
-    """Trace of a test at the rate of the fit, and the rates, Hz, for the record."""
+def _read(campaign: Campaign, test: Test) -> Record:
     record = test.read()
     if record.force is None:
         raise CampaignError(
             f"test {test.id!r} of {campaign.path} has no force: name its column in [columns]"
         )
-    trace = record.trace(campaign.rate, gap=priors.gap)
+    return record
+
+
+def _rates(record: Record, trace: Trace) -> dict[str, float]:
+    """Samples of the fit, its rate and the record's, Hz."""
     rate = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
-    return trace, {"samples": trace.samples, "rate": rate, "record_rate": record.rate}
+    return {"samples": trace.samples, "rate": rate, "record_rate": record.rate}
 
 
 def _task(
@@ -187,8 +193,3 @@ def _task(
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
     )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

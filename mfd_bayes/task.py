@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import measure
+from mfd_bayes.calibration.diagnostics import measure_draws
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
@@ -140,8 +140,7 @@ def _convergence(values: dict[str, Array], walkers: int) -> dict[str, list[float
     for name, draws in values.items():
         if np.ptp(draws) == 0:
             continue
-        steps = draws.reshape(len(draws), walkers, -1, 1).swapaxes(1, 2)
-        figures = measure(steps)
+        figures = measure_draws(draws, walkers)
         found[name] = [
             float(figures.r_hat[0]),
             float(figures.ess_bulk[0]),

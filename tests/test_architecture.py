@@ -18,9 +18,9 @@ LAYERS = (
     ("mfd_bayes.calibration",),
     ("mfd_bayes.population", "mfd_bayes.quantities"),
     ("mfd_bayes.reporting",),
-    ("mfd_bayes.run", "mfd_bayes.task", "mfd_bayes.demo", "mfd_bayes.inspection"),
+    ("mfd_bayes.run", "mfd_bayes.task", "mfd_bayes.demo"),
     ("mfd_bayes.plan", "mfd_bayes.assessment"),
-    ("mfd_bayes.execution",),
+    ("mfd_bayes.execution", "mfd_bayes.inspection"),
     ("mfd_bayes.pipeline",),
     ("mfd_bayes.cli",),
 )

@@ -10,13 +10,12 @@ from mfd_bayes.assessment.checks import (
     INFORMED,
     PREDICTIVE,
     SAMPLING,
-    STANDING,
     convergence_checks,
     standing_checks,
 )
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.tests import SCALE_NOTE, calibrated_view, held_out_view
-from mfd_bayes.reporting.views import CampaignView, Check, Row, TestView, TruthRow
+from mfd_bayes.reporting.views import STANDING, CampaignView, Check, Row, TestView, TruthRow
 from mfd_bayes.run import Run
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.calibration.predictive import PredictiveCheck
-from mfd_bayes.reporting.views import Check, Row
+from mfd_bayes.reporting.views import STANDING, Check, Row
 
 INFORMED = 0.5
 """Share of the prior's variance that the data must remove from a parameter to inform it."""
@@ -17,7 +17,6 @@ EXTREME = 0.005
 """A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
 
 LENGTH = "autocorrelation times kept"
-STANDING = "exponent if the law were a power law"
 PREDICTIVE = "posterior predictive p-value"
 SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mfd_bayes.assessment.bands import fan_of
-from mfd_bayes.calibration.diagnostics import measure
+from mfd_bayes.calibration.diagnostics import measure_draws
 from mfd_bayes.quantities import UNITS, law_unit
 from mfd_bayes.reporting.views import LawView, Row
 from mfd_bayes.run import Run
@@ -24,8 +24,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     found |= {f"scatter_{group}": tau for group, tau in population.scatters.items()}
     rows = []
     for name, draws in found.items():
-        chains = draws.reshape(len(draws), population.walkers, -1, 1).swapaxes(1, 2)
-        converged = measure(chains)
+        converged = measure_draws(draws, population.walkers)
         lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
         rows.append(
             Row(

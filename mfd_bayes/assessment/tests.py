@@ -35,7 +35,8 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     values = test.stored.values()
     replicas = replicate(posterior, values, np.random.default_rng(0))
     gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
-    rows = _rows(test, values)
+    prior = _prior_values(test)
+    rows = _rows(test, values, prior)
     checks = convergence_checks(test.id, rows, run.manifest["effort"])
     checks.append(length_check(test.id, facts, run.manifest["effort"]))
     checks += [predictive_check(test.id, c) for c in check_predictive(posterior, replicas, gap)]
@@ -50,7 +51,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         device=fan_of("device", replicas.force),
         observation=fan_of("observation", replicas.observed),
         rows=tuple(rows),
-        marginals=_marginals(test, values, rows),
+        marginals=_marginals(test, values, prior, rows),
         chains={name: _by_step(test, name) for name in posterior.names},
         corner=tuple(name for name in _CORNER if informed.get(name)),
         checks=tuple(checks),
@@ -84,9 +85,8 @@ def _actuation(run: Run, trace: Trace) -> str:
     return f"{text} (mean of a history)" if trace.varying else text
 
 
-def _rows(test: TestResult, values: Mapping[str, Array]) -> list[Row]:
+def _rows(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Array]) -> list[Row]:
     """Table I of one test: every parameter with its uncertainty and convergence."""
-    prior = _prior_values(test)
     facts = test.stored.facts
     rows = []
     for name, draws in values.items():
@@ -128,9 +128,8 @@ def _prior_values(test: TestResult, n: int = 2000) -> dict[str, Array]:
 
 
 def _marginals(
-    test: TestResult, values: Mapping[str, Array], rows: list[Row]
+    test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Array], rows: list[Row]
 ) -> tuple[Marginal, ...]:
-    prior = _prior_values(test)
     shrunk = {row.name: row.contraction for row in rows}
     sampled = test.posterior.names
     return tuple(Marginal(n, UNITS[n], prior[n], values[n], shrunk[n]) for n in sampled)

@@ -90,6 +90,11 @@ def measure(chains: Array) -> Convergence:
     )
 
 
+def measure_draws(draws: Array, walkers: int) -> Convergence:
+    """Convergence of one quantity's stored draws (chain, draw), which are ordered by walker."""
+    return measure(draws.reshape(len(draws), walkers, -1, 1).swapaxes(1, 2))
+
+
 def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
     """Rank-normalised split R̂ and ESS of an array (chain, draw), from either ArviZ."""
     with warnings.catch_warnings():

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mfd_bayes.calibration.predictive import COVERAGES
 
-PROBABILITIES = (0.5, 0.9, 0.95)
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Score:
     Attributes
     ----------
     coverage : tuple of float
-        Share of samples inside the equal-tailed bands of `PROBABILITIES`.
+        Share of samples inside the equal-tailed bands of `COVERAGES`.
     width : float, kip
         Mean width of the 95 % band.
     crps : float, kip
@@ -38,7 +38,7 @@ def score(draws: Array, observed: Array) -> Score:
     """Scores of draws (n, T) against an observed force (T,), kip."""
     coverage = []
     width = np.nan
-    for probability in PROBABILITIES:
+    for probability in COVERAGES:
         tail = 0.5 * (1.0 - probability)
         lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
         coverage.append(float(np.mean((observed >= lower) & (observed <= upper))))

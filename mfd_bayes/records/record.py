@@ -204,7 +204,7 @@ def read_record(
     fit = parse_window(fit) if isinstance(fit, str) else fit
     record = Record(
         path=path,
-        sha256=_sha256(path),
+        sha256=hash_file(path),
         time=signals["time"],
         displacement=signals["displacement"],
         force=signals.get("force"),
@@ -346,6 +346,7 @@ def _turns(displacement: Array) -> NDArray[np.intp]:
     return turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
 
 
-def _sha256(path: Path) -> str:
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

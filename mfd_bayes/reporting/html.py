@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.views import CampaignView, Check, Row
+from mfd_bayes.reporting.views import STANDING, CampaignView, Check, Row
 
 UNINFORMED = 0.5
 """Below this contraction the page says that the data do not inform a parameter."""
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_LAW = "exponent if the law were a power law"
-_ELSEWHERE = ("prior variance removed", "calibration", _LAW)  # shown in sections of their own
+_ELSEWHERE = ("prior variance removed", "calibration", STANDING)  # shown in sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 
@@ -65,7 +64,7 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> str:
         convergence=_convergence(view),
         judged=[check for check in view.checks if check.verdict != "note"],
         fit=_grid(check for check in view.checks if _is_of_fit(check)),
-        standing=[check for check in view.checks if check.name == _LAW],
+        standing=[check for check in view.checks if check.name == STANDING],
         sampler=_grid(check for check in view.checks if is_of_sampler(check)),
         uninformed=_uninformed(view),
         limit=UNINFORMED,

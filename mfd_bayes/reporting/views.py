@@ -13,6 +13,10 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 
 
+STANDING = "exponent if the law were a power law"
+"""Name of the check that a proportional law is not contradicted; it has a section of its own."""
+
+
 @dataclass(frozen=True)
 class Check:
     """One check: what was found, what it may be, and the verdict.

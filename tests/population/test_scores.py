@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.population.scores import PROBABILITIES, crps, rrse, score
+from mfd_bayes.population.scores import COVERAGES, crps, rrse, score
 
 
 def normal_crps(mean, sd, y):
@@ -45,7 +45,7 @@ def test_calibrated_draws_cover_as_often_as_they_say():
     centre = np.sin(np.linspace(0, 20, 4000))
     observed = centre + 0.3 * rng.normal(size=4000)
     right = score(centre + 0.3 * rng.normal(size=(1000, 4000)), observed)
-    np.testing.assert_allclose(right.coverage, PROBABILITIES, atol=0.03)
+    np.testing.assert_allclose(right.coverage, COVERAGES, atol=0.03)
     assert right.width == pytest.approx(2 * 1.96 * 0.3, rel=0.02)
     narrow = score(centre + 0.1 * rng.normal(size=(1000, 4000)), observed)  # the control
     assert narrow.coverage[-1] < 0.6
