@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.sampling import Draws, sample
     from mfd_bayes.errors import MfdError
-    from mfd_bayes.friction.baselines import LuGre
+    from mfd_bayes.friction.baselines import BoucWen, LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
     "Band": "mfd_bayes.population.predict",
+    "BoucWen": "mfd_bayes.friction.baselines",
     "Draws": "mfd_bayes.calibration.sampling",
     "LuGre": "mfd_bayes.friction.baselines",
     "MfdError": "mfd_bayes.errors",
@@ -35,6 +36,7 @@ _HOMES = {
 
 __all__ = [
     "Band",
+    "BoucWen",
     "Draws",
     "LuGre",
     "MfdError",

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.lugre import Friction, slip_force
+from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.friction.lugre import friction_of, slip_force
 from mfd_bayes.friction.model import actuate, check_theta
+from mfd_bayes.friction.stepping import Damper, State
 from mfd_bayes.records.trace import Trace
+
+__all__ = ["BoucWen", "LuGre"]
 
 Array = NDArray[np.float64]
 
@@ -45,5 +49,31 @@ class LuGre:
         theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
         """
         columns = actuate(check_theta(self, theta), trace, scales)
-        friction = Friction(**{f.name: columns[f.name] for f in fields(Friction)})
-        return slip_force(friction, trace.path)[trace.path.samples].T
+        return slip_force(friction_of(columns), trace.path)[0].T
+
+    def start(
+        self,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        *,
+        direction: int | None = None,
+        reference_actuation: float | None = None,
+    ) -> State:
+        """State before the first sample of a motion; see `ThreeStage.start`."""
+        friction = friction_of(check_theta(self, theta))
+        damper = Damper(friction, direction=direction, reference=reference_actuation)
+        return State.at_rest(damper)
+
+    def step(
+        self,
+        state: State,
+        displacement: float,
+        velocity: float,
+        dt: float,
+        actuation: float | None = None,
+        *,
+        scales: Mapping[str, ArrayLike] | None = None,
+    ) -> tuple[Array, State]:
+        """Force, (n,), kip, at the next sample of a motion; see `ThreeStage.step`."""
+        state = state.step(displacement, velocity, dt, actuation, scales)
+        return state.force, state

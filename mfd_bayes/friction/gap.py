@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
+from mfd_bayes.friction.arrays import add_outer, rows_of, scratch
+from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.records.trace import Path
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+SATURATED = 26.0
+"""Transition lengths after which a transition is complete: exp(−26) of a force is 5e-12 of it."""
+
+SHARP = 300.0
+"""Width of the gap in transition lengths from which its ends no longer share an exponential."""
 
 
 @dataclass(frozen=True)
@@ -31,73 +40,49 @@ class Gap:
         """D = d2 + d3, (n,), in."""
         return self.d2 + self.d3
 
+    @property
+    def sharp(self) -> bool:
+        """Whether a transition of any vector is very short beside its gap."""
+        return bool(np.any(self.width > SHARP * self.transition))
+
 
 @dataclass(frozen=True)
 class Crossing:
     """State of the gap in each monotone stretch of motion, (K + 1, n) each.
 
-    The travel since the last slip is u = `offset` + `side` x; `carry` is the force, kip,
-    that the last turning point left over and that fades as the gap is crossed.
+    The gap lies between the displacements `edge` and `edge` + D. It is crossed in the
+    direction `side` = ±1, so that the travel since the last slip is u = x − edge forward and
+    edge + D − x backward. `carry` is the force, kip, that the last turning point left over
+    and that fades as the gap is crossed.
     """
 
     side: Array
-    offset: Array
+    edge: Array
     carry: Array
 
+    def origin(self, gap: Gap) -> Array:
+        """Displacement at which the travel is 0, (K + 1, n), in."""
+        return np.where(self.side > 0, self.edge, self.edge + gap.width)
 
-def blend(gap: Gap, u: Array, side: Array, slip: Array) -> Array:
-    """Force of the three stages at travel u (paper Eqs. 1 and 2; model.md section 4).
+    def near(self, gap: Gap, displacement: Array, stretch: Rows) -> Rows:
+        """Samples at which a transition of any vector is neither 0 nor 1, (N,).
 
-    Parameters
-    ----------
-    gap : Gap
-    u, side, slip : (…, n)
-        Travel since the last slip, in; direction of the crossing, ±1; F1, kip.
+        Elsewhere the force is F1: the carried force has faded, and the gap is crossed.
 
-    Returns
-    -------
-    (…, n), kip
-    """
-    # m31, from build-up to slip at u = D
-    weight = _logistic(u, gap.width, gap.transition)
-    # F3 = s [k2 d2 + k3 (u − d2)]
-    force = u * gap.k3
-    force += (gap.k2 - gap.k3) * gap.d2
-    force *= side
-    # F2 = s k2 u, and m23, from stick to build-up at u = d2
-    stick = u * gap.k2
-    stick *= side
-    building = _logistic(u, gap.d2, gap.transition)
-    # m12 = tanh(u/2ℓ) for u ≥ 0: the upper half of a logistic, so that a reversal makes no jump
-    sticking = np.tanh(np.maximum(u, 0.0) * (0.5 / gap.transition))
-    # each transition is applied to the result of the one before
-    stick -= slip
-    stick *= sticking
-    stick += slip
-    force -= stick
-    force *= building
-    force += stick
-    force -= slip
-    weight -= 1.0
-    force *= weight
-    np.subtract(slip, force, out=force)
-    return force
+        Parameters
+        ----------
+        gap : Gap
+        displacement : (T,), in
+        stretch : (T,), int
+            Stretch to which each sample belongs.
+        """
+        margin = SATURATED * gap.transition
+        low = (self.edge - margin).min(axis=1)
+        high = (self.edge + (gap.width + margin)).max(axis=1)
+        return np.flatnonzero((displacement >= low[stretch]) & (displacement <= high[stretch]))
 
 
-def fade(gap: Gap, u: Array) -> Array:
-    """Share of the carried force that is left at travel u, 1 − tanh(|u|/2ℓ), (…, n)."""
-    return 1.0 - np.tanh(np.abs(u) * (0.5 / gap.transition))
-
-
-def _logistic(u: Array, centre: Array, scale: Array) -> Array:
-    weight = (centre - u) / scale
-    np.minimum(weight, 700.0, out=weight)
-    np.exp(weight, out=weight)
-    weight += 1.0
-    return np.reciprocal(weight, out=weight)
-
-
-def follow(gap: Gap, path: Path, start: Array, slip_at: Callable[[int], Array]) -> Crossing:
+def follow(gap: Gap, path: Path, start: Array, slip: Array) -> Crossing:
     """State of the gap in every stretch between turning points.
 
     At a turning point after slip (u ≥ D or u ≤ 0) the travel starts again at 0 in the new
@@ -110,24 +95,166 @@ def follow(gap: Gap, path: Path, start: Array, slip_at: Callable[[int], Array]) 
     path : Path
     start : (n,), 1
         u/D at the first sample.
-    slip_at : callable
-        F1 at a sample, (n,), kip.
+    slip : (K, n), kip
+        F1 at the turning points.
     """
-    x, turns = path.displacement, path.turning_points
-    stretches, n = turns.size + 1, gap.k2.size
-    side, offset, carry = (np.empty((stretches, n)) for _ in range(3))
-    side[0] = path.direction
-    offset[0] = start * gap.width - path.direction * x[0]
-    carry[0] = 0.0
-    direction = path.direction
-    for k, sample in enumerate(turns, start=1):
-        direction = -direction
-        slip = slip_at(int(sample))
-        u = offset[k - 1] + side[k - 1] * x[sample]
-        slipped = (u >= gap.width) | (u <= 0.0)
-        left = blend(gap, u, side[k - 1], slip) + carry[k - 1] * fade(gap, u)
-        left -= blend(gap, np.zeros_like(u), np.full_like(u, direction), slip)
-        side[k] = np.where(slipped, direction, side[k - 1])
-        offset[k] = np.where(slipped, -direction * x[sample], offset[k - 1])
-        carry[k] = np.where(slipped, left, carry[k - 1])
-    return Crossing(side, offset, carry)
+    first = begin(gap, float(path.displacement[0]), path.direction, start)
+    return turn(gap, first, path.displacement[path.turning_points], path.direction, slip)
+
+
+def begin(gap: Gap, displacement: float, direction: int, start: Array) -> Crossing:
+    """State before the first turning point, of one stretch; see `follow`."""
+    behind = start if direction > 0 else 1.0 - start
+    shape = (1, start.size)
+    return Crossing(
+        np.full(shape, float(direction)),
+        (displacement - behind * gap.width).reshape(shape),
+        np.zeros(shape),
+    )
+
+
+def turn(gap: Gap, before: Crossing, at: Array, direction: int, slip: Array) -> Crossing:
+    """State of a stretch and of those that follow it, each after a turning point.
+
+    Parameters
+    ----------
+    gap : Gap
+    before : Crossing
+        State of one stretch.
+    at : (K,), in
+        Turning points.
+    direction : int
+        +1 or -1, that of the motion before the first of them.
+    slip : (K, n), kip
+        F1 there.
+    """
+    x = at[:, None]
+    directions = np.where(np.arange(len(x) + 1) % 2, -1.0, 1.0) * direction
+    edge, slipped = _dragged(gap, before.edge, x, directions)
+    latest = np.zeros(edge.shape, dtype=np.intp)
+    np.multiply(slipped, np.arange(1, len(edge))[:, None], out=latest[1:])
+    np.maximum.accumulate(latest, axis=0, out=latest)
+    side = np.where(latest > 0, directions[latest], before.side)
+    carry = np.zeros(edge.shape)
+    left, faded = _left_over(gap, Crossing(side, edge, carry), x, slipped, slip)
+    carry[0], carry[1:] = before.carry[0], left
+    if faded is not None:
+        # carry_k = fade carry_{k−1} + what is left over after slip, carry_{k−1} inside the gap
+        carry[1:] = solve(np.where(slipped, faded, 1.0), left * slipped, before.carry[0])
+    elif not slipped.all():
+        carry = np.take_along_axis(carry, latest, axis=0)
+    return Crossing(side, edge, carry)
+
+
+def _dragged(
+    gap: Gap, first: Array, x: Array, directions: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Edge of the gap before and after each turning point, (K + 1, n), and whether it slipped.
+
+    A motion past either end of the gap takes it along.
+    """
+    # as if every stretch crossed the whole gap
+    beyond = x - gap.width
+    edge = np.concatenate([first, np.where(directions[:-1, None] > 0, beyond, x)])
+    slipped = np.ones(x.shape[:1] + first.shape[1:], dtype=bool)
+    short = np.abs(np.diff(x[:, 0])) <= gap.width.max()
+    for k in [0, *(np.flatnonzero(short) + 1).tolist()][: len(x)]:
+        np.maximum(edge[k], beyond[k], out=edge[k + 1])
+        np.minimum(edge[k + 1], x[k], out=edge[k + 1])
+        slipped[k] = (edge[k + 1] == x[k]) | (edge[k + 1] == beyond[k])
+    return edge, slipped
+
+
+def _left_over(
+    gap: Gap, crossing: Crossing, x: Array, slipped: NDArray[np.bool_], slip: Array
+) -> tuple[Array, Array | None]:
+    """Blended force before each turning point after slip less that after it, (K, n), kip.
+
+    And the share of the force carried before that has not faded, (K, n), if any has.
+    """
+    # after the turn, at u = 0
+    build_up = expit(gap.width / gap.transition) * expit(-gap.d2 / gap.transition)
+    left = build_up * (slip - crossing.side[1:] * ((gap.k2 - gap.k3) * gap.d2))
+    u = crossing.side[:-1] * (x - crossing.origin(gap)[:-1])
+    early = slipped & (u < gap.width + SATURATED * gap.transition)
+    if not early.any():
+        return left, None
+    partly = np.flatnonzero(early.any(axis=1))
+    before = slip[partly]
+    blend(gap, crossing, partly, x[partly, 0], before)
+    left[partly] += before - slip[partly]
+    return left, 1.0 - np.tanh(np.abs(u) * (0.5 / gap.transition))
+
+
+def blend(gap: Gap, crossing: Crossing, stretch: Rows, displacement: Array, force: Array) -> None:
+    """Turn F1 into the force of the three stages (paper Eqs. 1 and 2; model.md section 4).
+
+    With E = exp(−u/ℓ) the weights are quotients of it: m12 = (1 − E)/(1 + E) for u ≥ 0,
+    m23 = 1/(1 + A) with A = E exp(d2/ℓ) and m31 = 1/(1 + B) with B = E exp(D/ℓ), so that
+
+        F − F1 = {[A (1 − E) (F2 − F1) + (1 + E) (F3 − F1)] B / ((1 + A)(1 + B)) + 2 E ΔF} / (1 + E)
+
+    For u < 0 (`backwards`) m12 is 0, as if E were 1 in it, and ΔF fades with |u|.
+
+    Parameters
+    ----------
+    gap : Gap
+    crossing : Crossing
+    stretch : (N,), int
+        Stretch to which each sample belongs.
+    displacement : (N,), in
+    force : (N, n), kip
+        F1, overwritten by F.
+    """
+    if not force.size:
+        return
+    work, e, a, b, f2, f3 = scratch(6, *force.shape)
+    origin = crossing.origin(gap)
+    # −u/ℓ = −s (x − origin)/ℓ
+    travel = _along(-origin, stretch, displacement, np.ones(len(gap.k2)), out=a)
+    np.multiply(rows_of(crossing.side / -gap.transition, stretch, out=work), travel, out=e)
+    backwards = e.max() > 1e-9
+    if backwards:
+        np.minimum(e, SATURATED, out=e)
+    if gap.sharp:
+        np.exp(np.minimum(e + gap.d2 / gap.transition, SHARP), out=a)
+        np.exp(np.minimum(e + gap.width / gap.transition, SHARP), out=b)
+        np.exp(e, out=e)
+    else:
+        np.exp(e, out=e)
+        np.multiply(e, np.exp(gap.d2 / gap.transition), out=a)
+        np.multiply(e, np.exp(gap.width / gap.transition), out=b)
+    # F2 − F1 = k2 (x − origin) − F1, and F3 − F1 = s (k2 − k3) d2 + k3 (x − origin) − F1
+    f2 = _along(-gap.k2 * origin, stretch, displacement, gap.k2, out=f2)
+    f2 -= force
+    at_zero = crossing.side * ((gap.k2 - gap.k3) * gap.d2) - gap.k3 * origin
+    f3 = _along(at_zero, stretch, displacement, gap.k3, out=f3)
+    f3 -= force
+    # A (1 − E) (F2 − F1), and 2 E ΔF
+    f2 *= a
+    f2 *= np.subtract(1.0, np.minimum(e, 1.0, out=work) if backwards else e, out=work)
+    carry = rows_of(2.0 * crossing.carry, stretch, out=work)
+    if backwards:
+        fading = np.minimum(e, 1.0 / np.maximum(e, 1e-300))
+        np.minimum(e, 1.0, out=e)
+        fading *= (1.0 + e) / (1.0 + fading)
+        carry *= fading
+    else:
+        carry *= e
+    # the braces, from the inside out
+    e += 1.0
+    f3 *= e
+    f2 += f3
+    f2 *= b
+    a += 1.0
+    b += 1.0
+    a *= b
+    f2 /= a
+    f2 += carry
+    f2 /= e
+    force += f2
+
+
+def _along(table: Array, stretch: Rows, displacement: Array, slope: Array, out: Array) -> Array:
+    """Straight lines in the displacement, (N, n): a table's row of each stretch + slope x."""
+    return add_outer(displacement, slope, rows_of(table, stretch, out=out))

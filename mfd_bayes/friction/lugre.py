@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
-from math import isqrt
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.friction.arrays import add_outer, add_row, outer, rows_of, scratch
+from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.records.trace import Path
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
-FORCE_FLOOR = 1e-9
-"""Smallest slip force g, kip: at zero actuation friction vanishes and nothing divides by zero."""
+FLOOR = 1e-9
+"""Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
+
+NO_STEP = 1e-30
+"""Length, in, that stands for none: it moves nothing, and nothing divides by zero."""
+
+PIECE = 1 << 17
+"""Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +43,128 @@ class Friction:
     Fc_bwd: Array
     v_s: Array
 
+    @property
+    def vectors(self) -> int:
+        """Number of parameter vectors n."""
+        return int(self.v_s.shape[1])
 
-def slip_force(friction: Friction, path: Path) -> Array:
-    """Force F1 of the bristles that start undeflected, (P, n), kip.
+    @property
+    def varying(self) -> bool:
+        """Whether friction follows a history of actuation."""
+        followers = (self.sigma0, self.Fs_fwd, self.Fc_fwd, self.Fs_bwd, self.Fc_bwd)
+        return max(map(len, followers)) > 1
+
+    @classmethod
+    def of(cls, stations: list[Friction]) -> Friction:
+        """Friction that varies over some samples, each with (1, n) columns."""
+        columns = {}
+        for f in fields(cls):
+            values = [getattr(station, f.name) for station in stations]
+            same = all(value is values[0] for value in values)
+            columns[f.name] = values[0] if same else np.concatenate(values)
+        return cls(**columns)
+
+    def at(self, rows: Rows) -> Friction:
+        """Friction at some samples of the path; what is constant stays (1, n)."""
+        return self._each(lambda values: values[rows])
+
+    def midway(self, rows: Rows) -> Friction:
+        """Friction in the middle of the steps that end at some samples of the path."""
+        before = np.maximum(rows - 1, 0)
+        return self._each(lambda values: 0.5 * (values[before] + values[rows]))
+
+    def _each(self, change: Callable[[Array], Array]) -> Friction:
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{k: change(c) for k, c in columns.items() if len(c) > 1})
+
+
+def friction_of(columns: dict[str, Array]) -> Friction:
+    """Friction of a model's columns."""
+    return Friction(**{f.name: columns[f.name] for f in fields(Friction)})
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Some samples of a path, (rows,) each, and what every parameter vector needs of them.
+
+    Attributes
+    ----------
+    rows : int
+        The samples.
+    step : in
+        Length of the step that ends at the sample; never 0, see `NO_STEP`.
+    square : in²/s²
+        Of the step's mean velocity.
+    backward : int
+        1 where that is negative, else 0.
+    velocity : in/s
+        At the sample.
+    share : 1/s
+        |velocity| over |step|.
+    """
+
+    rows: Rows
+    step: Array
+    square: Array
+    backward: Rows
+    velocity: Array
+    share: Array
+
+    @classmethod
+    def of(cls, rows: Rows, step: Array, rate: Array, velocity: Array) -> Motion:
+        """Motion of steps with their mean velocities, (rows,) each."""
+        step = np.where(step == 0.0, NO_STEP, step)
+        backward = (rate < 0).astype(np.intp)
+        return cls(rows, step, rate**2, backward, velocity, np.abs(velocity / step))
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Consecutive samples of a path in the order of their blocks.
+
+    Attributes
+    ----------
+    motion : Motion
+    blocks : Blocks
+    own, turns : slice
+        The trace's samples and the turning points that are in the piece.
+    own_place, turns_place : int
+        Their rows.
+    """
+
+    motion: Motion
+    blocks: Blocks
+    own: slice
+    own_place: Rows
+    turns: slice
+    turns_place: Rows
+
+    @classmethod
+    def of(cls, path: Path, begin: int, end: int) -> Piece:
+        """The path's samples from `begin` to `end`."""
+        blocks = Blocks.of(end - begin)
+        rows = begin + blocks.order
+        motion = Motion.of(rows, path.step[rows], path.rate[rows], path.velocity[rows])
+        own, turns = (
+            slice(*np.searchsorted(samples, [begin, end]).tolist())
+            for samples in (path.samples, path.turning_points)
+        )
+        own_place = blocks.place[path.samples[own] - begin]
+        turns_place = blocks.place[path.turning_points[turns] - begin]
+        return cls(motion, blocks, own, own_place, turns, turns_place)
+
+
+@lru_cache(maxsize=8)
+def _pieces(path: Path, length: int) -> list[Piece]:
+    """A path in pieces; a sampler asks for the same path again and again."""
+    samples = path.time.size
+    return [
+        Piece.of(path, begin, min(begin + length, samples)) for begin in range(0, samples, length)
+    ]
+
+
+def slip_force(friction: Friction, path: Path) -> tuple[Array, Array]:
+    """Force F1 of the bristles that start undeflected.
 
     F1 = σ0 z + σ1 ż + σ2 v with ż = v − σ0 |v| z / g(v). Between samples the velocity is
     taken constant, so that Δx is exact and the equation for z linear (model.md section 2):
@@ -44,111 +172,92 @@ def slip_force(friction: Friction, path: Path) -> Array:
         z_{n+1} = a_n z_n + (1 − a_n) sgn(Δx_n) g_n/σ0,   a_n = exp(−σ0 |Δx_n| / g_n)
 
     The rate terms at sample n use the velocity of the path and the g of the step before it.
+
+    Returns
+    -------
+    (T, n) at the trace's samples, and (K, n) at the path's turning points, kip
     """
-    dx = np.diff(path.displacement)[:, None]
-    n = max(friction.sigma1.shape[1], friction.sigma0.shape[1])
-    steps = Steps.allocate(dx.size, n)
-    # σ0/g, 1/in
-    reach = _slip_level(friction, dx / np.diff(path.time)[:, None], n)
-    np.divide(_midpoints(friction.sigma0), reach, out=reach)
-    decay = np.multiply(reach, -np.abs(dx), out=steps.decay)
-    np.exp(decay, out=decay)
-    drive = np.subtract(1.0, decay, out=steps.drive)
-    drive /= reach
-    drive *= np.sign(dx)
-    z = steps.solve()
-
-    v = path.velocity[:, None]
-    force = np.empty_like(z)
-    np.multiply(reach, np.abs(v[1:]), out=force[1:])
-    np.multiply(reach[0], np.abs(v[0]), out=force[0])
-    if len(friction.Fc_fwd) > 1:
-        force *= _unrelaxed(friction, z, reach)
-    force *= -friction.sigma1
-    force += friction.sigma0
-    force *= z
-    force += np.multiply(v, friction.sigma1 + friction.sigma2, out=z)
-    return force
+    n = friction.vectors
+    force = np.empty((path.samples.size, n))
+    at_turns = np.empty((path.turning_points.size, n))
+    z = np.zeros(n)
+    for piece in _pieces(path, max(PIECE // n, 1)):
+        slip, z = advance(friction, piece.motion, z, piece.blocks)
+        rows_of(slip, piece.own_place, out=force[piece.own])
+        at_turns[piece.turns] = slip[piece.turns_place]
+    return force, at_turns
 
 
-def _slip_level(friction: Friction, velocity: Array, n: int) -> Array:
-    """Stribeck curve g(v) = F_c + (F_s − F_c) exp(−(v/v_s)²) of each step, (P − 1, n), kip."""
-    level = np.empty((velocity.size, n))
-    np.multiply(velocity**2, -1.0 / friction.v_s**2, out=level)
-    np.exp(level, out=level)
-    forward = velocity[:, 0] >= 0
-    ends = [0, *(np.flatnonzero(np.diff(forward)) + 1).tolist(), len(forward)]
-    sides = {
-        True: (_midpoints(friction.Fs_fwd), _midpoints(friction.Fc_fwd)),
-        False: (_midpoints(friction.Fs_bwd), _midpoints(friction.Fc_bwd)),
-    }
-    for begin, end in pairwise(ends):
-        static, kinetic = sides[bool(forward[begin])]
-        if len(static) > 1:
-            static, kinetic = static[begin:end], kinetic[begin:end]
-        run = level[begin:end]
-        run *= static - kinetic
-        run += kinetic
-    return np.maximum(level, FORCE_FLOOR, out=level)
+def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tuple[Array, Array]:
+    """Force F1 at some samples of a path, in the order of the blocks.
+
+    Parameters
+    ----------
+    friction : Friction
+    motion : Motion
+    z : (n,), in
+        Deflection of the bristles before the first step.
+    blocks : Blocks
+
+    Returns
+    -------
+    (rows, n), kip, scratch, and the deflection after the last step, (n,), in
+    """
+    exponent, decay, state, work = scratch(4, blocks.rows, friction.vectors)
+    varying = friction.varying
+    now, midway = friction, friction
+    if varying:
+        now, midway = friction.at(motion.rows), friction.midway(motion.rows)
+    steady = _steady_deflection(midway, motion, out=state, work=work)
+    # a = exp(−|Δx|/|steady|); both are negative backwards
+    np.divide(-motion.step[:, None], steady, out=exponent)
+    np.exp(exponent, out=decay)
+    blocks.relax(decay, state, z)
+    last = state[blocks.place[-1]].copy()
+    # F1 = (σ0 − σ1 |v|/|steady|) z + (σ1 + σ2) v
+    force = exponent
+    if varying:
+        force *= _unrelaxed(now, exponent / motion.step[:, None] * state)
+    force *= outer(motion.share, now.sigma1[0], out=decay)
+    force = force + now.sigma0 if varying else add_row(now.sigma0[0], force)
+    force *= state
+    return add_outer(motion.velocity, (now.sigma1 + now.sigma2)[0], force), last
 
 
-def _unrelaxed(friction: Friction, z: Array, reach: Array) -> Array:
-    """Factor that bounds σ0 |z|/g, which has no bound where actuation fell at rest, (P, n).
+def _steady_deflection(friction: Friction, motion: Motion, out: Array, work: Array) -> Array:
+    """Deflection towards which steps drive the bristles, sgn(v) g(v)/σ0, (rows, n), in.
+
+    g is the Stribeck curve F_c + (F_s − F_c) exp(−(v/v_s)²).
+    """
+    stiffness = np.maximum(friction.sigma0, FLOOR)
+    kinetic, excess = [], []
+    for stiff, static, least in (
+        (stiffness, friction.Fs_fwd, np.maximum(friction.Fc_fwd, FLOOR)),
+        (-stiffness, friction.Fs_bwd, np.maximum(friction.Fc_bwd, FLOOR)),
+    ):
+        kinetic.append(least / stiff)
+        excess.append(np.maximum(static - least, 0.0) / stiff)
+    outer(motion.square, -1.0 / friction.v_s[0] ** 2, out=out)
+    np.exp(out, out=out)
+    out *= _directed(excess, motion.backward, work)
+    out += _directed(kinetic, motion.backward, work)
+    return out
+
+
+def _directed(sides: list[Array], backward: Rows, out: Array) -> Array:
+    """The value forward or backward, as each row moves, (rows, n)."""
+    if max(map(len, sides)) > 1:
+        return np.where(backward[:, None], sides[1], sides[0])
+    return rows_of(np.concatenate(sides), backward, out=out)
+
+
+def _unrelaxed(friction: Friction, share: Array) -> Array:
+    """Factor that bounds σ0 |z|/g, which has no bound where actuation fell at rest, (rows, n).
 
     Under constant actuation it is at most the largest static over the least kinetic friction.
     """
     static = np.maximum(friction.Fs_fwd, friction.Fs_bwd)
     kinetic = np.minimum(friction.Fc_fwd, friction.Fc_bwd)
-    most = np.maximum(static, FORCE_FLOOR) / np.maximum(kinetic, FORCE_FLOOR)
-    found = np.abs(z) * np.concatenate([reach[:1], reach])
-    factor: Array = np.minimum(1.0, most / np.maximum(found, 1e-300))
+    most = np.maximum(static, FLOOR) / np.maximum(kinetic, FLOOR)
+    factor: Array = np.minimum(1.0, most / np.maximum(np.abs(share), 1e-300))
     return factor
-
-
-def _midpoints(values: Array) -> Array:
-    """Values in the middle of each step, for a history; a constant as it is."""
-    return values if values.shape[0] == 1 else 0.5 * (values[1:] + values[:-1])
-
-
-@dataclass(frozen=True)
-class Steps:
-    """The recurrence z_{k+1} = decay_k z_k + drive_k from z_0 = 0, for n vectors at once.
-
-    It is solved in blocks of about √N steps, all blocks at once and then one after the
-    other, so that it needs about 2√N numpy calls rather than N.
-
-    Attributes
-    ----------
-    decay, drive : (N, n)
-        To be filled in; `solve` overwrites both.
-    """
-
-    decay: Array
-    drive: Array
-    _blocks: Array
-    _states: Array
-
-    @classmethod
-    def allocate(cls, steps: int, n: int) -> Steps:
-        """Room for N steps of n vectors."""
-        length = isqrt(steps - 1) + 1
-        blocks = -(-steps // length)
-        decays = np.zeros((blocks * length, n))
-        states = np.zeros((blocks * length + 1, n))
-        return cls(decays[:steps], states[1 : steps + 1], decays.reshape(blocks, length, n), states)
-
-    def solve(self) -> Array:
-        """States z, (N + 1, n)."""
-        a, z = self._blocks, self._states[1:].reshape(self._blocks.shape)
-        blocks, length, n = a.shape
-        work = np.empty((blocks, n))
-        for j in range(1, length):
-            z[:, j] += np.multiply(a[:, j], z[:, j - 1], out=work)
-            a[:, j] *= a[:, j - 1]
-        carried = np.zeros((blocks, 1, n))
-        for i in range(1, blocks):
-            np.multiply(a[i - 1, -1], carried[i - 1, 0], out=carried[i, 0])
-            carried[i, 0] += z[i - 1, -1]
-        a *= carried
-        z += a
-        return self._states[: len(self.decay) + 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -81,20 +82,28 @@ def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
         values = values[:, [list(UNITS).index(name) for name in model.parameters]]
     if values.ndim != 2 or values.shape[1] != width:
         raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
-    for column, name in zip(values.T, model.parameters, strict=True):
-        least = "positive" if name in _POSITIVE else "not negative"
-        bad = ~(np.isfinite(column) & (column >= 0.0)) | ((column == 0.0) & (name in _POSITIVE))
-        if np.any(bad):
-            got = column[np.argmax(bad)]
-            raise FitError(f"parameter {name} must be finite and {least}, got {got}")
-    columns = {
-        name: np.ascontiguousarray(values[:, i])[None] for i, name in enumerate(model.parameters)
-    }
+    columns = dict(zip(model.parameters, np.ascontiguousarray(values.T)[:, None], strict=True))
+    if not np.all((values >= _least(model.parameters)) & (values < np.inf)):
+        _refuse(columns)
     for side in ("fwd", "bwd"):
         short = columns[f"Fs_{side}"] < columns[f"Fc_{side}"] * (1 - 1e-12)
         if np.any(short):
             raise FitError(f"static friction Fs_{side} must be at least kinetic Fc_{side}")
     return columns
+
+
+@lru_cache
+def _least(parameters: tuple[str, ...]) -> Array:
+    """Least value of each parameter: 0, or the least positive number."""
+    return np.array([np.nextafter(0.0, 1.0) if name in _POSITIVE else 0.0 for name in parameters])
+
+
+def _refuse(columns: dict[str, Array]) -> None:
+    for name, column in columns.items():
+        least = "positive" if name in _POSITIVE else "not negative"
+        bad = ~((column >= _least((name,))) & (column < np.inf))
+        if np.any(bad):
+            raise FitError(f"parameter {name} must be finite and {least}, got {column[bad][0]}")
 
 
 def actuate(

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.gap import Crossing, Gap, blend, fade, follow
-from mfd_bayes.friction.lugre import Friction, slip_force
+from mfd_bayes.friction.gap import Gap, blend, follow
+from mfd_bayes.friction.lugre import PIECE, friction_of, slip_force
 from mfd_bayes.friction.model import UNITS, actuate, check_theta
+from mfd_bayes.friction.stepping import Damper, State
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
-
-SATURATED = 40.0
-"""Transition lengths after which a transition is complete: exp(−40) is below double precision."""
-
-CHUNK = 96
-"""Parameter vectors that are worked on together, so that a record's arrays stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -65,55 +60,99 @@ class ThreeStage:
         n = columns["k2"].shape[1]
         w0 = _check_start(start, n)
         columns = actuate(columns, trace, scales)
-        force = np.empty((trace.samples, n))
-        parts = -(-n // CHUNK)
-        for i in range(parts):
-            part = slice(i * n // parts, (i + 1) * n // parts)
-            chunk = {name: np.broadcast_to(c, (len(c), n))[:, part] for name, c in columns.items()}
-            force[:, part] = _force(chunk, trace, w0[part])
-        return force.T
+        return _force(columns, trace, w0).T
+
+    def start(
+        self,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        *,
+        direction: int | None = None,
+        reference_actuation: float | None = None,
+    ) -> State:
+        """State of every parameter vector before the first sample of a motion.
+
+        Parameters
+        ----------
+        theta, start
+            As in `force`.
+        direction : int, optional
+            +1 or -1, that of the first motion; by default that of the first velocity.
+        reference_actuation : float, ksi or kip, optional
+            Actuation to which theta belongs; by default that of the first step.
+        """
+        columns = check_theta(self, theta)
+        w0 = _check_start(start, columns["k2"].shape[1])
+        damper = Damper(friction_of(columns), _gap(columns), w0, direction, reference_actuation)
+        return State.at_rest(damper)
+
+    def step(
+        self,
+        state: State,
+        displacement: float,
+        velocity: float,
+        dt: float,
+        actuation: float | None = None,
+        *,
+        scales: Mapping[str, ArrayLike] | None = None,
+    ) -> tuple[Array, State]:
+        """Force of every parameter vector at the next sample of a motion, and the state there.
+
+        It equals `force` on the same samples, velocities and actuation if the trace has no
+        reversal smaller than its hysteresis (`hysteresis=0` makes it so): that a reversal
+        will come to nothing is not known while it happens.
+
+        Parameters
+        ----------
+        state : State
+            Of `start`, or of the step before; it stays as it is and may be used again.
+        displacement, velocity : in, in/s
+        dt : s
+            Time since the sample before; of no account at the first.
+        actuation : ksi or kip, optional
+            Friction is in proportion to it; when left out, theta holds as it is. A record's
+            `force` refers to its `reference_actuation`: give that to `start` for the same.
+        scales : mapping of scalars or (n,), optional
+            Factors of the parameters that follow the actuation, instead of the proportion.
+
+        Returns
+        -------
+        (n,), kip, and the new state
+
+        Raises
+        ------
+        FitError
+            When a number is not finite, dt not positive, or actuation negative.
+        """
+        state = state.step(displacement, velocity, dt, actuation, scales)
+        return state.force, state
 
 
 def _check_start(start: ArrayLike | None, n: int) -> Array:
-    w0 = np.full(n, 0.5) if start is None else np.asarray(start, dtype=np.float64)
+    if start is None:
+        return np.full(n, 0.5)
+    w0 = np.asarray(start, dtype=np.float64)
     if w0.shape not in ((), (n,)) or not np.all((w0 >= 0) & (w0 <= 1)):
         raise FitError(f"start must be a fraction of the gap in [0, 1] with shape ({n},)")
     return np.broadcast_to(w0, (n,))
 
 
+def _gap(columns: dict[str, Array]) -> Gap:
+    k2, k3, d2, d3 = (columns[name][0] for name in ("k2", "k3", "d2", "d3"))
+    return Gap(k2, k3, d2, d3, (columns["gamma2"] / columns["gamma1"])[0])
+
+
 def _force(columns: dict[str, Array], trace: Trace, start: Array) -> Array:
     """Force with time first, (T, n), kip."""
     path = trace.path
-    slip = slip_force(Friction(**{f.name: columns[f.name] for f in fields(Friction)}), path)
-    k2, k3, d2, d3 = (columns[name][0] for name in ("k2", "k3", "d2", "d3"))
-    gap = Gap(k2, k3, d2, d3, (columns["gamma2"] / columns["gamma1"])[0])
-    crossing = follow(gap, path, start, lambda sample: slip[sample])
-    stretch = np.zeros(path.time.size, dtype=np.intp)
-    stretch[path.turning_points + 1] = 1  # a turning point ends its stretch
-    np.cumsum(stretch, out=stretch)
-    near = np.flatnonzero(_crossing(gap, crossing, path.displacement, stretch))
-    stretch = stretch[near]
-    side = crossing.side[stretch]
-    u = side * path.displacement[near, None]
-    u += crossing.offset[stretch]
-    force = blend(gap, u, side, slip[near])
-    carry = crossing.carry[stretch]
-    carry *= fade(gap, u)
-    force += carry
-    slip[near] = force
-    return slip[path.samples]
-
-
-def _crossing(
-    gap: Gap, crossing: Crossing, displacement: Array, stretch: NDArray[np.intp]
-) -> NDArray[np.bool_]:
-    """Samples at which a transition of any vector is not yet 0 or 1 to double precision, (P,).
-
-    Elsewhere the force is F1: the carried force has faded, and the gap is crossed.
-    """
-    margin = SATURATED * gap.transition
-    ends = np.stack([-margin, gap.width + margin])[:, None]  # of the travel u
-    at = (ends - crossing.offset) * crossing.side  # of the displacement, (2, K + 1, n)
-    low, high = at.min(axis=(0, 2)), at.max(axis=(0, 2))
-    inside: NDArray[np.bool_] = (displacement >= low[stretch]) & (displacement <= high[stretch])
-    return inside
+    force, at_turns = slip_force(friction_of(columns), path)
+    gap = _gap(columns)
+    crossing = follow(gap, path, start, at_turns)
+    near = crossing.near(gap, trace.displacement, path.stretch)
+    length = max(PIECE // start.size, 1)
+    for begin in range(0, near.size, length):
+        rows = near[begin : begin + length]
+        part = force[rows]
+        blend(gap, crossing, path.stretch[rows], trace.displacement[rows], part)
+        force[rows] = part
+    return force

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 HYSTERESIS = 1e-3
 """Reversals smaller than this share of the peak-to-peak displacement are sensor noise."""
 
+SMOOTH = 0.1
+"""Share of a step by which a smooth turn may differ from one of constant acceleration."""
+
 
 @dataclass(frozen=True, eq=False)
 class Path:
@@ -26,23 +29,31 @@ class Path:
     Attributes
     ----------
     time, displacement, velocity : (P,), s, in, in/s
+    step, rate : (P,), in, in/s
+        Motion since the sample before, and the mean velocity of it; 0 at the first.
     turning_points : (K,), int
-        Samples of the path at which the motion turns.
+        Samples of the path at which the motion turns. The last turn counts whatever its
+        size: that the motion went on is not known.
     direction : int
         +1 or -1, the direction of the first stretch of motion.
     nearest : (P,), int
         The trace's sample at, or beside, each of the path's.
     samples : (T,), int
         The path's samples that are the trace's.
+    stretch : (T,), int
+        Number of turning points before each of these.
     """
 
     time: Array
     displacement: Array
     velocity: Array
+    step: Array
+    rate: Array
     turning_points: NDArray[np.intp]
     direction: int
     nearest: NDArray[np.intp]
     samples: NDArray[np.intp]
+    stretch: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +75,8 @@ class Trace:
         Samples, in order and without the ends, at which the motion turns.
     direction : int
         +1 or -1, the direction of the first stretch of motion.
+    hysteresis : float, in
+        Smallest reversal that counts as a turning point.
     """
 
     time: Array
@@ -73,6 +86,7 @@ class Trace:
     force: Array | None
     turning_points: NDArray[np.intp]
     direction: int
+    hysteresis: float
 
     @classmethod
     def from_arrays(
@@ -123,6 +137,7 @@ class Trace:
             force=None if force is None else _column("force", force, t.size),
             turning_points=turns,
             direction=_first_direction(x, turns),
+            hysteresis=span,
         )
 
     @property
@@ -147,46 +162,62 @@ class Trace:
 
 
 def _path(trace: Trace) -> Path:
-    """Path of a trace: beside the sample of every smooth turn, its vertex.
+    """Path of a trace: every vertex that is a turning point, between its two samples."""
+    t, x, v = trace.time, trace.displacement, trace.velocity
+    left, share, vertex = vertices(t, x, v)
+    displacement = np.insert(x, left + 1, vertex)
+    added = np.zeros(displacement.size, dtype=bool)
+    added[left + 1 + np.arange(left.size)] = True
+    turning = turning_points(displacement, trace.hysteresis, last=True)
+    kept = np.isin(np.flatnonzero(added), turning)
+    left, share, vertex = left[kept], share[kept], vertex[kept]
 
-    Between the samples where the velocity changes sign the acceleration is taken constant,
-    so that the velocity is linear in time.
-    """
-    t, x, v, turns = trace.time, trace.displacement, trace.velocity, trace.turning_points
-    after = v[turns] * (x[turns] - x[turns - 1]) > 0  # the sample is still on its old way
-    left = np.where(after, turns, turns - 1)
-    before, behind = np.abs(v[left]), np.abs(v[left + 1])
-    share = before / np.maximum(before + behind, 1e-300)
-    step = t[left + 1] - t[left]
-    beyond = 0.5 * v[turns] * step * np.where(after, share, share - 1.0)
-    inside = (v[left] * v[left + 1] < 0) & (np.abs(share - 0.5) < 0.499)
-    inside &= _smooth(x, turns) & (np.abs(beyond) < 0.5 * np.abs(x[left + 1] - x[left - 1]))
-    kept = np.flatnonzero(inside)
-    at = left[kept] + 1
+    at = left + 1
+    displacement = np.insert(x, at, vertex)
     samples = np.arange(t.size) + np.searchsorted(at, np.arange(t.size), side="right")
-    turning = samples[turns]
-    turning[kept] = at + np.arange(at.size)
+    turning = turning_points(displacement, trace.hysteresis, last=True)
+    time = np.insert(t, at, t[left] + share * (t[left + 1] - t[left]))
+    step = np.diff(displacement, prepend=displacement[0])
+    duration = np.diff(time, prepend=time[0] - 1.0)
     return Path(
-        time=np.insert(t, at, (t[left] + share * step)[kept]),
-        displacement=np.insert(x, at, (x[turns] + beyond)[kept]),
+        time=time,
+        displacement=displacement,
         velocity=np.insert(v, at, 0.0),
+        step=step,
+        rate=step / duration,
         turning_points=turning,
-        direction=trace.direction,
-        nearest=np.insert(np.arange(t.size), at, turns[kept]),
+        direction=_first_direction(displacement, turning),
+        nearest=np.insert(np.arange(t.size), at, np.where(share < 0.5, left, at)),
         samples=samples,
+        stretch=np.searchsorted(turning, samples),
     )
 
 
-def _smooth(displacement: Array, turns: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether the motion bends beside each turn about as it does at it: no corner, no noise."""
-    bend = np.zeros(displacement.size)
-    bend[1:-1] = np.diff(displacement, 2)
-    beside = np.minimum(bend[turns - 1] / bend[turns], bend[turns + 1] / bend[turns])
-    smooth: NDArray[np.bool_] = beside > 0.5
-    return smooth
+def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Vertices of the turns between samples: sample before, share of its step, displacement.
+
+    Where the velocity changes sign the acceleration is taken constant over the step, so
+    that the velocity is linear in time. Steps whose length is not that of such a motion
+    (corners, noise) have no vertex. Only the two samples of the step are looked at, so
+    that a model that is stepped in time finds the same.
+    """
+    left = np.flatnonzero(v[:-1] * v[1:] < 0)
+    before, behind, step = np.abs(v[left]), np.abs(v[left + 1]), t[left + 1] - t[left]
+    share = before / (before + behind)
+    way, sign = x[left + 1] - x[left], np.sign(v[left])
+    from_left = sign * way <= 0  # the extreme sample is the one before
+    beyond = 0.5 * step * np.where(from_left, before * share, behind * (1.0 - share))
+    vertex = np.where(from_left, x[left], x[left + 1]) + sign * beyond
+    regular = np.abs(way - 0.5 * step * (v[left] + v[left + 1])) <= SMOOTH * step * (
+        before + behind
+    )
+    regular &= np.abs(share - 0.5) < 0.499
+    return left[regular], share[regular], vertex[regular]
 
 
-def turning_points(displacement: Array, hysteresis: float) -> NDArray[np.intp]:
+def turning_points(
+    displacement: Array, hysteresis: float, *, last: bool = False
+) -> NDArray[np.intp]:
     """Where the motion turns by more than `hysteresis`, ends left out.
 
     Parameters
@@ -194,6 +225,8 @@ def turning_points(displacement: Array, hysteresis: float) -> NDArray[np.intp]:
     displacement : (T,), in
     hysteresis : float, in
         A turn counts when the motion retreats from its extreme by more than this.
+    last : bool
+        Whether the last turn counts whatever its size.
 
     Returns
     -------
@@ -219,6 +252,9 @@ def turning_points(displacement: Array, hysteresis: float) -> NDArray[np.intp]:
             if direction < 0:
                 turns.append(int(corners[low]))
             direction, low, high = 1, i, i
+    extreme = high if direction > 0 else low
+    if last and direction != 0 and values[extreme] != values[-1]:
+        turns.append(int(corners[extreme]))
     return np.array(turns, dtype=np.intp)
 
 

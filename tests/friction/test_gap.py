@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from mfd_bayes.friction.gap import Gap, blend, fade, follow
+from mfd_bayes.friction.gap import Crossing, Gap, blend, follow
 from mfd_bayes.records.trace import Trace
 
 K2, K3, D2, D3, ELL = 0.5, 30.0, 0.1, 0.12, 0.005
@@ -19,7 +19,7 @@ def literal(u, side, slip, ell=ELL):
     """Force and weights written as in model.md section 4, for scalars."""
 
     def m(x):
-        return 1 / (1 + math.exp(-x / ell))
+        return 0.5 * (1 + math.tanh(0.5 * x / ell))
 
     force = slip
     m12 = math.tanh(u / (2 * ell)) if u >= 0 else 0.0
@@ -38,12 +38,23 @@ def legs(*corners, samples=11):
 
 
 def states(trace, start=0.5, slip=0.0, **kwargs):
-    gap = a_gap(**kwargs)
-    return follow(gap, trace, np.array([start]), lambda _: np.array([slip]))
+    path = trace.path
+    at_turns = np.full((path.turning_points.size, 1), slip)
+    return follow(a_gap(**kwargs), path, np.array([start]), at_turns)
+
+
+def force_at(gap, u, side, slip, carry=0.0):
+    """Force at travels u (N,) of one crossing, and with a force carried on, (N,)."""
+    edge = 0.0 if side > 0 else -gap.width[0]
+    crossing = Crossing(*(np.full((1, 1), value) for value in (side, edge, carry)))
+    force = np.broadcast_to(np.asarray(slip, dtype=float), np.shape(u))[:, None].copy()
+    blend(gap, crossing, np.zeros(len(u), dtype=int), side * np.asarray(u), force)
+    return force[:, 0]
 
 
 def travel(crossing, stretch, x):
-    return float(crossing.offset[stretch, 0] + crossing.side[stretch, 0] * x)
+    edge = float(crossing.edge[stretch, 0])
+    return x - edge if crossing.side[stretch, 0] > 0 else edge + D - x
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -52,46 +63,57 @@ def test_blend_equals_the_literal_formulas(side, ell):
     u = np.linspace(-0.1, 0.4, 101)
     slip = np.linspace(-2.0, 3.0, 101)
     expected = [literal(ui, side, fi, ell) for ui, fi in zip(u, slip, strict=True)]
-    got = blend(a_gap(ell), u[:, None], np.full((101, 1), side), slip[:, None])
-    np.testing.assert_allclose(got[:, 0], expected, rtol=1e-11, atol=1e-12)
+    got = force_at(a_gap(ell), u, side, slip)
+    np.testing.assert_allclose(got, expected, rtol=1e-10, atol=1e-10)
+    # without the travels below 0, which take another branch
+    ahead = u >= 0
+    got = force_at(a_gap(ell), u[ahead], side, slip[ahead])
+    np.testing.assert_allclose(got, np.array(expected)[ahead], rtol=1e-10, atol=1e-10)
+
+
+def test_very_sharp_transitions_equal_the_literal_formulas():
+    # they take separate exponentials, since exp(D/ℓ) overflows
+    ell = D / 900
+    near = np.array([-3.0, -0.5, 0.0, 0.5, 2.0, 7.0]) * ell
+    u = np.concatenate([near, D2 + near, D + near, [0.5 * D2, D2 + 0.5 * D3, 2 * D]])
+    expected = [literal(ui, 1.0, 1.7, ell) for ui in u]
+    np.testing.assert_allclose(force_at(a_gap(ell), u, 1.0, 1.7), expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_beyond_the_gap_and_before_it_the_device_slips(side):
-    for u in (-10.0, -0.5, D + 0.3, 50.0):
-        force = blend(a_gap(), np.array([[u]]), np.array([[side]]), np.array([[1.7]]))
-        assert force[0, 0] == pytest.approx(1.7, abs=1e-12)
+    force = force_at(a_gap(), [-10.0, -0.5, D + 0.3, 50.0], side, 1.7)
+    np.testing.assert_allclose(force, 1.7, atol=1e-10)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_in_the_first_part_of_the_gap_it_sticks_and_in_the_second_it_builds_up(side):
-    force = blend(a_gap(0.001), np.array([[0.05], [0.16]]), np.array([[side]]), np.array([[9.0]]))
-    assert force[0, 0] == pytest.approx(side * K2 * 0.05, abs=1e-9)
-    assert force[1, 0] == pytest.approx(side * (K2 * D2 + K3 * 0.06), abs=1e-9)
+    force = force_at(a_gap(0.001), [0.05, 0.16], side, 9.0)
+    assert force[0] == pytest.approx(side * K2 * 0.05, abs=1e-9)
+    assert force[1] == pytest.approx(side * (K2 * D2 + K3 * 0.06), abs=1e-9)
 
 
 def test_half_weights_stand_at_the_ends_of_stage_three():
     # at u = d2 half of stage 3, at u = D half of slip
-    gap, side, slip = a_gap(0.001), np.ones((1, 1)), np.full((1, 1), 4.0)
-    at_d2 = blend(gap, np.array([[D2]]), side, slip)[0, 0]
+    at_d2, at_d = force_at(a_gap(0.001), [D2, D], 1.0, 4.0)
     assert at_d2 == pytest.approx(K2 * D2, abs=1e-9)
-    at_d = blend(gap, np.array([[D]]), side, slip)[0, 0]
     assert at_d == pytest.approx(0.5 * (K2 * D2 + K3 * D3) + 0.5 * 4.0, abs=1e-9)
 
 
 def test_carried_force_fades_with_the_travel():
+    u = np.array([0.0, 0.004, 0.02, -0.004, 1.0])
     gap = a_gap()
-    assert fade(gap, np.zeros((1, 1)))[0, 0] == 1.0
-    for u in (0.004, 0.02, -0.004):
-        expected = 1 - math.tanh(abs(u) / (2 * ELL))
-        assert fade(gap, np.array([[u]]))[0, 0] == pytest.approx(expected, rel=1e-12)
-    assert fade(gap, np.array([[1.0]]))[0, 0] == 0.0
+    share = (force_at(gap, u, 1.0, 2.0, carry=0.3) - force_at(gap, u, 1.0, 2.0)) / 0.3
+    np.testing.assert_allclose(share, 1 - np.tanh(np.abs(u) / (2 * ELL)), atol=1e-10)
+    ahead = u >= 0
+    alone = force_at(gap, u[ahead], 1.0, 2.0, carry=0.3) - force_at(gap, u[ahead], 1.0, 2.0)
+    np.testing.assert_allclose(alone / 0.3, share[ahead], atol=1e-10)
 
 
 def test_extreme_travel_overflows_nothing():
-    u = np.array([[-1e6], [1e6]])
-    force = blend(a_gap(1e-6), u, np.ones((2, 1)), np.full((2, 1), 2.0))
-    np.testing.assert_allclose(force, 2.0)
+    for u in ([-1e6, 1e6], [1e6], [-1e6]):
+        np.testing.assert_allclose(force_at(a_gap(1e-6), u, 1.0, 2.0), 2.0)
+        np.testing.assert_allclose(force_at(a_gap(), u, 1.0, 2.0), 2.0)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -109,7 +131,7 @@ def test_turning_inside_the_gap_changes_nothing():
     # after slip at 1, into the gap by 0.15, back by 0.1, on by 0.1, then through
     crossing = states(legs(0, 1.0, 0.85, 0.95, 0.85, -1.0))
     for stretch in (2, 3):
-        for state in (crossing.side, crossing.offset, crossing.carry):
+        for state in (crossing.side, crossing.edge, crossing.carry):
             np.testing.assert_array_equal(state[stretch], state[1])
     assert travel(crossing, 3, 0.85) == pytest.approx(0.15)
     assert travel(crossing, 3, -1.0) == pytest.approx(2.0)
@@ -145,7 +167,8 @@ def test_vectors_of_a_batch_take_their_own_branch():
     # the same turn is inside a wide gap and after slip in a narrow one
     trace = legs(0, 1.0, 0.85, 1.0)
     wide = Gap(*(np.array(v) for v in ([K2] * 2, [K3] * 2, [0.1, 0.02], [0.1, 0.02], [ELL] * 2)))
-    crossing = follow(wide, trace, np.full(2, 0.5), lambda _: np.zeros(2))
+    at_turns = np.zeros((trace.path.turning_points.size, 2))
+    crossing = follow(wide, trace.path, np.full(2, 0.5), at_turns)
     np.testing.assert_array_equal(crossing.side[:, 0], [1, -1, -1])
     np.testing.assert_array_equal(crossing.side[:, 1], [1, -1, 1])
 
@@ -158,9 +181,9 @@ def test_force_is_the_same_just_before_and_just_after_every_turning_point(ell):
     crossing = states(trace, slip=slip, ell=ell)
 
     def force(stretch, x):
-        u = np.array([travel(crossing, stretch, x)])
-        blended = blend(gap, u, crossing.side[stretch], np.array([slip]))
-        return float((blended + crossing.carry[stretch] * fade(gap, u))[0])
+        force = np.full((1, 1), slip)
+        blend(gap, crossing, np.array([stretch]), np.array([x]), force)
+        return float(force[0, 0])
 
     for k, sample in enumerate(trace.turning_points):
         x = trace.displacement[sample]

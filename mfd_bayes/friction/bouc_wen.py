@@ -1,0 +1,341 @@
+"""Bouc-Wen hysteresis with friction of its own in each direction, a rival of the field.
+
+Bouc (1967), Wen (1976); the admissible range of β is that of Erlicher and Point (2004).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.hysteresis import Curve
+from mfd_bayes.records.trace import Trace, vertices
+
+Array = NDArray[np.float64]
+Shares = dict[str, Array]
+
+UNITS = {
+    "k": "kip/in",
+    "alpha": "1",
+    "Fy_fwd": "kip",
+    "Fy_bwd": "kip",
+    "beta": "1",
+    "exponent": "1",
+    "c": "kip*s/in",
+}
+"""Unit of every parameter, in order."""
+
+ACTUATED = ("Fy_fwd", "Fy_bwd")
+"""The parameters that follow the actuation."""
+
+FLOOR = 1e-6
+"""Least share of F_y that is left at zero actuation, so that nothing divides by zero."""
+
+PIECE = 1 << 15
+"""Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
+
+_RANGES = {
+    "k": (0.0, np.inf, "positive"),
+    "alpha": (0.0, 1.0, "in [0, 1]"),
+    "Fy_fwd": (0.0, np.inf, "positive"),
+    "Fy_bwd": (0.0, np.inf, "positive"),
+    "beta": (0.5, 1.0, "in [0.5, 1]"),
+    "exponent": (1.0, np.inf, "at least 1"),
+    "c": (0.0, np.inf, "not negative"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where n dampers that are stepped in time stand; `BoucWen.step` returns a new one.
+
+    Attributes
+    ----------
+    columns : dict of (n,)
+    curve : Curve
+    reference : float, ksi or kip, or None
+        Actuation that theta belongs to.
+    z : (n,), kip
+    origin : float, in, or None
+        Displacement of the first sample; None before it.
+    displacement, velocity : float, in, in/s
+    shares : dict of (n,) or (1,)
+        Factors of F_y. These three are those of the last sample.
+    """
+
+    columns: dict[str, Array]
+    curve: Curve
+    reference: float | None
+    z: Array
+    origin: float | None = None
+    displacement: float = 0.0
+    velocity: float = 0.0
+    shares: Shares = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class BoucWen:
+    """Bouc-Wen hysteresis, a spring and a dashpot side by side.
+
+        F = α k (x − x_0) + (1 − α) z + c v
+        dz/dx = k [1 − |z/F_y|^n (γ + β sgn(z dx))],   γ = 1 − β,   z(0) = 0
+
+    x_0 is the trace's first displacement. F_y is Fy_fwd in forward and Fy_bwd in backward
+    motion; under a varying actuation it is the mean of each step's ends. z is a force: while
+    nothing moves it stays as it is, also when the actuation falls, as LuGre's bristles do.
+
+    Every change of the direction is a turn, and every turn between samples has its vertex
+    as in `Trace.path`, so that the force does not depend on the trace's hysteresis. Between
+    turns dz/dx is autonomous in k |x − x_turn| / F_y and taken from a `Curve`.
+    """
+
+    name: str = "bouc_wen"
+    parameters: tuple[str, ...] = tuple(UNITS)
+    has_gap: bool = False
+
+    def force(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Force of every parameter vector, (n, T), kip.
+
+        Parameters
+        ----------
+        theta : (n, 7)
+            In the order and units of `UNITS`, at the trace's reference actuation.
+        trace : Trace
+        start : ignored
+            There is no gap.
+        scales : mapping of (n, T) or (1, T), optional
+            Factors of Fy_fwd and Fy_bwd at each sample. When left out and the actuation
+            varies, both are in proportion to it.
+
+        Raises
+        ------
+        FitError
+            When a shape, a name or a value does not fit.
+        """
+        columns = _check_theta(self, theta)
+        n = columns["k"].size
+        shares = _trace_shares(trace, n, scales)
+        t, x, v = trace.time, trace.displacement, trace.velocity
+        left, place, vertex = vertices(t, x, v)
+        nearest = np.insert(np.arange(t.size), left + 1, np.where(place < 0.5, left, left + 1))
+        x = np.insert(x, left + 1, vertex)
+        rows = np.arange(t.size) + np.searchsorted(left + 1, np.arange(t.size), side="right")
+
+        curve = Curve.of(columns["exponent"], columns["beta"], _ratio(columns), wide=bool(shares))
+        z = np.zeros((n, x.size))
+        for begin, end, sign in _stretches(x, max(PIECE // max(n, 1), 1), each=bool(shares)):
+            way = np.abs(x[begin:end] - x[begin - 1])
+            ends = [
+                {name: s[:, nearest[i]] for name, s in shares.items()} for i in (begin - 1, begin)
+            ]
+            strength = _strength(columns, sign, *ends)
+            z[:, begin:end] = _advance(curve, columns["k"], strength, z[:, begin - 1], way)
+        return _total(columns, z[:, rows], trace.displacement - trace.displacement[0], v)
+
+    def start(
+        self,
+        theta: ArrayLike,
+        *,
+        direction: int | None = None,
+        reference_actuation: float | None = None,
+    ) -> State:
+        """State of n dampers before their first sample, to be stepped in time.
+
+        Parameters
+        ----------
+        theta : (n, 7)
+        direction : ignored
+            There is no gap.
+        reference_actuation : float, ksi or kip, optional
+            Actuation that theta belongs to; that of the first sample with one when left out.
+
+        Raises
+        ------
+        FitError
+            When a shape or a value does not fit.
+        """
+        columns = _check_theta(self, theta)
+        if reference_actuation is not None:
+            _check_number("reference_actuation", reference_actuation, least=0.0)
+        curve = Curve.of(columns["exponent"], columns["beta"], _ratio(columns), wide=True)
+        return State(columns, curve, reference_actuation, np.zeros(columns["k"].size))
+
+    def step(
+        self,
+        state: State,
+        displacement: float,
+        velocity: float,
+        dt: float,
+        actuation: float | None = None,
+        *,
+        scales: Mapping[str, ArrayLike] | None = None,
+    ) -> tuple[Array, State]:
+        """Force at the next sample, (n,), kip, and the state after it; equals `force`.
+
+        Parameters
+        ----------
+        state : State
+            It is not changed, so that a step may be tried and taken again.
+        displacement, velocity : float, in, in/s
+        dt : float, s
+            Time since the sample before; ignored at the first.
+        actuation : float, ksi or kip, optional
+            F_y is in proportion to it; the reference when left out.
+        scales : mapping of (n,), (1,) or a number, optional
+            Factors of Fy_fwd and Fy_bwd instead.
+
+        Raises
+        ------
+        FitError
+            When a number is not finite, dt not positive, the actuation negative, or a name
+            or a value in `scales` does not fit.
+        """
+        columns, z = state.columns, state.z
+        _check_number("displacement", displacement)
+        _check_number("velocity", velocity)
+        if state.reference is None and actuation is not None:
+            state = replace(state, reference=actuation)
+        shares = _step_shares(state, actuation, scales)
+        origin = displacement if state.origin is None else state.origin
+        if state.origin is not None:
+            _check_number("dt", dt)
+            if dt <= 0:
+                raise FitError(f"dt must be positive, got {dt} s")
+            x = np.array([state.displacement, displacement])
+            v = np.array([state.velocity, velocity])
+            _, place, vertex = vertices(np.array([0.0, dt]), x, v)
+            before = state.shares
+            nearest = [before if p < 0.5 else shares for p in place]
+            x, at = np.insert(x, 1, vertex), [before, *nearest, shares]
+            for i in np.flatnonzero(np.diff(x)):
+                sign = np.sign(x[i + 1] - x[i])
+                strength = _strength(columns, sign, at[i], at[i + 1])
+                z = _advance(
+                    state.curve, columns["k"], strength, z, np.abs(x[i + 1 : i + 2] - x[i])
+                )[:, 0]
+        force = _total(columns, z[:, None], np.array([displacement - origin]), np.array([velocity]))
+        after = replace(
+            state, z=z, origin=origin, displacement=displacement, velocity=velocity, shares=shares
+        )
+        return force[:, 0], after
+
+
+def _advance(curve: Curve, k: Array, strength: Array, z: Array, way: Array) -> Array:
+    """Force z after each way from one start, in the direction of F_y's sign, (n, m), kip."""
+    xi = curve.place(z / strength)
+    w = curve.value(curve.move(xi[:, None], (k / np.abs(strength))[:, None] * way))
+    w *= strength[:, None]
+    return w
+
+
+def _total(columns: dict[str, Array], z: Array, x: Array, v: Array) -> Array:
+    """F = α k x + (1 − α) z + c v, (n, m), kip."""
+    alpha, k, c = (columns[name][:, None] for name in ("alpha", "k", "c"))
+    force = (1.0 - alpha) * z
+    force += alpha * k * x
+    force += c * v
+    return force
+
+
+def _strength(columns: dict[str, Array], sign: float, before: Shares, after: Shares) -> Array:
+    """F_y of a step between two samples, with the sign of its direction, (n,), kip."""
+    name = ACTUATED[0] if sign > 0 else ACTUATED[1]
+    share = 0.5 * (before.get(name, 1.0) + after.get(name, 1.0))
+    return np.asarray(sign * columns[name] * np.maximum(share, FLOOR))
+
+
+def _stretches(x: Array, most: int, *, each: bool) -> list[tuple[int, int, float]]:
+    """Rows of at most `most` steps in one direction: first, one behind the last, direction.
+
+    Steps of no length are with those before them, and left out at the start. With `each`
+    every step that moves is on its own.
+    """
+    sign = np.sign(np.diff(x))
+    moving = np.flatnonzero(sign)
+    new = np.diff(sign[moving], prepend=0.0) != 0
+    length = max(sign.size, 1) if each else most
+    edges = [*(moving if each else moving[new]).tolist(), sign.size]
+    return [
+        (begin + 1, min(begin + length, end) + 1, float(sign[first]))
+        for first, end in pairwise(edges)
+        for begin in range(first, end, length)
+    ]
+
+
+def _ratio(columns: dict[str, Array]) -> Array:
+    """The larger of the two F_y over the smaller, (n,)."""
+    forward, backward = columns["Fy_fwd"], columns["Fy_bwd"]
+    return np.maximum(forward, backward) / np.minimum(forward, backward)
+
+
+def _check_theta(model: BoucWen, theta: ArrayLike) -> dict[str, Array]:
+    """Columns of theta by name, (n,) each, or a FitError that names what does not fit."""
+    values = np.asarray(theta, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != len(UNITS):
+        raise FitError(
+            f"theta must have shape (n, {len(UNITS)}) for {model.name}, got {values.shape}"
+        )
+    columns = dict(zip(model.parameters, np.ascontiguousarray(values.T), strict=True))
+    for name, column in columns.items():
+        least, most, words = _RANGES[name]
+        bad = ~(np.isfinite(column) & (column >= least) & (column <= most))
+        bad |= (column == 0.0) & (words == "positive")
+        if np.any(bad):
+            got = column[np.argmax(bad)]
+            raise FitError(f"parameter {name} must be finite and {words}, got {got}")
+    return columns
+
+
+def _check_number(name: str, value: float, *, least: float = -np.inf) -> None:
+    if not (np.isfinite(value) and value >= least):
+        words = "finite" if least < 0 else "finite and not negative"
+        raise FitError(f"{name} must be {words}, got {value}")
+
+
+def _check_shares(scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...], ...]) -> Shares:
+    shares = {name: np.asarray(share, dtype=np.float64) for name, share in scales.items()}
+    expected = " or ".join(map(str, shapes))
+    for name, share in shares.items():
+        if name not in ACTUATED or share.shape not in shapes:
+            raise FitError(
+                f"scales may hold {' and '.join(ACTUATED)} with shape {expected}, "
+                f"got {name} with {share.shape}"
+            )
+        if not np.all(np.isfinite(share) & (share >= 0)):
+            raise FitError(f"scales of {name} must be finite and not negative")
+    return shares
+
+
+def _trace_shares(trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None) -> Shares:
+    """Factors of F_y at each sample, (n, T) or (1, T); empty when F_y is constant."""
+    if scales is not None:
+        return _check_shares(scales, ((n, trace.samples), (1, trace.samples)))
+    if not trace.varying:
+        return {}
+    share = np.asarray(trace.actuation)[None] / (trace.reference_actuation or 1.0)
+    return dict.fromkeys(ACTUATED, share)
+
+
+def _step_shares(
+    state: State, actuation: float | None, scales: Mapping[str, ArrayLike] | None
+) -> Shares:
+    """Factors of F_y at a sample, (n,), (1,) or (); empty when F_y is theta's."""
+    if actuation is not None:
+        _check_number("actuation", actuation, least=0.0)
+    if scales is not None:
+        return _check_shares(scales, ((state.z.size,), (1,), ()))
+    if actuation is None:
+        return {}
+    return dict.fromkeys(ACTUATED, np.array([actuation / (state.reference or 1.0)]))

@@ -1,0 +1,205 @@
+"""Models stepped in time, for hybrid simulation and for structures that a damper is part of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.gap import Crossing, Gap, begin, blend, turn
+from mfd_bayes.friction.lugre import Friction, Motion, advance
+from mfd_bayes.friction.model import ACTUATED, FRICTION_FORCES
+from mfd_bayes.friction.recurrence import Blocks
+from mfd_bayes.records.trace import vertices
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Damper:
+    """What stays the same from step to step.
+
+    Attributes
+    ----------
+    friction : Friction
+        At the reference actuation, (1, n) each.
+    gap : Gap, optional
+    start : (n,), optional
+        u/D at the first sample.
+    direction : int, optional
+        +1 or -1, that of the first motion.
+    reference : float, optional
+        Actuation to which the parameters belong; that of the first step when left out.
+    """
+
+    friction: Friction
+    gap: Gap | None = None
+    start: Array | None = None
+    direction: int | None = None
+    reference: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.direction not in (None, 1, -1):
+            raise FitError(f"direction must be 1 or -1, got {self.direction}")
+        if self.reference is not None and not (isfinite(self.reference) and self.reference > 0):
+            raise FitError(f"reference_actuation must be finite and positive, got {self.reference}")
+
+
+@dataclass(frozen=True)
+class State:
+    """All that n dampers remember between two samples; a step makes a new one.
+
+    Attributes
+    ----------
+    damper : Damper
+    friction : Friction
+        At the actuation of the last sample, (1, n) each.
+    displacement, velocity : float, in, in/s
+        At the last sample; NaN before the first.
+    direction : int
+        +1 or -1; 0 before the first sample.
+    moved : bool
+        Whether the direction is known rather than supposed.
+    bristles : (n,), in
+        Their deflection z.
+    slip : (1, n), kip
+        F1.
+    crossing : Crossing, optional
+        Of the stretch of motion that the sample is in.
+    """
+
+    damper: Damper
+    friction: Friction
+    displacement: float
+    velocity: float
+    direction: int
+    moved: bool
+    bristles: Array
+    slip: Array
+    crossing: Crossing | None = None
+
+    @classmethod
+    def at_rest(cls, damper: Damper) -> State:
+        """State before the first sample."""
+        zero = np.zeros(damper.friction.vectors)
+        moved = damper.direction is not None
+        direction = damper.direction or 0
+        return cls(damper, damper.friction, np.nan, np.nan, direction, moved, zero, zero[None])
+
+    @property
+    def force(self) -> Array:
+        """Force of every parameter vector, (n,), kip."""
+        force: Array = self.slip.copy()
+        if self.damper.gap is not None and self.crossing is not None:
+            here = np.array([self.displacement])
+            blend(self.damper.gap, self.crossing, np.zeros(1, dtype=np.intp), here, force)
+        return force.ravel()
+
+    def step(
+        self,
+        displacement: float,
+        velocity: float,
+        dt: float,
+        actuation: float | None = None,
+        scales: Mapping[str, ArrayLike] | None = None,
+    ) -> State:
+        """State at the next sample; see `ThreeStage.step`."""
+        _check("displacement", displacement, isfinite(displacement), "finite, in inches")
+        _check("velocity", velocity, isfinite(velocity), "finite, in inches per second")
+        state = self._referred(actuation)
+        friction = _actuated(state.damper, actuation, scales)
+        if np.isnan(self.displacement):
+            return state._first(friction, displacement, velocity)
+        _check("dt", dt, isfinite(dt) and dt > 0, "finite and positive, in seconds")
+        # the path to the sample, by way of the vertex if the motion turns on it
+        t = np.array([0.0, dt])
+        x = np.array([self.displacement, displacement])
+        v = np.array([self.velocity, velocity])
+        history = [self.friction, friction]
+        if self.velocity * velocity < 0:
+            left, share, vertex = vertices(t, x, v)
+            t, x, v = (np.insert(c, left + 1, w) for c, w in ((t, share * dt), (x, vertex), (v, 0)))
+            history[1:1] = [history[0 if s < 0.5 else 1] for s in share]
+        way = np.diff(x)
+        motion = Motion.of(np.arange(1, x.size), way, way / np.diff(t), v[1:])
+        slip, bristles = advance(Friction.of(history), motion, self.bristles, Blocks.of(way.size))
+        slip = slip.copy()
+        for k in range(way.size):
+            state = state._moved(float(x[k + 1]), slip[k : k + 1])
+        return replace(state, friction=friction, velocity=velocity, bristles=bristles)
+
+    def _referred(self, actuation: float | None) -> State:
+        """With the first step's actuation as the reference when none was given."""
+        if actuation is None or self.damper.reference is not None or not actuation > 0:
+            return self
+        return replace(self, damper=replace(self.damper, reference=actuation))
+
+    def _first(self, friction: Friction, displacement: float, velocity: float) -> State:
+        direction = self.direction or (-1 if velocity < 0 else 1)
+        state = replace(
+            self,
+            friction=friction,
+            displacement=displacement,
+            velocity=velocity,
+            direction=direction,
+            slip=velocity * (friction.sigma1 + friction.sigma2),
+        )
+        return state._begun(direction)
+
+    def _begun(self, direction: int) -> State:
+        crossing, gap, start = None, self.damper.gap, self.damper.start
+        if gap is not None and start is not None:
+            crossing = begin(gap, self.displacement, direction, start)
+        return replace(self, direction=direction, crossing=crossing)
+
+    def _moved(self, displacement: float, slip: Array) -> State:
+        """State at the next point of the path, turned first if the motion turns."""
+        state = self
+        way = displacement - self.displacement
+        if way * self.direction < 0:
+            state = self._turned() if self.moved else self._begun(-self.direction)
+        moved = self.moved or way != 0
+        return replace(state, displacement=displacement, slip=slip, moved=moved)
+
+    def _turned(self) -> State:
+        crossing = self.crossing
+        if self.damper.gap is not None and crossing is not None:
+            here = np.array([self.displacement])
+            both = turn(self.damper.gap, crossing, here, self.direction, self.slip)
+            crossing = Crossing(both.side[1:], both.edge[1:], both.carry[1:])
+        return replace(self, direction=-self.direction, crossing=crossing)
+
+
+def _actuated(
+    damper: Damper, actuation: float | None, scales: Mapping[str, ArrayLike] | None
+) -> Friction:
+    """Friction at a sample: in proportion to its actuation, or by the given factors."""
+    if scales is None:
+        if actuation is None:
+            return damper.friction
+        good = isfinite(actuation) and actuation >= 0
+        _check("actuation", actuation, good, "finite and not negative")
+        share = actuation / (damper.reference or 1.0)
+        if share == 1.0:
+            return damper.friction
+        scales = dict.fromkeys(FRICTION_FORCES, share)
+    n = damper.friction.vectors
+    columns = {}
+    for name, factor in scales.items():
+        values = np.asarray(factor, dtype=np.float64)
+        if name not in ACTUATED or values.shape not in ((), (n,)) or not np.all(values >= 0):
+            raise FitError(
+                f"scales of a step may hold {', '.join(ACTUATED)}, each a factor of at least 0 or "
+                f"{n} of them, got {name} = {factor!r}"
+            )
+        columns[name] = getattr(damper.friction, name) * values
+    return replace(damper.friction, **columns)
+
+
+def _check(name: str, value: float, good: bool, expected: str) -> None:
+    if not good:
+        raise FitError(f"{name} of a step must be {expected}, got {value}")

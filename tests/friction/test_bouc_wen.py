@@ -1,0 +1,390 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.bouc_wen import UNITS, BoucWen
+from mfd_bayes.friction.hysteresis import Curve
+from mfd_bayes.records.trace import Trace
+
+VALUES = {
+    "k": 40.0,
+    "alpha": 0.02,
+    "Fy_fwd": 2.0,
+    "Fy_bwd": 1.4,
+    "beta": 0.7,
+    "exponent": 2.0,
+    "c": 0.02,
+}
+OMEGA = np.pi  # 0.5 Hz
+MODEL = BoucWen()
+
+
+def theta(**changes):
+    values = VALUES | changes
+    return np.array([[values[name] for name in MODEL.parameters]])
+
+
+def vectors(n, seed=0):
+    rng = np.random.default_rng(seed)
+    batch = theta() * rng.lognormal(0, 0.3, size=(n, 7))
+    batch[:, 4] = rng.uniform(0.5, 1.0, n)
+    batch[:, 5] = rng.uniform(1.0, 8.0, n)
+    return batch
+
+
+def sine(amplitude=1.0, seconds=5.0, rate=100.0, **options):
+    time = np.arange(0, seconds, 1 / rate)
+    motion = amplitude * np.sin(OMEGA * time)
+    velocity = amplitude * OMEGA * np.cos(OMEGA * time)
+    return Trace.from_arrays(time, motion, velocity=velocity, **options)
+
+
+def walk(seed, samples=200, **options):
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.005, 0.02, samples))
+    motion = np.cumsum(rng.normal(size=samples) * (rng.uniform(size=samples) < 0.8)) * 0.03
+    return Trace.from_arrays(time, motion, hysteresis=0.0, **options)
+
+
+def slope(x_slope, z, values, level=1.0):
+    strength = level * values["Fy_fwd" if x_slope >= 0 else "Fy_bwd"]
+    shape = 1 - values["beta"] + values["beta"] * np.sign(x_slope * z)
+    return values["k"] * x_slope * (1 - abs(z / strength) ** values["exponent"] * shape)
+
+
+def solved(trace, amplitude, values, level=lambda time: 1.0):
+    """The force by an ODE solver, restarted where the motion turns."""
+    time = trace.time
+    turns = (np.arange(np.ceil(time[-1] * OMEGA / np.pi)) + 0.5) * np.pi / OMEGA
+    edges = [0.0, *turns[turns < time[-1]], time[-1]]
+    z, state = np.zeros(time.size), [0.0]
+    for i in range(len(edges) - 1):
+        inside = (time >= edges[i]) & (time <= edges[i + 1])
+        leg = solve_ivp(
+            lambda t, z: [slope(amplitude * OMEGA * np.cos(OMEGA * t), z[0], values, level(t))],
+            edges[i : i + 2],
+            state,
+            method="LSODA",
+            rtol=1e-9,
+            atol=1e-11,
+            dense_output=True,
+        )
+        z[inside], state = leg.sol(time[inside])[0], [leg.y[0, -1]]
+    spring = values["alpha"] * values["k"] * trace.displacement
+    return spring + (1 - values["alpha"]) * z + values["c"] * trace.velocity
+
+
+def stepped(batch, trace, reference=None, scales=None):
+    state = MODEL.start(batch, reference_actuation=reference)
+    forces = []
+    for i in range(trace.samples):
+        level = trace.actuation[i] if trace.varying else None
+        factors = None if scales is None else {name: s[:, i] for name, s in scales.items()}
+        dt = trace.time[i] - trace.time[i - 1] if i else 0.0
+        motion = trace.displacement[i], trace.velocity[i]
+        force, state = MODEL.step(state, *motion, dt, level, scales=factors)
+        forces.append(force)
+    return np.array(forces).T
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0, 5.0])
+@pytest.mark.parametrize("beta", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("amplitude", [1.0, 0.06, 0.01])
+def test_force_equals_an_ode_solver_to_a_fiftieth_of_a_percent(exponent, beta, amplitude):
+    values = VALUES | {"exponent": exponent, "beta": beta}
+    trace = sine(amplitude)
+    expected = solved(trace, amplitude, values)
+    force = MODEL.force(theta(**values), trace)[0]
+    np.testing.assert_allclose(force, expected, atol=2e-4 * np.max(np.abs(expected)))
+
+
+def test_another_exponent_is_told_apart_by_the_same_check():
+    trace = sine(0.06)
+    expected = solved(trace, 0.06, VALUES)
+    force = MODEL.force(theta(exponent=2.05), trace)[0]
+    assert np.max(np.abs(force - expected)) > 2e-3 * np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("ratio", [0.3, 3.0])
+@pytest.mark.parametrize("beta", [0.5, 0.7, 1.0])
+def test_unequal_friction_equals_an_ode_solver(ratio, beta):
+    values = VALUES | {"Fy_bwd": 2.0 * ratio, "exponent": 3.0, "beta": beta}
+    trace = sine(0.3)
+    expected = solved(trace, 0.3, values)
+    force = MODEL.force(theta(**values), trace)[0]
+    np.testing.assert_allclose(force, expected, atol=2e-3 * np.max(np.abs(expected)))
+
+
+def test_random_turns_equal_an_ode_solver():
+    rng = np.random.default_rng(5)
+    corners = np.concatenate([[0.0], np.cumsum(rng.normal(size=40) * 0.06)])
+    motion = np.concatenate([np.linspace(a, b, 5)[:-1] for a, b in zip(corners, corners[1:])])  # noqa: B905, RUF007
+    time = np.arange(motion.size) * 0.01
+    # no velocity, so that no turn has a vertex beyond its corner
+    trace = Trace.from_arrays(time, motion, velocity=np.zeros(motion.size))
+    z = [0.0]
+    for way in np.diff(motion):
+        leg = solve_ivp(
+            lambda _, z, way=way: [slope(way, z[0], VALUES)], (0, 1), z[-1:], rtol=1e-8, atol=1e-10
+        )
+        z.append(leg.y[0, -1])
+    force = MODEL.force(theta(alpha=0.0, c=0.0), trace)[0]
+    np.testing.assert_allclose(force, z, atol=2e-4)
+
+
+@pytest.mark.parametrize("exponent", [30.0, 300.0])
+def test_a_large_exponent_is_a_spring_and_a_slider(exponent):
+    trace = sine(0.3)
+    values = VALUES | {"alpha": 0.0, "c": 0.0}
+    z, spring = [0.0], values["k"] * np.diff(trace.displacement)
+    for push in spring:
+        z.append(np.clip(z[-1] + push, -values["Fy_bwd"], values["Fy_fwd"]))
+    # with β = 1/2 unloading is elastic, as the slider's is
+    force = MODEL.force(theta(**values | {"exponent": exponent, "beta": 0.5}), trace)[0]
+    assert np.max(np.abs(force - z)) < 3.0 / exponent + 0.01
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize("exponent", [1.0, 1.7, 6.0, 80.0])
+def test_the_place_on_a_curve_is_the_inverse_of_its_value(exponent, wide):
+    w = np.linspace(-3.9, 3.9 if wide else 0.999, 101)
+    ones = np.ones(w.size)
+    curve = Curve.of(exponent * ones, np.linspace(0.5, 1, w.size), ones, wide=wide)
+    value = curve.value(curve.place(w)[:, None])[:, 0]
+    # a steep part is resolved no better than by the spacing of floating-point numbers
+    np.testing.assert_allclose(value, w, atol=1e-10 if exponent < 10 else 1e-2)
+
+
+def test_batch_equals_single_vectors():
+    batch = vectors(7)
+    for trace in (sine(), walk(3), sine(actuation=1.5 + np.sin(np.arange(500) / 40))):
+        together = MODEL.force(batch, trace)
+        for row, force in zip(batch, together, strict=True):
+            np.testing.assert_allclose(MODEL.force(row[None], trace)[0], force, atol=1e-9)
+
+
+def test_a_long_stretch_is_worked_on_in_pieces():
+    time = np.linspace(0, 1, 40_000)
+    batch = theta(c=0.0, alpha=0.0)
+    force = MODEL.force(batch, Trace.from_arrays(time, 0.2 * time))[0]
+    few = MODEL.force(batch, Trace.from_arrays(time[::1000], 0.2 * time[::1000]))[0]
+    np.testing.assert_allclose(force[::1000], few, atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), gradient=st.booleans())
+def test_steps_equal_the_force_of_a_random_walk(seed, gradient):
+    trace = walk(seed, samples=80)
+    if not gradient:
+        trace = Trace.from_arrays(trace.time, trace.displacement, velocity=np.zeros(80))
+    batch = vectors(3, seed)
+    np.testing.assert_allclose(stepped(batch, trace), MODEL.force(batch, trace), atol=1e-9)
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 0.03])
+def test_steps_equal_the_force_of_a_smooth_motion(amplitude):
+    trace, batch = sine(amplitude, rate=40.0), vectors(4)
+    np.testing.assert_allclose(stepped(batch, trace), MODEL.force(batch, trace), atol=1e-9)
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_steps_equal_the_force_under_a_varying_actuation(seed):
+    rng = np.random.default_rng(seed)
+    level = np.abs(np.cumsum(rng.normal(size=80))) * (rng.uniform(size=80) < 0.9)
+    trace, batch = walk(seed, samples=80, actuation=level), vectors(3, seed)
+    force = MODEL.force(batch, trace)
+    assert np.all(np.isfinite(force))
+    reference = trace.reference_actuation
+    np.testing.assert_allclose(stepped(batch, trace, reference), force, atol=1e-9)
+
+
+def test_steps_equal_the_force_under_scales():
+    trace, batch = sine(0.2, rate=40.0), vectors(3)
+    share = 1 + 0.5 * np.sin(np.arange(trace.samples) / 9)
+    scales = {"Fy_fwd": np.stack([share, share**2, 1 / share]), "Fy_bwd": share[None]}
+    force = MODEL.force(batch, trace, scales=scales)
+    np.testing.assert_allclose(stepped(batch, trace, scales=scales), force, atol=1e-9)
+
+
+def test_a_step_leaves_its_state_as_it_was():
+    _, state = MODEL.step(MODEL.start(vectors(2)), 0.0, 1.0, 0.0)
+    first, _ = MODEL.step(state, 0.05, 1.0, 0.05)
+    again, _ = MODEL.step(state, 0.05, 1.0, 0.05)
+    np.testing.assert_array_equal(first, again)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("beta", [0.5, 1.0])
+def test_varying_actuation_equals_an_ode_solver(exponent, beta):
+    def level(time):
+        return 1 + 0.6 * np.sin(2.2 * time)
+
+    values = VALUES | {"exponent": exponent, "beta": beta}
+    trace = sine(0.3, actuation=level(np.arange(0, 5, 0.01)))
+    mean = trace.reference_actuation
+    expected = solved(trace, 0.3, values, lambda time: level(time) / mean)
+    force = MODEL.force(theta(**values), trace)[0]
+    np.testing.assert_allclose(force, expected, atol=3e-3 * np.max(np.abs(expected)))
+
+
+def test_a_history_of_constant_actuation_is_a_constant_actuation():
+    batch = vectors(5)
+    constant = MODEL.force(batch, sine())
+    history = MODEL.force(batch, sine(actuation=np.full(500, 0.7)))
+    np.testing.assert_allclose(history, constant, atol=1e-9)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0, 20.0, 200.0])
+@pytest.mark.parametrize("beta", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("back", [1.0, -1.0])
+def test_friction_that_falls_lets_go_as_the_motion_goes_on(exponent, beta, back):
+    motion = np.concatenate([np.linspace(0, 1, 50), np.ones(5), 1 + back * np.linspace(0, 0.2, 50)])
+    level = np.where(np.arange(105) < 52, 1.0, 1e-9)
+    trace = Trace.from_arrays(np.arange(105) * 0.01, motion, actuation=level)
+    force = MODEL.force(theta(alpha=0.0, c=0.0, exponent=exponent, beta=beta), trace)[0]
+    assert np.all(np.abs(force) <= force[49] * (1 + 1e-9))
+    np.testing.assert_allclose(force[50:55], force[49], rtol=1e-9)  # nothing moves
+    assert abs(force[-1]) < 1e-4 * force[49]
+
+
+def test_a_long_rest_holds_the_force_under_a_varying_actuation():
+    motion = np.concatenate([np.linspace(0, 0.1, 10), np.full(40_000, 0.1)])
+    trace = Trace.from_arrays(
+        np.arange(motion.size) * 0.01, motion, actuation=np.linspace(2, 1, motion.size)
+    )
+    force = MODEL.force(theta(c=0.0), trace)[0]
+    np.testing.assert_array_equal(force[9:], force[9])
+
+
+def test_no_actuation_at_all_gives_no_nan():
+    force = MODEL.force(theta(alpha=0.0, c=0.0), sine(actuation=np.zeros(500)))
+    assert np.max(np.abs(force)) < 1e-5
+
+
+def test_force_is_continuous_in_time():
+    coarse, fine = (sine(0.3, rate=rate, seconds=4.0) for rate in (250.0, 2000.0))
+    steps = [np.max(np.abs(np.diff(MODEL.force(vectors(8), t)))) for t in (coarse, fine)]
+    assert steps[1] < steps[0] / 7
+
+
+def test_force_is_odd_when_friction_is_the_same_in_both_directions():
+    trace = walk(11)
+    mirrored = Trace.from_arrays(
+        trace.time, -trace.displacement, velocity=-trace.velocity, hysteresis=0.0
+    )
+    batch = vectors(5)
+    batch[:, 3] = batch[:, 2]
+    np.testing.assert_allclose(MODEL.force(batch, mirrored), -MODEL.force(batch, trace), atol=1e-12)
+
+
+def test_a_cut_record_has_the_same_force_as_the_whole():
+    trace, batch = walk(8), vectors(3)
+    first = Trace.from_arrays(
+        trace.time[:120], trace.displacement[:120], velocity=trace.velocity[:120]
+    )
+    np.testing.assert_allclose(
+        MODEL.force(batch, first), MODEL.force(batch, trace)[:, :120], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 0.06, 0.005])
+def test_a_steady_cycle_takes_up_energy(amplitude):
+    trace = sine(amplitude, seconds=20.005, rate=200.0)
+    last = slice(-401, None)
+    force = MODEL.force(vectors(30), trace)[:, last]
+    energy = np.trapezoid(force, trace.displacement[last], axis=1)
+    assert np.all(energy > 0)
+
+
+def test_full_slip_is_at_the_friction_of_its_direction():
+    force = MODEL.force(theta(alpha=0.0, c=0.0), sine())[0]
+    assert np.max(force) == pytest.approx(VALUES["Fy_fwd"], rel=1e-6)
+    assert np.min(force) == pytest.approx(-VALUES["Fy_bwd"], rel=1e-6)
+
+
+def test_spring_and_dashpot_are_measured_from_the_first_sample():
+    trace = sine()
+    moved = Trace.from_arrays(trace.time, trace.displacement + 3.0, velocity=trace.velocity)
+    np.testing.assert_allclose(MODEL.force(theta(), moved), MODEL.force(theta(), trace), atol=1e-9)
+    batch = theta(alpha=1.0)
+    expected = VALUES["k"] * trace.displacement + VALUES["c"] * trace.velocity
+    np.testing.assert_allclose(MODEL.force(batch, trace)[0], expected, atol=1e-12)
+
+
+def test_no_motion_gives_no_force():
+    trace = Trace.from_arrays([0.0, 1.0, 2.0], [0.3, 0.3, 0.3])
+    np.testing.assert_array_equal(MODEL.force(vectors(2), trace), np.zeros((2, 3)))
+
+
+def test_no_vectors_have_no_force():
+    assert MODEL.force(np.ones((0, 7)), sine()).shape == (0, 500)
+
+
+def test_parameters_have_units_and_there_is_no_gap():
+    assert MODEL.parameters == tuple(UNITS) == tuple(VALUES)
+    assert MODEL.name == "bouc_wen"
+    assert not MODEL.has_gap
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("k", 0.0),
+        ("alpha", 1.1),
+        ("alpha", -0.1),
+        ("Fy_fwd", 0.0),
+        ("Fy_bwd", np.inf),
+        ("beta", 0.4),
+        ("beta", 1.01),
+        ("exponent", 0.9),
+        ("c", np.nan),
+        ("c", -1.0),
+    ],
+)
+def test_values_that_do_not_fit_are_refused_by_name(name, value):
+    for call in (MODEL.start, lambda batch: MODEL.force(batch, sine())):
+        with pytest.raises(FitError, match=f"parameter {name} must be .*, got {value}"):
+            call(theta(**{name: value}))
+
+
+@pytest.mark.parametrize("shape", [(7,), (1, 6), (1, 14)])
+def test_theta_of_another_shape_is_refused(shape):
+    with pytest.raises(FitError, match="bouc_wen"):
+        MODEL.force(np.ones(shape), sine())
+
+
+@pytest.mark.parametrize(
+    "scales",
+    [
+        {"k": np.ones((1, 500))},
+        {"Fy_fwd": np.ones((2, 500))},
+        {"Fy_fwd": np.full((1, 500), np.nan)},
+        {"Fy_bwd": -np.ones((1, 500))},
+    ],
+)
+def test_scales_that_do_not_fit_are_refused(scales):
+    with pytest.raises(FitError, match=next(iter(scales))):
+        MODEL.force(theta(), sine(), scales=scales)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("displacement", np.nan),
+        ("velocity", np.inf),
+        ("dt", np.nan),
+        ("dt", 0.0),
+        ("dt", -0.01),
+        ("actuation", np.nan),
+        ("actuation", -1.0),
+    ],
+)
+def test_steps_that_do_not_fit_are_refused_by_name(name, value):
+    good = {"displacement": 0.0, "velocity": 0.0, "dt": 0.01, "actuation": 1.0}
+    _, state = MODEL.step(MODEL.start(theta(), reference_actuation=1.0), **good)
+    with pytest.raises(FitError, match=f"{name} must be .*, got {value}"):
+        MODEL.step(state, **good | {name: value})
