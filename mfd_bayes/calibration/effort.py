@@ -14,36 +14,35 @@ class Effort:
     Attributes
     ----------
     ess : float
-        Bulk and tail effective sample size that every coordinate must reach.
-    r_hat : float
-        Largest R̂ across ensembles.
-    block : int
-        Steps between two looks at the convergence.
+        Bulk and tail effective sample size that every quantity must reach.
     limit : int
         Steps of each ensemble after which it stops in any case, and says what fell short.
+    r_hat : float
+        Largest R̂ across ensembles.
     length : float
-        Autocorrelation times that are discarded at the start, and as many kept after it, at
-        the least: the effective sample size alone cannot tell walkers that have not moved
-        from independent draws.
+        Autocorrelation times that are kept, at the least: the effective sample size alone
+        cannot tell walkers that have not moved from independent draws.
     ensembles : int
         Independent ensembles, each a chain.
+    walkers : int
+        Walkers of each ensemble, more where there are many dimensions.
     kept : int
         Draws of each ensemble that are kept, about.
     """
 
     ess: float
-    block: int
     limit: int
     r_hat: float = 1.01
-    length: float = 4.0
+    length: float = 5.0
     ensembles: int = 4
+    walkers: int = 48
     kept: int = 3000
 
 
 EFFORTS = {
-    "quick": Effort(ess=100, block=160, limit=2720, r_hat=1.03, length=2.0, kept=1200),
-    "standard": Effort(ess=400, block=400, limit=8000),
-    "thorough": Effort(ess=2000, block=1000, limit=40000, kept=8000),
+    "quick": Effort(ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
+    "standard": Effort(ess=400, limit=8000),
+    "thorough": Effort(ess=2000, limit=40000, kept=8000),
 }
 
 

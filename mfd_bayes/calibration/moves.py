@@ -6,6 +6,8 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.mixture import Mixture
+
 Array = NDArray[np.float64]
 
 
@@ -56,3 +58,43 @@ class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
             state.log_prob[moved] = np.asarray(log_prob)[taken]
             accepted[moved] = True
         return state, accepted
+
+
+class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
+    """Metropolis–Hastings with proposals that do not depend on where a walker is.
+
+    Walkers know nothing of each other here, so that all are moved in one batch. The target
+    stays invariant while the mixture does; who learns it from draws discards those.
+
+    Parameters
+    ----------
+    mixture : Mixture
+    """
+
+    def __init__(self, mixture: Mixture) -> None:
+        self.mixture = mixture
+        self.forget()
+
+    def forget(self) -> None:
+        """Count proposals anew."""
+        self._proposed = self._accepted = 0
+
+    @property
+    def acceptance(self) -> float:
+        """Share of the proposals that were accepted."""
+        return self._accepted / max(self._proposed, 1)
+
+    def propose(
+        self, model: emcee.model.Model, state: emcee.State
+    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+        """New state, and which walkers moved, (walkers,)."""
+        proposal = self.mixture.draw(model.random, len(state.coords))
+        log_prob, _ = model.compute_log_prob_fn(proposal)
+        gain = np.asarray(log_prob) - state.log_prob
+        gain += self.mixture.log_density(state.coords) - self.mixture.log_density(proposal)
+        moved = np.log(model.random.rand(gain.size)) < gain
+        state.coords[moved] = proposal[moved]
+        state.log_prob[moved] = np.asarray(log_prob)[moved]
+        self._proposed += moved.size
+        self._accepted += int(moved.sum())
+        return state, moved

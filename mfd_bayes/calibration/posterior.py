@@ -185,8 +185,10 @@ class Posterior:
     def residual(self, q: ArrayLike) -> Array:
         """What the model leaves over, F_obs − F0 − F, (n, T), kip."""
         values = self.values(q)
-        force = self.force(values)
-        return np.asarray(self.trace.force) - values["offset"][:, None] - force
+        by_time = self.force(values).T  # as the models lay it out
+        np.subtract(np.asarray(self.trace.force)[:, None], by_time, out=by_time)
+        by_time -= values["offset"]
+        return by_time.T
 
     def force(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
@@ -204,6 +206,17 @@ class Posterior:
         for name, column in zip(self.names, points.T, strict=True):
             values[name] = self.priors[name].value(column)
         return values
+
+    def derived(self, q: ArrayLike) -> Array:
+        """Friction forces that follow from several coordinates, (n, m), kip."""
+        theta = self.theta(self.values(q))
+        pivoted = {self.names[pivot.kinetic] for pivot in self.pivots}
+        several = [
+            k
+            for k, name in enumerate(self.model.parameters)
+            if name in pivoted or (name.startswith("Fs_") and _SOURCES[name] in self.names)
+        ]
+        return theta[:, several]
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence, autocorrelation_time, measure
 from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.map_fit import Density, Mode, find_modes
-from mfd_bayes.calibration.moves import Apart
+from mfd_bayes.calibration.mixture import Mixture, learn
+from mfd_bayes.calibration.moves import Apart, Independent
 from mfd_bayes.calibration.posterior import UNIDENTIFIABLE, Posterior
 from mfd_bayes.errors import FitError
 
@@ -21,8 +23,29 @@ Array = NDArray[np.float64]
 Report = Callable[["Progress"], None]
 
 
-STRIDE = 4
-"""Steps of which one is stored: neighbours are so alike that the others are only memory."""
+STORED = 3000
+"""Steps of each walker that are stored at most: beyond it, every second, third, … one."""
+
+ROUND = 20
+"""Steps after which the proposal is learned anew while the sampler warms up."""
+
+ROUNDS = 12
+"""Such rounds at most; fewer where they no longer help."""
+
+PATIENCE = 4
+"""Rounds in a row that may accept no more than the best before the warm-up ends."""
+
+SLOW = 40.0
+"""Autocorrelation time, steps, from which the proposal is worth learning again."""
+
+PARTS = 6
+"""Student-t densities of a learned proposal at most, besides its wide part."""
+
+REQUIRED = 200
+"""Draws, which are correlated, that each of them takes per dimension."""
+
+JUMPS = 0.7
+"""Share of the steps that are independence proposals; the others are differential evolution."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +71,13 @@ class Chains:
     log_prob : (chain, draw)
     walkers : int
     steps, thin, discarded : int
-        Steps of each ensemble, every which is kept, and how many at the start are not.
+        Steps of each ensemble, every which is kept, and how many at the start are not:
+        those in which the proposal was learned, and a few after it.
     acceptance : (chain,)
     autocorrelation : (dim,)
         Integrated autocorrelation time, steps.
     convergence : Convergence
+        Of the coordinates, the log density, and what is derived, in this order.
     """
 
     q: Array
@@ -83,6 +108,7 @@ class Draws:
     log_prob, log_prior, log_likelihood : (chain, draw)
     chains : Chains
     modes : tuple of Mode
+        Where the walkers started, best first.
     wall_time : float, s
     """
 
@@ -99,8 +125,13 @@ class Draws:
 
     @property
     def convergence(self) -> Convergence:
-        """R̂ and effective sample sizes of every coordinate."""
+        """R̂ and effective sample sizes of every coordinate, and of what is derived."""
         return self.chains.convergence
+
+    @property
+    def mode_shares(self) -> Array:
+        """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
+        return mode_shares(self.modes, self.q)
 
 
 def sample(
@@ -130,7 +161,14 @@ def sample(
     chosen = find_effort(effort)
     rng = np.random.default_rng(seed)
     modes = find_modes(posterior, rng)
-    chains = sample_density(posterior.log_prob, modes, chosen, rng, report=report)
+    chains = sample_density(
+        posterior.log_prob,
+        modes,
+        chosen,
+        rng,
+        derived=posterior.derived,
+        report=report,
+    )
     flat = chains.q.reshape(-1, posterior.dim)
     shape = chains.q.shape[:2]
     values = posterior.values(flat)
@@ -151,111 +189,227 @@ def sample(
     )
 
 
+def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
+    """Share of each chain's draws that is nearest to each mode, (chain, mode).
+
+    Nearest is where Laplace's approximation to the mode alone has the greatest density.
+
+    Parameters
+    ----------
+    modes : sequence of Mode
+    q : (chain, draw, dim)
+    """
+    flat = q.reshape(-1, q.shape[-1])
+    near = [
+        Mixture.of(np.ones(1), mode.q[None], mode.covariance[None], np.full(1, 6.0))
+        for mode in modes
+    ]
+    nearest = np.argmax([part.log_density(flat) for part in near], axis=0)
+    belongs = nearest.reshape(q.shape[:2])[..., None] == np.arange(len(modes))
+    shares: Array = belongs.mean(axis=1)
+    return shares
+
+
 def sample_density(
     density: Density,
     modes: Sequence[Mode],
     effort: Effort,
     rng: np.random.Generator,
     *,
+    derived: Callable[[Array], Array] | None = None,
     report: Report | None = None,
 ) -> Chains:
-    """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes."""
-    began = time.perf_counter()
-    sampler, state = _ensembles(density, modes, effort, rng)
-    steps, wait = 0, effort.block
+    """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes.
+
+    A mixture of Student-t densities is learned from the walkers in rounds and then frozen;
+    what is kept comes after that, from independence proposals of the mixture together with
+    differential evolution. Should those mix slowly, the mixture is learned again from all
+    that they found, and what is kept starts again.
+
+    Parameters
+    ----------
+    density : callable
+    modes : sequence of Mode
+    effort : Effort
+    rng : numpy.random.Generator
+    derived : callable, optional
+        Other quantities that must converge too, (n, dim) -> (n, m).
+    report : callable, optional
+        Called with a `Progress` at every look at the convergence.
+    """
+    walk = _Walk(density, modes, effort, rng, derived)
+    walk.warm_up()
+    wait = ROUND
     while True:
-        stored = max(1, wait // STRIDE)
-        state = sampler.run_mcmc(state, stored, thin_by=STRIDE, skip_initial_state_check=True)
-        steps += stored * STRIDE
-        chains = _gather(sampler, steps, effort)
+        walk.run(max(1, min(wait, effort.limit - walk.steps)))
+        chains = walk.chains()
         found = chains.convergence
         if report is not None:
-            seconds = time.perf_counter() - began
-            report(Progress(steps, effort.limit, found.worst_r_hat, found.worst_ess, seconds))
-        long_enough = steps - chains.discarded >= effort.length * np.max(chains.autocorrelation)
-        if (long_enough and found.reached(effort.r_hat, effort.ess)) or steps >= effort.limit:
+            report(walk.progress(found))
+        slowest = float(np.max(chains.autocorrelation))
+        enough = walk.fresh >= effort.length * slowest
+        if (enough and found.reached(effort.r_hat, effort.ess)) or walk.steps >= effort.limit:
             return chains
-        wait = min(effort.block, effort.limit - steps)
+        if slowest > SLOW and walk.fresh > walk.steps // 2:
+            walk.learn_again()
+        wait = max(4 * ROUND, walk.fresh // 2)
 
 
-def _ensembles(
-    density: Density, modes: Sequence[Mode], effort: Effort, rng: np.random.Generator
-) -> tuple[emcee.EnsembleSampler, emcee.State]:
-    """Sampler of all ensembles in lock-step, and where they start."""
-    dim = len(modes[0].q)
-    walkers = 2 * max(16, dim + 3)
-    sampler = emcee.EnsembleSampler(
-        effort.ensembles * walkers,
-        dim,
-        density,
-        moves=[(Apart(move, effort.ensembles), weight) for move, weight in _moves(dim)],
-        vectorize=True,
-    )
-    # emcee takes a RandomState's state and silently ignores anything else
-    twister = np.random.RandomState(int(rng.integers(2**32)))
-    begin = [_disperse(density, modes, walkers, rng) for _ in range(effort.ensembles)]
-    return sampler, emcee.State(np.concatenate(begin), random_state=twister.get_state())
+class _Walk:
+    """The walkers of all ensembles in lock-step, their proposal, and where they have been."""
+
+    def __init__(
+        self,
+        density: Density,
+        modes: Sequence[Mode],
+        effort: Effort,
+        rng: np.random.Generator,
+        derived: Callable[[Array], Array] | None = None,
+    ) -> None:
+        dim = len(modes[0].q)
+        self._derived = derived
+        self._effort, self._rng, self._began = effort, rng, time.perf_counter()
+        self._walkers = 2 * max(effort.walkers // 2, dim + 3)
+        self._anchors = _around(modes)
+        self._independent = Independent(self._anchors)
+        self._sampler = emcee.EnsembleSampler(
+            effort.ensembles * self._walkers,
+            dim,
+            density,
+            moves=[(self._independent, JUMPS), *_evolution(dim, effort.ensembles, 1.0 - JUMPS)],
+            vectorize=True,
+        )
+        # emcee takes a RandomState's state and silently ignores anything else
+        twister = np.random.RandomState(int(rng.integers(2**32)))
+        begin = _disperse(density, modes, self._anchors, self._sampler.nwalkers, twister)
+        self._state = emcee.State(begin, random_state=twister.get_state())
+        self.steps = 0
+        self._freeze()
+
+    def warm_up(self) -> None:
+        """Learn the proposal in rounds, until a round accepts hardly more than the best one."""
+        best, waited = 0.0, 0
+        for _ in range(ROUNDS):
+            self._independent.forget()
+            self.run(ROUND)
+            accepted = self._independent.acceptance
+            self._learn(0.5)
+            waited = 0 if accepted > 1.05 * best else waited + 1
+            best = max(best, accepted)
+            if waited >= PATIENCE or self.steps >= self._effort.limit // 4:
+                break
+        self._freeze()
+
+    def learn_again(self) -> None:
+        """Learn the proposal from what was kept, and keep only what comes after."""
+        self._learn(0.75)
+        self._freeze()
+
+    def _learn(self, share: float) -> None:
+        """Learn the proposal from the last of the stored steps."""
+        late = self._coords[-math.ceil(share * len(self._coords)) :]
+        draws = np.concatenate(late)
+        parts = int(np.clip(len(draws) // (REQUIRED * draws.shape[1]), 1, PARTS))
+        self._independent.mixture = learn(draws, parts, self._rng, self._anchors)
+
+    def _freeze(self) -> None:
+        """Forget where the walkers have been: what is kept must come from one proposal."""
+        self.fresh, self._stride = 0, 1
+        self._coords: list[Array] = []
+        self._log_prob: list[Array] = []
+        self._moved = np.zeros(self._sampler.nwalkers)
+
+    def run(self, steps: int) -> None:
+        """Go on for some steps, and store every stride-th of them."""
+        for state in self._sampler.sample(
+            self._state, iterations=steps, store=False, skip_initial_state_check=True
+        ):
+            self._moved += np.any(state.coords != self._state.coords, axis=1)
+            self._state = emcee.State(state, copy=True)
+            self.fresh += 1
+            if self.fresh % self._stride == 0:
+                self._coords.append(self._state.coords)
+                self._log_prob.append(self._state.log_prob)
+            if len(self._coords) >= STORED:
+                self._coords, self._log_prob = self._coords[1::2], self._log_prob[1::2]
+                self._stride *= 2
+        self.steps += steps
+
+    def progress(self, found: Convergence) -> Progress:
+        """Where the sampling stands."""
+        seconds = time.perf_counter() - self._began
+        limit = self._effort.limit
+        return Progress(self.steps, limit, found.worst_r_hat, found.worst_ess, seconds)
+
+    def chains(self) -> Chains:
+        """Draws since the proposal was frozen, thinned, and what they say of convergence."""
+        ensembles, walkers = self._effort.ensembles, self._walkers
+        shape = (len(self._coords), ensembles, walkers)
+        full = np.swapaxes(np.reshape(self._coords, (*shape, -1)), 0, 1)
+        log_prob = np.swapaxes(np.reshape(self._log_prob, shape), 0, 1)
+        thin = max(1, len(self._coords) * walkers // self._effort.kept)
+        kept, kept_log_prob = full[:, thin - 1 :: thin], log_prob[:, thin - 1 :: thin]
+        watched = [kept, kept_log_prob[..., None]]
+        if self._derived is not None:
+            others = self._derived(kept.reshape(-1, kept.shape[-1]))
+            watched.append(others.reshape(*kept.shape[:-1], -1))
+        return Chains(
+            q=np.swapaxes(kept, 1, 2).reshape(ensembles, -1, full.shape[-1]),
+            log_prob=np.swapaxes(kept_log_prob, 1, 2).reshape(ensembles, -1),
+            walkers=walkers,
+            steps=self.steps,
+            thin=thin * self._stride,
+            discarded=self.steps - self.fresh,
+            acceptance=np.reshape(self._moved, (ensembles, walkers)).mean(axis=1) / self.fresh,
+            autocorrelation=self._stride * autocorrelation_time(full),
+            convergence=measure(np.concatenate(watched, axis=-1)),
+        )
 
 
-def _moves(dim: int) -> list[tuple[emcee.moves.RedBlueMove, float]]:
-    """Differential evolution, now and then a full jump between walkers or a stretch.
+def _evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves.Move, float]]:
+    """Differential evolution within each ensemble, now and then a full jump between walkers.
 
     emcee 3.1.6's DESnookerMove does not sample the target and is not used.
     """
     usual = 2.38 / np.sqrt(2 * dim)
     return [
-        (emcee.moves.DEMove(sigma=1e-3, gamma0=usual), 0.8),
-        (emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), 0.1),
-        (emcee.moves.StretchMove(), 0.1),
+        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=usual), ensembles), 0.8 * weight),
+        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), ensembles), 0.2 * weight),
     ]
 
 
-def _disperse(
-    density: Density, modes: Sequence[Mode], walkers: int, rng: np.random.Generator
-) -> Array:
-    """Walkers around the modes that hold mass, a little wider than Laplace's covariance."""
+def _around(modes: Sequence[Mode]) -> Mixture:
+    """Laplace's approximation to every mode that may hold mass, with tails.
+
+    Laplace's masses err, so that a mode counts by the cube root of its own: one that is
+    20 e-folds below the best is left to the walkers to find.
+    """
     evidence = np.array([mode.log_evidence for mode in modes])
-    weights = np.exp(evidence - evidence.max())
-    weights[weights < 1e-3] = 0.0
-    weights /= weights.sum()
-    begin = np.empty((walkers, len(modes[0].q)))
-    factors = [np.linalg.cholesky(mode.covariance) for mode in modes]
-    waiting = np.arange(walkers)
-    shrink = 1.0
-    while waiting.size:
-        chosen = rng.choice(len(modes), size=waiting.size, p=weights)
-        for i, k in zip(waiting, chosen, strict=True):
-            begin[i] = modes[k].q + shrink * factors[k] @ rng.standard_normal(len(modes[k].q))
-        values = density(begin[waiting])
-        near = values > modes[0].log_prob - 5.0 * len(modes[0].q)
-        waiting = waiting[~near]
-        shrink *= 0.9
-        if shrink < 1e-3:
-            raise FitError("no density around the modes: the posterior cannot be sampled")
-    return begin
-
-
-def _gather(sampler: emcee.EnsembleSampler, steps: int, effort: Effort) -> Chains:
-    """Draws of the second half of the steps, thinned, and what they say of convergence."""
-    total = steps // STRIDE
-    discarded = total // 2
-    kept = total - discarded
-    walkers = sampler.nwalkers // effort.ensembles
-    dim = sampler.ndim
-    apart = (kept, effort.ensembles, walkers)
-    full = np.swapaxes(sampler.get_chain(discard=discarded).reshape(*apart, dim), 0, 1)
-    log_prob = np.swapaxes(sampler.get_log_prob(discard=discarded).reshape(apart), 0, 1)
-    thin = max(1, kept * walkers // effort.kept)
-    chains, log_prob = full[:, ::thin], log_prob[:, ::thin]
-    acceptance = np.reshape(sampler.acceptance_fraction, (effort.ensembles, walkers))
-    return Chains(
-        q=np.swapaxes(chains, 1, 2).reshape(effort.ensembles, -1, dim),
-        log_prob=np.swapaxes(log_prob, 1, 2).reshape(effort.ensembles, -1),
-        walkers=walkers,
-        steps=steps,
-        thin=thin * STRIDE,
-        discarded=discarded * STRIDE,
-        acceptance=acceptance.mean(axis=1),
-        autocorrelation=STRIDE * autocorrelation_time(full),
-        convergence=measure(chains),
+    weights = np.exp(np.maximum(evidence - evidence.max(), -300.0) / 3.0)
+    kept = evidence > evidence.max() - 20.0
+    return Mixture.of(
+        weights[kept] / weights[kept].sum(),
+        np.array([mode.q for mode in modes])[kept],
+        np.array([1.2 * mode.covariance for mode in modes])[kept],
+        np.full(int(kept.sum()), 6.0),
     )
+
+
+def _disperse(
+    density: Density,
+    modes: Sequence[Mode],
+    anchors: Mixture,
+    walkers: int,
+    random: np.random.RandomState,
+) -> Array:
+    """Where walkers start, (walkers, dim): draws around the modes, the likelier ones rather."""
+    draws = anchors.draw(random, 4 * walkers)
+    ratio = density(draws) - anchors.log_density(draws)
+    top = np.sort(ratio)[-max(10, len(ratio) // 100)]
+    if not np.isfinite(top):
+        raise FitError("no density around the modes: the posterior cannot be sampled")
+    weights = np.exp(np.minimum(ratio - top, 0.0))
+    near = np.flatnonzero(weights)
+    chosen = random.choice(near, size=walkers, p=weights[near] / weights[near].sum())
+    begin: Array = draws[chosen]
+    return begin

@@ -8,8 +8,9 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import autocorrelation_time
-from mfd_bayes.calibration.moves import Apart
-from mfd_bayes.calibration.sampling import _moves
+from mfd_bayes.calibration.mixture import Mixture, learn
+from mfd_bayes.calibration.moves import Apart, Independent
+from mfd_bayes.calibration.sampling import JUMPS, _evolution
 
 DIM, ENSEMBLES, WALKERS, STEPS = 5, 4, 40, 3000
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])
@@ -24,13 +25,46 @@ def log_density(q):
     return -0.5 * np.einsum("ni,ij,nj->n", off, PRECISION, off)
 
 
+def apart(move):
+    """Red–blue moves within each ensemble; the others as they are."""
+    return Apart(move, ENSEMBLES) if hasattr(move, "get_proposal") else move
+
+
+def exact(n, seed=20):
+    return MEAN + np.random.default_rng(seed).normal(size=(n, DIM)) @ FACTOR.T
+
+
+LEARNED = learn(exact(4000), 3, np.random.default_rng(21))
+NARROW = Mixture.of(
+    np.array([0.3, 0.7]),
+    np.array([MEAN + 0.5 * SD, MEAN - 0.3 * SD]),
+    np.array([0.5 * COVARIANCE, 0.8 * COVARIANCE]),
+    np.array([4.0, 6.0]),
+)
+
+
+def those_of_the_sampler():
+    return [(Independent(LEARNED), JUMPS), *_evolution(DIM, ENSEMBLES, 1.0 - JUMPS)]
+
+
+class Forgetful(Independent):
+    """The wrong way: proposals from a mixture, accepted as if they were symmetric."""
+
+    def propose(self, model, state):
+        proposal = self.mixture.draw(model.random, len(state.coords))
+        log_prob, _ = model.compute_log_prob_fn(proposal)
+        moved = np.log(model.random.rand(len(proposal))) < log_prob - state.log_prob
+        state.coords[moved], state.log_prob[moved] = proposal[moved], log_prob[moved]
+        return state, moved
+
+
 def run(moves, *, seed=0, steps=STEPS, begin=None):
     """Chains (ensemble, step, walker, dim) from exact draws of the target, and acceptance."""
     rng = np.random.default_rng(100)
     total = ENSEMBLES * WALKERS
     if begin is None:
         begin = MEAN + rng.normal(size=(total, DIM)) @ FACTOR.T
-    weighted = [(Apart(move, ENSEMBLES), weight) for move, weight in moves]
+    weighted = [(apart(move), weight) for move, weight in moves]
     sampler = emcee.EnsembleSampler(total, DIM, log_density, moves=weighted, vectorize=True)
     state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())
     sampler.run_mcmc(state, steps)
@@ -78,7 +112,9 @@ MOVES = {
         (emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), 0.3),
     ],
     "stretch": [(emcee.moves.StretchMove(), 1.0)],
-    "those of the sampler": _moves(DIM),
+    "independent, learned from draws": [(Independent(LEARNED), 1.0)],
+    "independent, badly placed": [(Independent(NARROW), 1.0)],
+    "those of the sampler": those_of_the_sampler(),
 }
 
 
@@ -86,7 +122,7 @@ MOVES = {
 def test_move_samples_a_correlated_gaussian(moves):
     chains, acceptance = run(moves)
     assert judge(chains).right, judge(chains)
-    assert 0.1 < acceptance < 0.7
+    assert 0.1 < acceptance < 0.9
 
 
 def test_harness_rejects_a_move_that_does_not_sample_the_target():
@@ -94,6 +130,11 @@ def test_harness_rejects_a_move_that_does_not_sample_the_target():
     verdict = judge(chains)
     assert not verdict.right
     assert np.all(verdict.variance_ratio < 0.9)
+
+
+def test_harness_rejects_independent_proposals_without_their_density():
+    chains, _ = run([(Forgetful(NARROW), 1.0)], steps=900)
+    assert not judge(chains).right
 
 
 def test_harness_rejects_exact_draws_that_are_slightly_too_wide():
@@ -106,12 +147,12 @@ def test_harness_rejects_exact_draws_that_are_slightly_too_wide():
 
 def test_move_finds_the_target_from_afar():
     begin = MEAN + SD * (6 + np.random.default_rng(2).normal(size=(ENSEMBLES * WALKERS, DIM)))
-    chains, _ = run(_moves(DIM), begin=begin)
+    chains, _ = run(those_of_the_sampler(), begin=begin)
     assert judge(chains).right
 
 
 def test_ensembles_are_independent():
-    chains, _ = run(_moves(DIM))
+    chains, _ = run(those_of_the_sampler())
     means = chains[:, 500:].mean(axis=2)  # of each ensemble at each step
     thinned = means[:, :: int(3 * np.max(autocorrelation_time(chains)))]
     n = thinned.shape[1]
@@ -154,6 +195,14 @@ def test_an_ensemble_is_deaf_to_where_the_others_are():
         assert len(set(home.tolist())) == 1
 
 
+def test_a_learned_proposal_is_accepted_most_of_the_time():
+    move = Independent(LEARNED)
+    run([(move, 1.0)], steps=50)
+    assert move.acceptance > 0.6
+    move.forget()
+    assert move.acceptance == 0.0
+
+
 def test_every_walker_is_proposed_once_a_step_and_log_prob_goes_with_it():
     begin = MEAN + np.random.default_rng(4).normal(size=(ENSEMBLES * WALKERS, DIM)) @ FACTOR.T
     counted = []
@@ -177,6 +226,8 @@ def test_every_walker_is_proposed_once_a_step_and_log_prob_goes_with_it():
 
 
 def test_same_seed_same_draws():
-    first, again, other = (run(_moves(DIM), seed=seed, steps=50)[0] for seed in (7, 7, 8))
+    first, again, other = (
+        run(those_of_the_sampler(), seed=seed, steps=50)[0] for seed in (7, 7, 8)
+    )
     np.testing.assert_array_equal(first, again)
     assert not np.any(first[:, -1] == other[:, -1])

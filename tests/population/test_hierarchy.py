@@ -14,7 +14,7 @@ from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.marginal import Marginal, Pooling, TestSummary, summarize
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
-EFFORT = Effort(ess=200, block=200, limit=3000, length=2.0, kept=2000)
+EFFORT = Effort(ess=200, limit=3000, length=2.0, kept=2000)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from mfd_bayes.population.standing import free_exponents
 PRIORS = load_priors("brfd")
 NAMES = ("sigma0", "Fc_fwd", "Fc_bwd", "k3")
 TENSIONS = (0.020, 0.022, 0.025, 0.035, 0.070, 0.080)
-EFFORT = Effort(ess=100, block=160, limit=640, r_hat=1.05, length=1.0)
+EFFORT = Effort(ess=100, limit=640, r_hat=1.05, length=1.0)
 
 
 def campaign(

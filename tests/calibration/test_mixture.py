@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from mfd_bayes.calibration.mixture import Mixture, learn
+
+RNG = np.random.default_rng(0)
+DIM = 3
+FACTORS = RNG.normal(size=(2, DIM, DIM)) + 2 * np.eye(DIM)
+COVARIANCES = FACTORS @ FACTORS.transpose(0, 2, 1)
+MEANS = np.array([[0.0, 1.0, -2.0], [4.0, 0.0, 3.0]])
+MIXTURE = Mixture.of(np.array([0.3, 0.7]), MEANS, COVARIANCES, np.array([5.0, 12.0]))
+
+
+def test_density_is_that_of_scipy():
+    points = RNG.normal(0, 3, size=(50, DIM))
+    parts = [
+        weight * stats.multivariate_t(mean, covariance, df=dof).pdf(points)
+        for weight, mean, covariance, dof in zip(
+            MIXTURE.weights, MEANS, COVARIANCES, MIXTURE.dof, strict=True
+        )
+    ]
+    np.testing.assert_allclose(np.exp(MIXTURE.log_density(points)), sum(parts), rtol=1e-10)
+
+
+def test_draws_have_the_density():
+    # the mean of f/q over draws from q is the integral of f, here 1, for any density f
+    draws = MIXTURE.draw(np.random.RandomState(1), 20000)
+    for scale in (0.3, 1.0):
+        f = stats.multivariate_normal(MEANS[1], scale * COVARIANCES[1])
+        ratios = f.pdf(draws) / np.exp(MIXTURE.log_density(draws))
+        assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(20000))
+        # the control: another mixture's density is told apart
+        other = Mixture(MIXTURE.weights[::-1], MIXTURE.means, MIXTURE.factors, MIXTURE.dof)
+        wrong = f.pdf(draws) / np.exp(other.log_density(draws))
+        assert abs(np.mean(wrong) - 1.0) > 6 * np.std(wrong) / np.sqrt(20000)
+
+
+@pytest.mark.parametrize("parts", [1, 4])
+def test_a_learned_mixture_resembles_its_draws(parts):
+    draws = np.concatenate(
+        [
+            stats.multivariate_normal(m, c).rvs(1500, random_state=2)
+            for m, c in zip(MEANS, COVARIANCES, strict=True)
+        ]
+    )
+    found = learn(draws, parts, np.random.default_rng(3))
+    again = found.draw(np.random.RandomState(4), 20000)
+    np.testing.assert_allclose(again.mean(axis=0), draws.mean(axis=0), atol=0.35)
+    # a little wider than the draws, never narrower
+    ratio = again.std(axis=0) / draws.std(axis=0)
+    assert np.all((ratio > 1.0) & (ratio < 1.35))
+
+
+def test_more_parts_follow_a_bent_density_better():
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=4000)
+    bent = np.stack([x, x**2 + 0.2 * rng.normal(size=4000)], axis=1)
+    one, many = (learn(bent, parts, np.random.default_rng(6)) for parts in (1, 6))
+    assert np.mean(many.log_density(bent)) > np.mean(one.log_density(bent)) + 0.4
+
+
+def test_anchors_keep_their_place_in_a_learned_mixture():
+    anchors = Mixture.of(np.ones(1), np.full((1, DIM), 50.0), np.eye(DIM)[None], np.array([5.0]))
+    draws = RNG.normal(size=(2000, DIM))
+    found = learn(draws, 2, np.random.default_rng(7), anchors)
+    assert found.weights.sum() == pytest.approx(1.0)
+    far = np.sum(found.draw(np.random.RandomState(8), 5000)[:, 0] > 25)
+    assert 150 < far < 350
+
+
+def test_draws_that_hardly_differ_are_fitted_all_the_same():
+    draws = np.tile(np.arange(4.0), (300, 1)) + 1e-9 * RNG.normal(size=(300, 4))
+    found = learn(draws, 3, np.random.default_rng(9))
+    assert np.all(np.isfinite(found.log_density(draws)))
