@@ -153,6 +153,7 @@ def _remarks(run: Run, tests: list[TestView]) -> tuple[str, ...]:
     if weak:
         names = ", ".join(f"{name} ({count})" for name, count in weak.most_common())
         remarks.append(f"Not informed by the data (number of tests): {names}.")
+    remarks += _identifiability_remarks(tests)
     if any("gamma1" in {r.name for r in view.rows} for view in tests):
         remarks.append("gamma1 and gamma2 are " + SCALE_NOTE + "; gamma1 keeps its prior.")
     levels = {round(t.trace.reference_actuation, 9) for t in run.tests.values()}
@@ -161,6 +162,25 @@ def _remarks(run: Run, tests: list[TestView]) -> tuple[str, ...]:
             "All calibrated tests are at one actuation: the laws beyond it rest on their form."
         )
     return tuple(remarks)
+
+
+def _identifiability_remarks(tests: list[TestView]) -> list[str]:
+    """How many directions the data inform, and which parameters trade off most often."""
+    found = [view.identifiability for view in tests if view.identifiability is not None]
+    if not found:
+        return []
+    informed = sorted({f.directions.informed for f in found})
+    span = f"{informed[0]} to {informed[-1]}" if len(informed) > 1 else f"{informed[0]}"
+    total = len(found[0].directions.names)
+    remarks = [f"The data of a test inform {span} of {total} directions in parameter space."]
+    pairs = Counter(f"{pair.first} and {pair.second}" for f in found for pair in f.pairs)
+    if pairs:
+        names = ", ".join(f"{name} ({count})" for name, count in pairs.most_common(4))
+        remarks.append(
+            f"Parameters that trade off, so that their combination is known better than either "
+            f"(number of tests): {names}{', and others' if len(pairs) > 4 else ''}."
+        )
+    return remarks
 
 
 def _provenance(manifest: Mapping[str, Any]) -> dict[str, str]:

@@ -11,11 +11,13 @@ from mfd_bayes.assessment.bands import fan_of, score_of
 from mfd_bayes.assessment.checks import (
     INFORMED,
     convergence_checks,
+    identifiability_checks,
     length_check,
     notes,
     predictive_check,
 )
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
+from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.predictive import check_predictive, replicate
 from mfd_bayes.quantities import UNITS
 from mfd_bayes.records.trace import Trace
@@ -41,6 +43,8 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     checks.append(length_check(test.id, facts, run.manifest["effort"]))
     checks += [predictive_check(test.id, c) for c in check_predictive(posterior, replicas, gap)]
     checks += notes(test.id, rows, facts)
+    known = _identifiability(test, prior)
+    checks += identifiability_checks(test.id, known)
     informed = {row.name: row.contraction >= INFORMED for row in rows}
     return TestView(
         id=test.id,
@@ -56,6 +60,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         corner=tuple(name for name in _CORNER if informed.get(name)),
         checks=tuple(checks),
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
+        identifiability=known,
     )
 
 
@@ -125,6 +130,12 @@ def _prior_values(test: TestResult, n: int = 2000) -> dict[str, Array]:
     drawn = posterior.draw_prior(np.random.default_rng(0), n)
     theta = posterior.theta(drawn)
     return drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
+
+
+def _identifiability(test: TestResult, prior: Mapping[str, Array]) -> Identifiability:
+    values = {name: test.draws[name].to_numpy() for name in test.posterior.names}
+    densities = (test.stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
+    return identify(test.posterior, values, prior, *densities)
 
 
 def _marginals(

@@ -18,6 +18,9 @@ Density = Callable[[Array], Array]
 STEP = 1e-4
 """Finite-difference step, in prior standard deviations."""
 
+APART = 0.05
+"""Largest difference, in prior standard deviations, of two ends of least squares that are one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Mode:
@@ -59,9 +62,14 @@ def find_modes(
     begin = _starting_points(posterior, rng, starts, candidates)
     fits = [_least_squares(posterior, q, *scale) for q in begin]
     order = np.argsort([-posterior.log_prob(q[None])[0] for q in fits])
+    ends: list[Array] = []
+    for i in order:
+        away = [np.max(np.abs(fits[i] - end) / scale[1]) for end in ends]
+        if min(away, default=np.inf) > APART:
+            ends.append(fits[i])
     modes: list[Mode] = []
-    for i in order[: max(2, starts // 3)]:
-        mode = climb(posterior.log_prob, fits[i], scale[1])
+    for end in ends[: starts // 2]:
+        mode = climb(posterior.log_prob, end, scale[1])
         if not any(_same(mode, other) for other in modes):
             modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))

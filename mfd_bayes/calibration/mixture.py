@@ -1,24 +1,43 @@
-"""Mixtures of Student-t densities: what an independence proposal is drawn from."""
+"""Densities that are learned from draws: what an independence proposal is drawn from."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import optimize, special
 
 Array = NDArray[np.float64]
 
-DRAWS = 4000
+DRAWS = 8000
 """Draws that a fit uses at most."""
 
 WIDE = 0.1
 """Weight of the wide part that keeps a learned proposal's tails above the target's."""
 
+BENT = 1.5
+"""Largest parameters of a coordinate's shape, so that few draws bend it but so much."""
+
 SHRINKAGE = 2.0
 """Draws per dimension that the covariance of all of them counts for in each part's own."""
+
+
+PROBABILITIES = np.array([0.01, 0.025, 0.07, 0.16, 0.31, 0.5, 0.69, 0.84, 0.93, 0.975, 0.99])
+"""Of the quantiles to which each coordinate's shape is fitted."""
+
+
+class Proposal(Protocol):
+    """A density that can be drawn from and evaluated."""
+
+    def log_density(self, q: Array) -> Array:
+        """Normalised log density, (n, dim) -> (n,)."""
+
+    def draw(self, random: np.random.RandomState, n: int) -> Array:
+        """Independent draws, (n, dim)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +101,97 @@ class Mixture:
         return draws
 
 
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """Map of each coordinate by itself to one that is about standard normal, (dim,) each.
+
+    z = sinh(tail asinh((q − centre)/scale) − skew), after Jones and Pewsey (2009): smooth,
+    one to one, and with a closed inverse.
+    """
+
+    centre: Array
+    scale: Array
+    skew: Array
+    tail: Array
+
+    @classmethod
+    def of(cls, draws: Array) -> Warp:
+        """Map under which the quantiles of draws (n, dim) are those of the normal."""
+        target = special.ndtri(PROBABILITIES)
+        found = []
+        for quantiles in np.quantile(draws, PROBABILITIES, axis=0).T:
+            middle = quantiles[len(quantiles) // 2]
+            spread = max(quantiles[-1] - quantiles[0], 1e-12) / (target[-1] - target[0])
+
+            def misfit(w: Array, y: Array = (quantiles - middle) / spread) -> Array:
+                scaled = np.arcsinh((y - w[0]) * np.exp(-w[1]))
+                gap: Array = np.exp(w[2]) * scaled - w[3] - np.arcsinh(target)
+                return gap
+
+            fit = optimize.least_squares(misfit, np.zeros(4), bounds=(-BENT, BENT), max_nfev=30)
+            shift, width, tail, skew = fit.x
+            found.append((middle + spread * shift, spread * np.exp(width), skew, np.exp(tail)))
+        return cls(*np.array(found).T)
+
+    def normal(self, q: Array) -> tuple[Array, Array]:
+        """Standard coordinates, (n, dim), and the log of the map's Jacobian, (n,)."""
+        y = (q - self.centre) / self.scale
+        bent = self.tail * np.arcsinh(y) - self.skew
+        slope = np.log(self.tail * np.cosh(bent) / (self.scale * np.hypot(1.0, y)))
+        return np.sinh(bent), slope.sum(axis=1)
+
+    def original(self, z: Array) -> Array:
+        """The inverse of `normal`, (n, dim)."""
+        return self.centre + self.scale * np.sinh((np.arcsinh(z) + self.skew) / self.tail)
+
+
+@dataclass(frozen=True, eq=False)
+class Warped:
+    """A mixture of coordinates that each were mapped by themselves."""
+
+    mixture: Mixture
+    warp: Warp
+
+    def log_density(self, q: Array) -> Array:
+        """Normalised log density, (n, dim) -> (n,)."""
+        z, slope = self.warp.normal(q)
+        return self.mixture.log_density(z) + slope
+
+    def draw(self, random: np.random.RandomState, n: int) -> Array:
+        """Independent draws, (n, dim)."""
+        return self.warp.original(self.mixture.draw(random, n))
+
+
+@dataclass(frozen=True, eq=False)
+class Either:
+    """One of several proposals, by their weights."""
+
+    weights: Array
+    parts: Sequence[Proposal]
+
+    def log_density(self, q: Array) -> Array:
+        """Normalised log density, (n, dim) -> (n,)."""
+        densities = np.stack([part.log_density(q) for part in self.parts])
+        density: Array = special.logsumexp(densities, axis=0, b=self.weights[:, None])
+        return density
+
+    def draw(self, random: np.random.RandomState, n: int) -> Array:
+        """Independent draws, (n, dim)."""
+        counts = random.multinomial(n, self.weights)
+        draws = [part.draw(random, k) for part, k in zip(self.parts, counts, strict=True)]
+        return np.concatenate(draws)[random.permutation(n)]
+
+
 def learn(
     draws: Array, parts: int, rng: np.random.Generator, anchors: Mixture | None = None
-) -> Mixture:
-    """Mixture that resembles draws, somewhat wider than they are.
+) -> Proposal:
+    """Proposal that resembles draws, somewhat wider than they are.
 
-    Parts are normal while they are fitted, by expectation–maximization with covariances
-    shrunk to that of all draws, and given tails after it. A tenth of the weight goes to a
-    wide part, and a twentieth to the anchors, so that a proposal goes on reaching places
-    that the draws have not seen.
+    Each coordinate is first mapped to about a normal one by itself. Parts are normal while
+    they are fitted, by expectation–maximization with covariances shrunk to that of all
+    draws, and given tails after it. A tenth of the weight goes to a wide part, and a
+    twentieth to the anchors, so that a proposal goes on reaching places that the draws have
+    not seen.
 
     Parameters
     ----------
@@ -102,27 +203,21 @@ def learn(
     """
     if len(draws) > DRAWS:
         draws = draws[rng.choice(len(draws), DRAWS, replace=False)]
-    mean = draws.mean(axis=0)
-    covariance = np.atleast_2d(np.cov(draws.T))
-    scale = np.sqrt(np.diag(covariance)) + 1e-12
-    covariance += 1e-8 * np.diag(scale**2)
+    warp = Warp.of(draws)
+    z, _ = warp.normal(draws)
+    mean = z.mean(axis=0)
+    covariance = np.atleast_2d(np.cov(z.T)) + 1e-8 * np.eye(z.shape[1])
     factor = np.linalg.cholesky(covariance)
-    standard = np.linalg.solve(factor, (draws - mean).T).T
+    standard = np.linalg.solve(factor, (z - mean).T).T
     weights, means, covariances = _expectation_maximization(standard, parts, rng)
-    found = Mixture.of(
+    mixture = Mixture.of(
         np.append((1.0 - WIDE) * weights, WIDE),
         np.vstack([mean + means @ factor.T, mean]),
-        np.concatenate([1.1 * factor @ covariances @ factor.T, 2.0 * covariance[None]]),
-        np.append(np.full(len(weights), 12.0), 4.0),
+        np.concatenate([1.1 * factor @ covariances @ factor.T, 1.5 * covariance[None]]),
+        np.append(np.full(len(weights), 30.0), 8.0),
     )
-    if anchors is None:
-        return found
-    return Mixture(
-        np.concatenate([0.95 * found.weights, 0.05 * anchors.weights]),
-        np.concatenate([found.means, anchors.means]),
-        np.concatenate([found.factors, anchors.factors]),
-        np.concatenate([found.dof, anchors.dof]),
-    )
+    found = Warped(mixture, warp)
+    return found if anchors is None else Either(np.array([0.95, 0.05]), (found, anchors))
 
 
 def _expectation_maximization(

@@ -6,7 +6,7 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.mixture import Mixture
+from mfd_bayes.calibration.mixture import Proposal
 
 Array = NDArray[np.float64]
 
@@ -64,15 +64,15 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
     """Metropolis–Hastings with proposals that do not depend on where a walker is.
 
     Walkers know nothing of each other here, so that all are moved in one batch. The target
-    stays invariant while the mixture does; who learns it from draws discards those.
+    stays invariant while the proposal does; who learns it from draws discards those.
 
     Parameters
     ----------
-    mixture : Mixture
+    proposal : Proposal
     """
 
-    def __init__(self, mixture: Mixture) -> None:
-        self.mixture = mixture
+    def __init__(self, proposal: Proposal) -> None:
+        self.source = proposal
         self.forget()
 
     def forget(self) -> None:
@@ -88,10 +88,10 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
         self, model: emcee.model.Model, state: emcee.State
     ) -> tuple[emcee.State, NDArray[np.bool_]]:
         """New state, and which walkers moved, (walkers,)."""
-        proposal = self.mixture.draw(model.random, len(state.coords))
+        proposal = self.source.draw(model.random, len(state.coords))
         log_prob, _ = model.compute_log_prob_fn(proposal)
         gain = np.asarray(log_prob) - state.log_prob
-        gain += self.mixture.log_density(state.coords) - self.mixture.log_density(proposal)
+        gain += self.source.log_density(state.coords) - self.source.log_density(proposal)
         moved = np.log(model.random.rand(gain.size)) < gain
         state.coords[moved] = proposal[moved]
         state.log_prob[moved] = np.asarray(log_prob)[moved]

@@ -223,8 +223,8 @@ def sample_density(
 
     A mixture of Student-t densities is learned from the walkers in rounds and then frozen;
     what is kept comes after that, from independence proposals of the mixture together with
-    differential evolution. Should those mix slowly, the mixture is learned again from all
-    that they found, and what is kept starts again.
+    differential evolution. Should those mix slowly, or much be left to do, the mixture is
+    learned again from what they found, and what is kept starts again.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def sample_density(
         enough = walk.fresh >= effort.length * slowest
         if (enough and found.reached(effort.r_hat, effort.ess)) or walk.steps >= effort.limit:
             return chains
-        if slowest > SLOW and walk.fresh > walk.steps // 2:
+        if found.worst_ess < 0.5 * effort.ess or slowest > SLOW:
             walk.learn_again()
         wait = max(4 * ROUND, walk.fresh // 2)
 
@@ -283,7 +283,7 @@ class _Walk:
         twister = np.random.RandomState(int(rng.integers(2**32)))
         begin = _disperse(density, modes, self._anchors, self._sampler.nwalkers, twister)
         self._state = emcee.State(begin, random_state=twister.get_state())
-        self.steps = 0
+        self.steps = self._learned = 0
         self._freeze()
 
     def warm_up(self) -> None:
@@ -301,16 +301,18 @@ class _Walk:
         self._freeze()
 
     def learn_again(self) -> None:
-        """Learn the proposal from what was kept, and keep only what comes after."""
-        self._learn(0.75)
-        self._freeze()
+        """Learn the proposal from what was kept, if that is plenty; keep what comes after."""
+        if len(self._coords) * self._stride >= 4 * self._learned:
+            self._learn(0.75)
+            self._freeze()
 
     def _learn(self, share: float) -> None:
         """Learn the proposal from the last of the stored steps."""
         late = self._coords[-math.ceil(share * len(self._coords)) :]
+        self._learned = len(late) * self._stride
         draws = np.concatenate(late)
         parts = int(np.clip(len(draws) // (REQUIRED * draws.shape[1]), 1, PARTS))
-        self._independent.mixture = learn(draws, parts, self._rng, self._anchors)
+        self._independent.source = learn(draws, parts, self._rng, self._anchors)
 
     def _freeze(self) -> None:
         """Forget where the walkers have been: what is kept must come from one proposal."""

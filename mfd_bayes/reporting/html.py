@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.views import STANDING, CampaignView, Check, Row
+from mfd_bayes.reporting.views import IDENTIFIABILITY, STANDING, CampaignView, Check, Row
 
 UNINFORMED = 0.5
 """Below this contraction the page says that the data do not inform a parameter."""
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = ("prior variance removed", "calibration", STANDING)  # shown in sections of their own
+_ELSEWHERE = (*IDENTIFIABILITY, "calibration", STANDING)  # shown in sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 
@@ -62,12 +63,14 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> str:
         names=list(dict.fromkeys(row.name for test in view.tests for row in test.rows)),
         cells={(row.subject, row.name): row for test in view.tests for row in test.rows},
         convergence=_convergence(view),
-        judged=[check for check in view.checks if check.verdict != "note"],
+        judged=[check for check in view.checks if _is_judged(check)],
         fit=_grid(check for check in view.checks if _is_of_fit(check)),
         standing=[check for check in view.checks if check.name == STANDING],
         sampler=_grid(check for check in view.checks if is_of_sampler(check)),
         uninformed=_uninformed(view),
         limit=UNINFORMED,
+        trade_off=TRADE_OFF,
+        sensitive=SENSITIVE,
     )
 
 
@@ -130,6 +133,11 @@ def _is_weak(row: Row) -> bool:
     """Whether a row must not be read as a measurement; a note says why where contraction cannot."""
     unknown = math.isnan(row.contraction)
     return bool(row.note) if unknown else row.contraction < UNINFORMED
+
+
+def _is_judged(check: Check) -> bool:
+    """Whether a check can fail."""
+    return check.verdict != "note" and check.name not in IDENTIFIABILITY
 
 
 def _is_of_fit(check: Check) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.identifiability import Identifiability
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -15,6 +16,14 @@ Array = NDArray[np.float64]
 
 STANDING = "exponent if the law were a power law"
 """Name of the check that a proportional law is not contradicted; it has a section of its own."""
+
+CONTRACTION = "prior variance removed"
+PRIOR_SENSITIVITY = "sensitivity to the prior"
+LIKELIHOOD_SENSITIVITY = "sensitivity to the likelihood"
+DIRECTIONS = "directions informed"
+TRADE_OFFS = "rank correlation of two parameters"
+IDENTIFIABILITY = (CONTRACTION, PRIOR_SENSITIVITY, LIKELIHOOD_SENSITIVITY, DIRECTIONS, TRADE_OFFS)
+"""Names of the checks that say what the data tell; they note, and never fail."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +158,8 @@ class TestView:
         Quantities that the data inform, in the order of the corner plot.
     checks : tuple of Check
     score : ScoreRow
+    identifiability : Identifiability or None
+        What the data tell about the sampled quantities; None where the test was predicted.
     """
 
     __test__ = False
@@ -166,6 +177,7 @@ class TestView:
     corner: tuple[str, ...]
     checks: tuple[Check, ...]
     score: ScoreRow
+    identifiability: Identifiability | None = None
 
 
 @dataclass(frozen=True, eq=False)

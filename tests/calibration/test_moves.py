@@ -51,7 +51,7 @@ class Forgetful(Independent):
     """The wrong way: proposals from a mixture, accepted as if they were symmetric."""
 
     def propose(self, model, state):
-        proposal = self.mixture.draw(model.random, len(state.coords))
+        proposal = self.source.draw(model.random, len(state.coords))
         log_prob, _ = model.compute_log_prob_fn(proposal)
         moved = np.log(model.random.rand(len(proposal))) < log_prob - state.log_prob
         state.coords[moved], state.log_prob[moved] = proposal[moved], log_prob[moved]

@@ -96,6 +96,19 @@ def test_both_directions_of_friction_have_a_pivot():
         np.testing.assert_allclose(q[:, pivot.kinetic], np.log(usual), rtol=1e-12, atol=1e-12)
 
 
+def test_friction_that_follows_from_several_coordinates_is_derived():
+    # both static forces, and both kinetic ones, which stand behind a pivot
+    posterior = build()
+    q = points(posterior)
+    theta = posterior.theta(posterior.values(q))
+    names = posterior.model.parameters
+    columns = [names.index(name) for name in ("Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd")]
+    np.testing.assert_array_equal(posterior.derived(q), theta[:, columns])
+    fixed = {f"static_excess_{side}": Prior("fixed", {"value": 0.1}) for side in ("fwd", "bwd")}
+    plain = build(priors=fixed)
+    assert plain.derived(points(plain)).shape == (20, 0)
+
+
 @CASES
 def test_log_prior_is_the_density_of_the_values_times_the_jacobian(model, noise, start):
     # p(q) = p(x) |dx/dq|, the determinant by differences over all coordinates at once

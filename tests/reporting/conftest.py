@@ -6,6 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.identifiability import (
+    Directions,
+    Identifiability,
+    Pair,
+    Sensitivity,
+)
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import (
@@ -69,7 +75,20 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
     )
     if role == "validate":
         return replace(view, device=None, rows=(), marginals=(), chains={}, corner=(), checks=())
-    return view
+    return replace(view, identifiability=make_identifiability())
+
+
+def make_identifiability() -> Identifiability:
+    names = ("Fc_fwd", "k3")
+    axes = np.array([[0.8, 0.6], [0.6, -0.8]])
+    return Identifiability(
+        directions=Directions(names, np.array([399.0, 0.1]), axes),
+        pairs=(Pair(*names, -0.84),),
+        sensitivities=(
+            Sensitivity("Fc_fwd", 0.012, 0.2),
+            Sensitivity("k3", 0.09, 0.11),
+        ),
+    )
 
 
 def make_law() -> LawView:

@@ -4,11 +4,13 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
+from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.html import is_of_sampler, render
-from mfd_bayes.reporting.views import Check
+from mfd_bayes.reporting.views import DIRECTIONS, IDENTIFIABILITY, Check
 
 HOSTILE = '"><script>alert(1)</script>{{ 7 * 7 }}'
 
@@ -120,12 +122,21 @@ def test_values_that_are_about_their_prior_are_set_apart(campaign, images):
 def test_names_from_files_are_text(campaign, test_view):
     test = replace(test_view(HOSTILE), actuation=HOSTILE)
     rows = tuple(replace(row, name=HOSTILE, unit=HOSTILE, note=HOSTILE) for row in test.rows)
+    known = replace(
+        test.identifiability,
+        directions=replace(test.identifiability.directions, names=(HOSTILE, HOSTILE)),
+        pairs=(Pair(HOSTILE, HOSTILE, 0.8),),
+        sensitivities=(Sensitivity(HOSTILE, 0.1, 0.1),),
+    )
     checks = tuple(Check(HOSTILE, n, HOSTILE, 0.0, HOSTILE, HOSTILE) for n in ("R-hat", HOSTILE))
     hostile = replace(
         campaign,
         title=HOSTILE,
         sentence=HOSTILE,
-        tests=(replace(test, rows=rows), replace(campaign.tests[1], id=f"{HOSTILE}2")),
+        tests=(
+            replace(test, rows=rows, identifiability=known),
+            replace(campaign.tests[1], id=f"{HOSTILE}2"),
+        ),
         failures={HOSTILE: HOSTILE},
         law_rows=rows,
         checks=checks,
@@ -197,6 +208,32 @@ def test_what_is_told_elsewhere_is_not_told_twice(campaign, images):
     text = render(replace(campaign, checks=(note,)), images)
     assert "prior variance removed" not in text
     assert "<b>0 of 0</b> checks failed" in text
+
+
+def test_what_a_test_informs_is_told(text):
+    assert "1 of 2" in text
+    assert "F<sub>c,fwd</sub> with k<sub>3</sub>" in text
+    assert "20 times narrower" in text
+    assert "F<sub>c,fwd</sub> and k<sub>3</sub> (r = −0.840)" in text
+    found = re.search(r"<td>0\.09</td><td>0\.11</td><td class=\"text\">([^<]*)", text)
+    assert found.group(1) == CONFLICT
+
+
+def test_without_trade_offs_there_is_a_dash(campaign, images):
+    test = campaign.tests[0]
+    known = test.identifiability
+    directions = replace(known.directions, curvature=np.array([399.0, 40.0]))
+    free = replace(test, identifiability=replace(known, directions=directions, pairs=()))
+    text = render(replace(campaign, tests=(free,)), images)
+    assert "2 of 2" in text
+    assert text.count('<td class="text">–</td>') == 3  # and no diagnosis of Fc_fwd
+
+
+def test_checks_of_identifiability_cannot_fail_and_are_not_counted(campaign, images):
+    checks = tuple(Check("a", name, "k3", 0.1, "", "pass") for name in IDENTIFIABILITY)
+    text = render(replace(campaign, checks=checks), images)
+    assert "<b>0 of 0</b> checks failed" in text
+    assert not any(name in text for name in IDENTIFIABILITY if name != DIRECTIONS)
 
 
 def test_the_page_is_the_same_each_time(campaign, images, text):

@@ -1,0 +1,226 @@
+"""Synthetic tests drawn from a prior, ranks of their truths, and whether ranks are uniform."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from mfd_bayes.calibration.effort import EFFORTS, Effort
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.priors import KINDS, Prior
+from mfd_bayes.calibration.sampling import Draws, sample
+from mfd_bayes.errors import MfdError
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.01  # familywise
+SIMULATIONS = 100_000  # of the band: Bonferroni's level of one quantity is some 4e-4
+TRUE, WRONG = "ou", "iid"
+MEDIANS = {
+    "sigma0": 25.0,  # kip/in
+    "sigma1": 0.02,  # kip·s/in
+    "sigma2": 0.01,
+    "Fc_fwd": 1.0,  # kip
+    "Fc_bwd": 1.2,
+    "k2": 0.8,  # kip/in
+    "k3": 20.0,
+    "d2": 0.10,  # in
+    "d3": 0.08,
+    "ell": 0.02,
+    "v_s": 0.4,  # in/s
+    "noise_sd": 0.04,  # kip
+    "noise_time": 0.1,  # s
+}
+SPREAD = 0.25  # of the logarithm
+DERIVED = {
+    "Fs_fwd": ("Fc_fwd", "static_excess_fwd"),
+    "Fs_bwd": ("Fc_bwd", "static_excess_bwd"),
+    "gap": ("d2", "d3"),
+    "gamma2": ("ell", "gamma1"),
+}
+"""What follows from two quantities; ranked where both vary."""
+LIKELIHOOD = "log likelihood"
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What the tests of a study share.
+
+    Attributes
+    ----------
+    priors : PriorFile
+        Of the truths and of the posteriors alike.
+    motion : Trace
+    effort : Effort
+    draws : int
+        L, taken of each posterior; ranks go from 0 to L.
+    seed : int
+    """
+
+    priors: PriorFile
+    motion: Trace
+    effort: Effort
+    draws: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A test: ranks by quantity, and how its sampling went.
+
+    `error` says why there are no draws, where there are none.
+    """
+
+    ranks: Mapping[str, int]
+    converged: bool = False
+    ess: float = 0.0
+    r_hat: float = np.inf
+    steps: int = 0
+    seconds: float = 0.0
+    error: str = ""
+
+
+def full_study(seed: int) -> Study:
+    """All 17 parameters, on two and a half cycles and four small ones inside the gap."""
+    time = np.arange(320) / 32.0
+    fade = 1.0 / (1.0 + np.exp((time - 6.6) / 0.15))
+    large = 0.5 * np.sin(2 * np.pi * 0.4 * time)
+    small = 0.05 * np.sin(2 * np.pi * 1.2 * time)
+    motion = Trace.from_arrays(time, large * fade + small * (1.0 - fade))
+    # the effective sample size is three times the draws that are taken
+    effort = replace(EFFORTS["standard"], ess=200, limit=12000)
+    return Study(narrow_priors(), motion, effort, draws=63, seed=seed)
+
+
+def narrow_priors(sampled: Iterable[str] = KINDS, **medians: float) -> PriorFile:
+    """The shipped priors, narrowed to sensible loops; what is not `sampled` has one value."""
+    middle = MEDIANS | medians
+    narrow = {n: Prior("lognormal", {"median": m, "spread": SPREAD}) for n, m in middle.items()}
+    narrow["offset"] = Prior("normal", {"mean": 0.0, "sd": 0.05})
+    shipped = load_priors("mfd")
+    parameters = dict(shipped.parameters) | narrow
+    for name in set(parameters) - set(sampled):
+        parameters[name] = Prior("fixed", {"value": middle.get(name, parameters[name].typical)})
+    return replace(shipped, parameters=parameters)
+
+
+def run_test(study: Study, index: int, noise: str = TRUE) -> Ranked:
+    """Ranks of the truth of one synthetic test, whose posterior assumes `noise`."""
+    posterior, truth = synthesize(study, index, noise)
+    try:
+        draws = sample(posterior, study.effort, seed=(study.seed, index, 1))
+    except MfdError as error:
+        return Ranked({}, error=str(error))
+    found = draws.convergence
+    return Ranked(
+        ranks=ranks_of(truth, posterior, draws, study.draws),
+        converged=found.reached(study.effort.r_hat, study.effort.ess),
+        ess=found.worst_ess,
+        r_hat=found.worst_r_hat,
+        steps=draws.chains.steps,
+        seconds=draws.wall_time,
+    )
+
+
+def synthesize(study: Study, index: int, noise: str) -> tuple[Posterior, dict[str, Array]]:
+    """Posterior of a synthetic test, and its truth, (1,) each.
+
+    The record does not depend on `noise`, which is only what the posterior takes it for.
+    """
+    rng = np.random.default_rng([study.seed, index, 0])
+    blank = replace(study.motion, force=np.zeros(study.motion.samples))
+    source = Posterior(blank, study.priors, TRUE)
+    truth = source.draw_prior(rng, 1)
+    force = source.force(truth) + truth["offset"][:, None]
+    force = force + source.noise.draw(rng, blank.time, truth)
+    return Posterior(replace(blank, force=force[0]), study.priors, noise), truth
+
+
+def ranks_of(
+    truth: Mapping[str, Array], posterior: Posterior, draws: Draws, count: int
+) -> dict[str, int]:
+    """How many of `count` draws lie below the truth, by quantity.
+
+    Draws are ordered by walker: taken evenly, they are of different walkers, which are
+    independent of each other at any step.
+    """
+    flat = dict(draws.values) | {LIKELIHOOD: draws.log_likelihood}
+    pick = np.linspace(0, draws.log_likelihood.size - 1, count).astype(np.intp)
+    drawn = with_derived({name: values.reshape(-1)[pick] for name, values in flat.items()})
+    likelihood = posterior.log_likelihood(posterior.coordinates(truth))
+    true = with_derived(dict(truth) | {LIKELIHOOD: likelihood})
+    varied = {LIKELIHOOD, *(name for name in draws.values if np.ptp(drawn[name]) > 0)}
+    varied |= {name for name, parts in DERIVED.items() if varied.issuperset(parts)}
+    return {name: int(np.sum(drawn[name] < true[name])) for name in sorted(varied)}
+
+
+def with_derived(values: Mapping[str, Array]) -> dict[str, Array]:
+    """All quantities and those that follow from them, by name."""
+    derived = {"gap": values["d2"] + values["d3"], "gamma2": values["ell"] * values["gamma1"]}
+    for side in ("fwd", "bwd"):
+        excess = values[f"static_excess_{side}"]
+        derived[f"Fs_{side}"] = values[f"Fc_{side}"] * (1.0 + excess)
+    return dict(values) | derived
+
+
+class Uniformity:
+    """The ECDF test of N ranks from 0 to L, and its band.
+
+    At z = (k + 1)/(L + 1) the number of ranks up to k is binomial. The statistic is the least
+    two-sided tail probability over all k, and its distribution is simulated.
+    """
+
+    def __init__(self, tests: int, draws: int, simulations: int = SIMULATIONS) -> None:
+        self.tests = tests
+        self.z = np.arange(1, draws + 1) / (draws + 1)
+        counts = np.arange(tests + 1)[:, None]
+        below = stats.binom.cdf(counts, tests, self.z)
+        above = stats.binom.sf(counts - 1, tests, self.z)
+        self._tails = 2.0 * np.minimum(below, above)  # by count and k
+        rng = np.random.default_rng(0)
+        bins = rng.multinomial(tests, np.full(draws + 1, 1.0 / (draws + 1)), simulations)
+        self._null = np.sort(self._statistic(np.cumsum(bins, axis=1)[:, :-1]))
+
+    def p_value(self, ranks: Sequence[int]) -> float:
+        """Chance that uniform ranks stray as far as these."""
+        found = self._statistic(self.counts(ranks)[None])[0]
+        strays = np.searchsorted(self._null, found * (1.0 + 1e-9), side="right")
+        return float((1 + strays) / (1 + self._null.size))
+
+    def deviation(self, ranks: Sequence[int]) -> Array:
+        """ECDF of the ranks less the uniform one, (L,)."""
+        return self.counts(ranks) / self.tests - self.z
+
+    def band(self, level: float) -> tuple[Array, Array]:
+        """Least and greatest deviation whose p-value is above `level`, (L,) each."""
+        rank = int(np.ceil(level * (self._null.size + 1))) - 2
+        inside = self._tails > self._null[max(rank, 0)] * (1.0 - 1e-9)
+        least = np.argmax(inside, axis=0)
+        greatest = self.tests - np.argmax(inside[::-1], axis=0)
+        return least / self.tests - self.z, greatest / self.tests - self.z
+
+    def counts(self, ranks: Sequence[int]) -> NDArray[np.intp]:
+        """Number of ranks up to k, for k below L, (L,)."""
+        return np.cumsum(np.bincount(ranks, minlength=self.z.size + 1))[:-1]
+
+    def _statistic(self, counts: NDArray[np.intp]) -> Array:
+        return self._tails[counts, np.arange(self.z.size)].min(axis=1)
+
+
+def ranks_by_quantity(tests: Sequence[Ranked]) -> dict[str, list[int]]:
+    """Ranks of all tests that have any, in the order of `KINDS`, then what is derived."""
+    ranked = [test.ranks for test in tests if not test.error]
+    order = [n for n in (*KINDS, *DERIVED, LIKELIHOOD) if ranked and n in ranked[0]]
+    return {name: [ranks[name] for ranks in ranked] for name in order}
+
+
+def failures(ranks: Mapping[str, Sequence[int]], uniformity: Uniformity) -> dict[str, float]:
+    """p-values of the quantities that are not uniform, familywise at `LEVEL` by Bonferroni."""
+    found = {name: uniformity.p_value(values) for name, values in ranks.items()}
+    return {name: p for name, p in found.items() if p < LEVEL / len(found)}

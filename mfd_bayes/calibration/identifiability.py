@@ -1,0 +1,290 @@
+"""What the data of one test tell about its parameters, and what only the prior does."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError
+
+Array = NDArray[np.float64]
+
+SENSITIVE = 0.05
+"""Power-scaling sensitivity above which a posterior is said to depend on a component."""
+
+TRADE_OFF = 0.7
+"""Rank correlation from which two parameters are said to trade off."""
+
+CONFLICT = "possible prior–data conflict"
+PRIOR_LED = "strong prior or weak data"
+
+_SCALING = 1.01
+"""Power α to which a component is raised, and 1/α."""
+
+_LOADED = 0.1  # of a direction's squared length: a parameter with less does not carry it
+_CARRIERS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions in parameter space by how much the data say about them.
+
+    Attributes
+    ----------
+    names : tuple of str
+    curvature : (dim,)
+        Curvature of the log likelihood along each direction in prior units: the precision
+        that the data add, as a multiple of the prior's; largest first.
+    axes : (dim, dim)
+        Unit vectors in prior units, one column for each direction.
+    """
+
+    names: tuple[str, ...]
+    curvature: Array
+    axes: Array
+
+    @property
+    def informed(self) -> int:
+        """How many directions the data tell more about than the prior, curvature > 1."""
+        return int(np.sum(self.curvature > 1.0))
+
+    @property
+    def narrowing(self) -> Array:
+        """How many times narrower than the prior the posterior is along each, (dim,)."""
+        times: Array = np.sqrt(1.0 + self.curvature)
+        return times
+
+    def carriers(self, direction: int) -> tuple[str, ...]:
+        """Parameters that carry a direction, strongest first, three at most."""
+        share = self.axes[:, direction] ** 2
+        order = np.argsort(-share)[:_CARRIERS]
+        return tuple(self.names[i] for i in order if share[i] >= _LOADED)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two parameters that trade off, and the rank correlation of their draws."""
+
+    first: str
+    second: str
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How strongly a parameter's posterior depends on the prior and on the likelihood.
+
+    Attributes
+    ----------
+    name : str
+    prior, likelihood : float
+        Power-scaling sensitivities, chance removed.
+    prior_limit, likelihood_limit : float
+        What they must exceed to be more than nothing: `SENSITIVE`, or twice what chance
+        gives with so few draws where that is more.
+    """
+
+    name: str
+    prior: float
+    likelihood: float
+    prior_limit: float = SENSITIVE
+    likelihood_limit: float = SENSITIVE
+
+    @property
+    def diagnosis(self) -> str:
+        """`CONFLICT`, `PRIOR_LED` or "", as Kallioinen et al. tell them apart."""
+        if self.prior <= self.prior_limit:
+            return ""
+        return CONFLICT if self.likelihood > self.likelihood_limit else PRIOR_LED
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What the data of a test tell about its sampled parameters.
+
+    Attributes
+    ----------
+    directions : Directions
+    pairs : tuple of Pair
+        Strongest first.
+    sensitivities : tuple of Sensitivity
+        In the order of the posterior's names.
+    """
+
+    directions: Directions
+    pairs: tuple[Pair, ...]
+    sensitivities: tuple[Sensitivity, ...]
+
+
+def identify(
+    posterior: Posterior,
+    values: Mapping[str, Array],
+    prior: Mapping[str, Array],
+    log_prior: Array,
+    log_likelihood: Array,
+) -> Identifiability:
+    """Identifiability of a test's sampled parameters, of its stored draws.
+
+    Everything is on the scale on which each prior is sampled, the logarithm for most: there
+    the priors are independent, and a prior raised to a power widens about its median. γ1 is
+    not sampled and not here: it keeps its prior.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    values : mapping of str to (chain, draw)
+        Posterior draws by name; two independent chains or more.
+    prior : mapping of str to (m,)
+        Prior draws by name.
+    log_prior, log_likelihood : (chain, draw)
+        At the posterior draws.
+
+    Raises
+    ------
+    FitError
+        When there is only one chain.
+    """
+    names = posterior.names
+    draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names])
+    width = np.array([posterior.priors[n].coordinate(prior[n]).std() for n in names])
+    flat = draws.reshape(len(names), -1).T
+    return Identifiability(
+        directions=find_directions(names, width, flat),
+        pairs=find_pairs(names, flat),
+        sensitivities=measure_sensitivity(names, draws, log_prior, log_likelihood),
+    )
+
+
+def find_directions(names: tuple[str, ...], prior_sd: Array, draws: Array) -> Directions:
+    """Directions that the data inform, from the covariance of posterior draws.
+
+    With prior covariance C0 = diag(prior_sd²) and posterior covariance C, the likelihood's
+    curvature in prior units is H = C0^½ C⁻¹ C0^½ − I, and its eigenvectors span what the data
+    inform (Spantini et al., SIAM J. Sci. Comput. 37, 2015; Cui et al., Inverse Problems 30,
+    2014). That is exact for a linear model with Gaussian prior and noise; else it is that of
+    the Gaussian with the posterior's covariance, which speaks of the whole posterior where
+    derivatives at a mode speak of one point. A negative eigenvalue is a posterior wider than
+    its prior.
+
+    Parameters
+    ----------
+    names : tuple of str
+    prior_sd : (dim,)
+        Of the coordinates, which are independent under the prior.
+    draws : (n, dim)
+        Of the coordinates under the posterior.
+    """
+    covariance = np.atleast_2d(np.cov(draws / prior_sd, rowvar=False))
+    variances, axes = np.linalg.eigh(covariance)  # smallest first: best known first
+    curvature = 1.0 / np.maximum(variances, np.finfo(float).tiny) - 1.0
+    return Directions(names, np.asarray(curvature), np.asarray(axes))
+
+
+def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:
+    """Pairs whose posterior draws (n, dim) have a rank correlation of ±0.7 or beyond."""
+    correlation = np.atleast_2d(np.corrcoef([_ranks(column) for column in draws.T]))
+    pairs = [
+        Pair(names[i], names[j], float(correlation[i, j]))
+        for i, j in itertools.combinations(range(len(names)), 2)
+        if abs(correlation[i, j]) >= TRADE_OFF
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair.correlation)))
+
+
+def _ranks(column: Array) -> Array:
+    """Ranks of draws; those that a rejected step repeats share theirs."""
+    ordered = np.sort(column)
+    below, up_to = (np.searchsorted(ordered, column, side=side) for side in ("left", "right"))
+    return np.asarray(0.5 * (below + up_to), dtype=np.float64)
+
+
+def measure_sensitivity(
+    names: tuple[str, ...], draws: Array, log_prior: Array, log_likelihood: Array
+) -> tuple[Sensitivity, ...]:
+    """Power-scaling sensitivity of every parameter to the whole prior and the likelihood.
+
+    The prior, or the likelihood, is raised to α = 1.01 and 1/1.01 by weighting the draws with
+    p^(α − 1), and the sensitivity is how fast each marginal posterior moves away,
+    ½ (d(α) + d(1/α)) / log2 α, d the cumulative Jensen–Shannon distance (Kallioinen,
+    Paananen, Bürkner, Vehtari, Stat. Comput. 34:57, 2024). So near to 1 the
+    weights differ by a few percent (their Pareto k is about α − 1 where p has Gaussian
+    tails), so that they need no Pareto smoothing.
+
+    d is positive even where there is nothing, by chance. How much so is measured with the
+    weights of one chain on the draws of another, which know nothing of each other, and is
+    taken off in squares.
+
+    Parameters
+    ----------
+    names : tuple of str
+    draws : (dim, chain, draw)
+    log_prior, log_likelihood : (chain, draw)
+
+    Raises
+    ------
+    FitError
+        When there is only one chain.
+    """
+    chains = draws.shape[1]
+    if chains < 2:
+        raise FitError("power-scaling sensitivity needs two independent chains, got one")
+    weights = np.concatenate([_scaled_weights(p) for p in (log_prior, log_likelihood)])
+    rolled = [np.roll(weights, shift, axis=1).reshape(4, -1) for shift in range(chains)]
+    found = []
+    for name, own in zip(names, draws, strict=True):
+        distance = cjs_distance(own.reshape(-1), np.concatenate(rolled))
+        speed = distance.reshape(chains, 2, 2).mean(axis=2) / np.log2(_SCALING)
+        chance = np.mean(speed[1:] ** 2, axis=0)
+        prior, likelihood = np.sqrt(np.maximum(speed[0] ** 2 - chance, 0.0))
+        limits = np.maximum(SENSITIVE, 2.0 * np.sqrt(chance))
+        found.append(Sensitivity(name, float(prior), float(likelihood), *map(float, limits)))
+    return tuple(found)
+
+
+def _scaled_weights(log_density: Array) -> Array:
+    """Weights of draws where a density is raised to α and to 1/α, (2, chain, draw)."""
+    powers = np.array([_SCALING, 1.0 / _SCALING]) - 1.0
+    log_weights = powers[:, None, None] * (log_density - log_density.mean())
+    weights: Array = np.exp(log_weights - log_weights.max(axis=(1, 2), keepdims=True))
+    return weights
+
+
+def cjs_distance(draws: Array, weights: Array) -> Array:
+    """Cumulative Jensen–Shannon distance of weighted draws from the draws themselves.
+
+    With P and Q the two distribution functions, M = (P + Q)/2 and
+    D(P‖M) = ∫ P log2(P/M) + (M − P)/ln 2 dx, it is √[(D(P‖M) + D(Q‖M)) / ∫ P + Q dx], and
+    the larger of that and of the same with −x for x (Nguyen and Vreeken, ECML PKDD 2015; as
+    Kallioinen et al. and ArviZ use it).
+
+    Parameters
+    ----------
+    draws : (n,)
+    weights : (k, n)
+        Not negative; each row is normalised.
+
+    Returns
+    -------
+    (k,)
+    """
+    order = np.argsort(draws)
+    width = np.diff(draws[order])
+    there = np.arange(1, draws.size) / draws.size
+    total = np.cumsum(weights[:, order], axis=1)
+    moved = np.clip(total[:, :-1] / total[:, -1:], 0.0, 1.0)
+    ways = [_distance(there, moved, width), _distance(1.0 - there, 1.0 - moved, width)]
+    return np.asarray(np.maximum(*ways))
+
+
+def _distance(p: Array, q: Array, width: Array) -> Array:
+    middle = 0.5 * (p + q)
+    divergence = (special.kl_div(p, middle) + special.kl_div(q, middle)) @ width
+    size = (p + q) @ width
+    distance: Array = np.sqrt(divergence / (np.log(2.0) * np.maximum(size, np.finfo(float).tiny)))
+    return distance

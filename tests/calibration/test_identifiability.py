@@ -1,0 +1,298 @@
+import warnings
+
+import numpy as np
+import pytest
+from scipy import integrate, special, stats
+
+from mfd_bayes.calibration.identifiability import (
+    CONFLICT,
+    PRIOR_LED,
+    SENSITIVE,
+    Directions,
+    Sensitivity,
+    cjs_distance,
+    find_directions,
+    find_pairs,
+    identify,
+    measure_sensitivity,
+)
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+PRIOR_SD = np.array([1.0, 0.5, 2.0])
+DESIGN = np.array([[3.0, 1.0, 0.0], [0.5, -2.0, 0.0], [1.0, 1.0, 0.0], [2.0, 0.0, 0.0]])
+NOISE = 0.4
+NAMES = ("a", "b", "c")
+
+
+def exact_draws(covariance, n=4000, seed=0):
+    """Draws (n, dim) whose covariance is as asked to the last digit."""
+    draws = np.random.default_rng(seed).normal(size=(n, len(covariance)))
+    draws -= draws.mean(axis=0)
+    root = np.linalg.cholesky(np.cov(draws, rowvar=False))
+    return np.linalg.solve(root, draws.T).T @ np.linalg.cholesky(covariance).T
+
+
+def linear_posterior(design=DESIGN):
+    """Covariance of a linear model's posterior."""
+    precision = np.diag(PRIOR_SD**-2.0) + design.T @ design / NOISE**2
+    return np.linalg.inv(precision)
+
+
+# --- directions
+
+
+def test_directions_of_a_linear_model_are_those_of_its_curvature():
+    curvature = (DESIGN * PRIOR_SD).T @ (DESIGN * PRIOR_SD) / NOISE**2
+    values, vectors = np.linalg.eigh(curvature)
+    found = find_directions(NAMES, PRIOR_SD, exact_draws(linear_posterior()))
+    np.testing.assert_allclose(found.curvature, values[::-1], rtol=1e-6, atol=1e-9)
+    alignment = np.abs(np.sum(found.axes * vectors[:, ::-1], axis=0))
+    np.testing.assert_allclose(alignment, 1.0, atol=1e-9)
+    assert found.informed == 2
+    assert found.carriers(2) == ("c",)  # which the data do not see
+    np.testing.assert_allclose(found.narrowing, np.sqrt(1 + values[::-1]), rtol=1e-6)
+
+
+def test_curvature_and_contraction_sum_to_the_same():
+    covariance = linear_posterior()
+    found = find_directions(NAMES, PRIOR_SD, exact_draws(covariance))
+    contraction = 1.0 - np.diag(covariance) / PRIOR_SD**2
+    assert np.sum(found.curvature / (1 + found.curvature)) == pytest.approx(contraction.sum())
+
+
+def test_data_without_information_inform_no_direction():
+    draws = PRIOR_SD * np.random.default_rng(1).normal(size=(20000, 3))
+    found = find_directions(NAMES, PRIOR_SD, draws)
+    np.testing.assert_allclose(found.curvature, 0.0, atol=0.06)
+    assert found.informed == 0
+
+
+def test_only_a_sum_is_known():
+    sharp = linear_posterior(np.array([[1.0, 2.0, 0.0]]) * 1e2)  # a + 2 b in prior units: a + b
+    found = find_directions(NAMES, PRIOR_SD, exact_draws(sharp))
+    assert found.informed == 1
+    assert set(found.carriers(0)) == {"a", "b"}
+    assert np.prod(found.axes[:2, 0]) > 0
+    np.testing.assert_allclose(found.curvature[1:], 0.0, atol=1e-6)
+
+
+def test_a_posterior_wider_than_its_prior_has_negative_curvature():
+    found = find_directions(NAMES, PRIOR_SD, exact_draws(np.diag((2 * PRIOR_SD) ** 2)))
+    np.testing.assert_allclose(found.curvature, -0.75)
+
+
+def test_a_direction_names_three_carriers_at_most_strongest_first():
+    axis = np.sqrt([0.15, 0.4, 0.05, 0.2, 0.2])[:, None]
+    directions = Directions(tuple("abcde"), np.ones(1), axis)
+    assert directions.carriers(0) == ("b", "d", "e")
+    lone = Directions(("a", "b"), np.ones(1), np.array([[0.99], [0.14]]))
+    assert lone.carriers(0) == ("a",)
+
+
+# --- pairs
+
+
+@pytest.mark.parametrize("r", [0.9, -0.85])
+def test_pairs_that_trade_off_are_named(r):
+    normal = exact_draws(np.array([[1.0, r, 0.0], [r, 1.0, 0.0], [0.0, 0.0, 1.0]]), 20000)
+    (pair,) = find_pairs(NAMES, np.exp(3 * normal))  # ranks are the same on any scale
+    assert (pair.first, pair.second) == ("a", "b")
+    assert pair.correlation == pytest.approx(6 / np.pi * np.arcsin(r / 2), abs=0.01)
+
+
+def test_rank_correlation_is_scipys_with_ties_too():
+    draws = np.round(exact_draws(np.array([[1.0, 0.9], [0.9, 1.0]]), 500), 1)
+    (pair,) = find_pairs(("a", "b"), draws)
+    assert pair.correlation == pytest.approx(stats.spearmanr(*draws.T).statistic, abs=1e-12)
+
+
+def test_independent_parameters_do_not_trade_off():
+    assert find_pairs(NAMES, np.random.default_rng(2).normal(size=(4000, 3))) == ()
+    assert find_pairs(("a",), np.random.default_rng(2).normal(size=(4000, 1))) == ()
+
+
+def test_the_strongest_pair_comes_first():
+    common = np.random.default_rng(3).normal(size=(5000, 1))
+    own = np.random.default_rng(4).normal(size=(5000, 3))
+    pairs = find_pairs(NAMES, common + own * [0.1, 0.6, 0.2])
+    assert [(p.first, p.second) for p in pairs] == [("a", "c"), ("a", "b"), ("b", "c")]
+
+
+# --- power-scaling
+
+
+def normal_normal(prior_mean, prior_sd, data_mean, data_sd, alphas=(1.0, 1.0)):
+    """Mean and sd of the posterior with prior and likelihood raised to two powers."""
+    precision = np.array([alphas[0] / prior_sd**2, alphas[1] / data_sd**2])
+    total = precision.sum()
+    return precision @ [prior_mean, data_mean] / total, total**-0.5
+
+
+def normal_distance(base, moved, low, high):
+    """The distance of two normals by quadrature, from the formula."""
+    p, q = stats.norm(*base), stats.norm(*moved)
+    sides = []
+    for name in ("cdf", "sf"):
+        first, second = getattr(p, name), getattr(q, name)
+
+        def divergence(x, first=first, second=second):
+            a, b = first(x), second(x)
+            m = 0.5 * (a + b)
+            return special.xlogy(a, a / m) + special.xlogy(b, b / m)
+
+        top = integrate.quad(divergence, low, high, epsabs=1e-14, limit=200)[0]
+        size = integrate.quad(lambda x, f=first, s=second: f(x) + s(x), low, high)[0]
+        sides.append(np.sqrt(top / np.log(2) / size))
+    return max(sides)
+
+
+def drawn(case, n=40000):
+    """Draws of a normal-normal posterior with their log densities, (4, n/4) each."""
+    mean, sd = normal_normal(*case)
+    grid = mean + sd * stats.norm.ppf((np.arange(n) + 0.5) / n)
+    x = np.random.default_rng(5).permutation(grid).reshape(4, -1)
+    return x, stats.norm(*case[:2]).logpdf(x), stats.norm(*case[2:]).logpdf(x)
+
+
+def sensitivity(case):
+    x, log_prior, log_likelihood = drawn(case)
+    return measure_sensitivity(("x",), x[None], log_prior, log_likelihood)[0]
+
+
+CASES = {
+    "likelihood-dominated": (0.0, 10.0, 1.0, 0.1),
+    "prior-dominated": (0.0, 0.1, 1.0, 10.0),
+    "both": (0.0, 1.0, 0.3, 1.0),
+    "conflict": (0.0, 0.5, 4.0, 0.5),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_sensitivity_of_a_normal_model_is_its_closed_form(case):
+    found = sensitivity(case)
+    x = drawn(case)[0]
+    for at, value in enumerate((found.prior, found.likelihood)):
+        expected = 0.0
+        for power in (1.01, 1 / 1.01):
+            alphas = (power, 1.0) if at == 0 else (1.0, power)
+            moved = normal_normal(*case, alphas)
+            expected += normal_distance(normal_normal(*case), moved, x.min(), x.max())
+        assert value == pytest.approx(expected / 2 / np.log2(1.01), rel=0.02, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("case", "diagnosis"),
+    [
+        (CASES["likelihood-dominated"], ""),
+        (CASES["prior-dominated"], PRIOR_LED),
+        (CASES["conflict"], CONFLICT),
+    ],
+)
+def test_each_case_has_its_diagnosis(case, diagnosis):
+    found = sensitivity(case)
+    assert found.diagnosis == diagnosis
+    assert found.prior_limit == found.likelihood_limit == SENSITIVE
+
+
+def test_conflict_moves_the_posterior_more_than_agreement():
+    agreeing = sensitivity((0.0, 0.5, 0.0, 0.5))
+    conflicting = sensitivity(CASES["conflict"])
+    assert conflicting.prior > 3 * agreeing.prior
+    assert conflicting.likelihood > 3 * agreeing.likelihood
+
+
+def test_diagnosis_heeds_the_limit_that_chance_sets():
+    assert Sensitivity("x", 0.06, 0.2).diagnosis == CONFLICT
+    assert Sensitivity("x", 0.06, 0.2, prior_limit=0.08).diagnosis == ""
+    assert Sensitivity("x", 0.06, 0.2, likelihood_limit=0.3).diagnosis == PRIOR_LED
+
+
+def walks(seed, phi=0.98, steps=500, walkers=8):
+    """Slow AR(1) chains, (4, walkers · steps), ordered by walker: an ESS of some 160."""
+    noise = np.random.default_rng(seed).normal(size=(steps, 4, walkers))
+    walk = np.empty_like(noise)
+    walk[0] = noise[0]
+    for k in range(1, steps):
+        walk[k] = phi * walk[k - 1] + np.sqrt(1 - phi**2) * noise[k]
+    return walk.transpose(1, 2, 0).reshape(4, -1)
+
+
+def test_few_draws_do_not_pass_for_sensitivity():
+    found = [
+        measure_sensitivity(("x",), walks(seed)[None], 8 * walks(seed + 100), walks(seed + 200))[0]
+        for seed in range(20)
+    ]
+    raised = [s for s in found if s.prior_limit > SENSITIVE]
+    assert len(raised) > 15  # with so few draws chance alone passes the limit …
+    assert sum(s.diagnosis != "" for s in found) <= 3  # … and is known for it
+    # the control: as few draws do show what is there
+    x = walks(7)
+    seen = measure_sensitivity(("x",), x[None], 8 * x, walks(207))[0]
+    assert seen.diagnosis == PRIOR_LED
+
+
+def test_sensitivity_is_that_of_arviz():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what it and its own imports announce
+        import arviz as az
+    x, log_prior, log_likelihood = drawn(CASES["conflict"], 4000)
+    if hasattr(az, "psens"):
+        data = az.from_dict({"x": x})
+        data.add_groups({"log_prior": {"x": log_prior}})
+        theirs = az.psens(data, component="prior")
+    else:
+        data = az.from_dict({"posterior": {"x": x}, "log_prior": {"x": log_prior}})
+        theirs = az.psense(data, group="prior")
+    ours = measure_sensitivity(("x",), x[None], log_prior, log_likelihood)[0]
+    assert ours.prior == pytest.approx(float(theirs["x"]), rel=0.02)
+
+
+def test_sensitivity_does_not_heed_shift_unit_or_sign():
+    x, log_prior, log_likelihood = drawn(CASES["both"], 8000)
+    draws = np.stack([x, 5 - 1000 * x])
+    first, second = measure_sensitivity(("x", "y"), draws, log_prior, log_likelihood)
+    assert second.prior == pytest.approx(first.prior, rel=1e-9)
+    assert second.likelihood == pytest.approx(first.likelihood, rel=1e-9)
+
+
+def test_equal_weights_are_at_no_distance():
+    draws = np.random.default_rng(6).normal(size=500)
+    assert cjs_distance(draws, np.full((2, 500), 0.3)) == pytest.approx([0, 0], abs=1e-7)
+
+
+def test_all_weight_at_one_end_is_far():
+    weights = np.zeros((1, 500))
+    weights[0, -1] = 1.0
+    assert 0.5 < cjs_distance(np.linspace(0, 1, 500), weights)[0] <= 1.0
+
+
+def test_one_chain_is_refused():
+    x, log_prior, log_likelihood = drawn(CASES["both"], 400)
+    one = (x.reshape(1, -1)[None], log_prior.reshape(1, -1), log_likelihood.reshape(1, -1))
+    with pytest.raises(FitError, match="two independent chains"):
+        measure_sensitivity(("x",), *one)
+
+
+# --- a test of a damper
+
+
+def test_draws_of_the_prior_say_that_the_data_tell_nothing():
+    time = np.arange(0, 2, 1 / 32)
+    motion = np.sin(np.pi * time)
+    trace = Trace.from_arrays(time, motion, actuation=0.8, force=np.cos(np.pi * time))
+    posterior = Posterior(trace, "mfd")
+    rng = np.random.default_rng(8)
+    flat = posterior.draw_prior(rng, 8000)
+    log_prior = posterior.log_prior(posterior.coordinates(flat)).reshape(4, -1)
+    values = {name: column.reshape(4, -1) for name, column in flat.items()}
+    found = identify(
+        posterior, values, posterior.draw_prior(rng, 8000), log_prior, rng.normal(size=(4, 2000))
+    )
+    assert found.directions.names == posterior.names
+    assert found.directions.informed == 0
+    assert found.pairs == ()
+    assert [s.name for s in found.sensitivities] == list(posterior.names)
+    assert all(s.diagnosis == PRIOR_LED for s in found.sensitivities)
+    assert all(s.likelihood < 0.02 for s in found.sensitivities)

@@ -1,0 +1,103 @@
+"""Simulation-based calibration, reduced: truths are ranked evenly by their posteriors.
+
+The study is that of benchmarks/sbc.py, which does the same with all parameters and 300 tests.
+"""
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.effort import EFFORTS
+from mfd_bayes.records.trace import Trace
+
+SAMPLED = ("Fc_fwd", "d2", "start", "offset", "noise_sd", "noise_time")
+TESTS, CONTROLS = 40, 12
+DRAWS = 31
+
+
+def load_study() -> ModuleType:
+    path = Path(__file__).parents[2] / "benchmarks" / "sbc_study.py"
+    if not path.is_file():
+        pytest.skip("benchmarks/ is not part of this distribution")
+    spec = importlib.util.spec_from_file_location("sbc_study", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def sbc() -> ModuleType:
+    return load_study()
+
+
+@pytest.fixture(scope="module")
+def ranks(sbc: ModuleType) -> dict[str, dict[str, list[int]]]:
+    """Ranks by noise that the posterior assumes, and quantity; the records are the same."""
+    time = np.arange(80) / 16.0
+    study = sbc.Study(
+        priors=sbc.narrow_priors(SAMPLED, noise_time=0.4),
+        motion=Trace.from_arrays(time, 0.5 * np.sin(2 * np.pi * 0.25 * time)),
+        effort=replace(EFFORTS["quick"], ess=90, limit=800, r_hat=1.05, ensembles=2),
+        draws=DRAWS,
+        seed=5,
+    )
+    tests = {
+        noise: [sbc.run_test(study, index, noise) for index in range(count)]
+        for noise, count in ((sbc.TRUE, TESTS), (sbc.WRONG, CONTROLS))
+    }
+    assert not any(test.error for series in tests.values() for test in series)
+    return {noise: sbc.ranks_by_quantity(series) for noise, series in tests.items()}
+
+
+def test_every_quantity_that_varies_is_ranked(
+    sbc: ModuleType, ranks: dict[str, dict[str, list[int]]]
+) -> None:
+    found = ranks[sbc.TRUE]
+    assert set(found) == {*SAMPLED, sbc.LIKELIHOOD}
+    assert {len(values) for values in found.values()} == {TESTS}
+
+
+def test_truths_are_ranked_evenly(sbc: ModuleType, ranks: dict[str, dict[str, list[int]]]) -> None:
+    """Familywise 1 %, Bonferroni over the quantities."""
+    assert sbc.failures(ranks[sbc.TRUE], sbc.Uniformity(TESTS, DRAWS)) == {}
+
+
+def test_a_wrong_likelihood_ranks_them_unevenly(
+    sbc: ModuleType, ranks: dict[str, dict[str, list[int]]]
+) -> None:
+    """Negative control: noise that is correlated is taken for noise that is not."""
+    failed = sbc.failures(ranks[sbc.WRONG], sbc.Uniformity(CONTROLS, DRAWS))
+    assert {"offset", sbc.LIKELIHOOD} <= set(failed)
+
+
+def test_uniform_ranks_fail_as_rarely_as_stated(sbc: ModuleType) -> None:
+    uniformity = sbc.Uniformity(60, DRAWS, 20_000)
+    rng = np.random.default_rng(1)
+    found = [uniformity.p_value(rng.integers(0, DRAWS + 1, 60)) for _ in range(2000)]
+    for level in (0.05, 0.2):
+        share = np.mean(np.array(found) < level)
+        assert abs(share - level) < 4.0 * np.sqrt(level * (1 - level) / 2000)
+
+
+def test_a_curve_leaves_the_band_just_when_its_p_value_is_below_the_level(
+    sbc: ModuleType,
+) -> None:
+    uniformity = sbc.Uniformity(60, DRAWS, 20_000)
+    lower, upper = uniformity.band(0.05)
+    rng = np.random.default_rng(2)
+    verdicts = set()
+    for _ in range(300):
+        ranks = np.floor((DRAWS + 1) * rng.beta(1.0, 0.75, 60)).astype(int)
+        curve = uniformity.deviation(ranks)
+        outside = bool(np.any((curve < lower) | (curve > upper)))
+        assert outside == (uniformity.p_value(ranks) < 0.05)
+        verdicts.add(outside)
+    assert verdicts == {True, False}
