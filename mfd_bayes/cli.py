@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
+
+from mfd_bayes.interruption import end_on_signals, hinting
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -44,19 +48,36 @@ Force = Annotated[bool, typer.Option("--force", help="Replace a run that is ther
 
 
 @contextmanager
-def _mistakes(out: Path | None = None) -> Iterator[None]:
-    """Turn errors that a user can cause into one sentence and exit code 2."""
+def _mistakes(resume: str = "") -> Iterator[None]:
+    """Turn errors that a user can cause into one sentence and exit code 2.
+
+    Parameters
+    ----------
+    resume : str
+        The command that goes on where this one is interrupted.
+    """
     from mfd_bayes.errors import MfdError
 
     try:
-        yield
+        with hinting(f"; what is finished is kept, go on with: {resume}" if resume else ""):
+            yield
     except MfdError as error:
-        typer.echo(f"mfd-bayes: {error}", err=True)
-        raise typer.Exit(2) from None
-    except KeyboardInterrupt:
-        hint = f"; finished tests are kept, go on with --resume -o {out}" if out else ""
-        typer.echo(f"mfd-bayes: interrupted{hint}", err=True)
-        raise typer.Exit(130) from None
+        _fail(str(error))
+    except OSError as error:
+        if error.errno == errno.EPIPE:  # whoever read the output has enough
+            raise
+        _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
+
+
+def _fail(sentence: str) -> NoReturn:
+    with suppress(OSError):
+        typer.echo(f"mfd-bayes: {sentence}", err=True)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:  # a full disk, and Python would complain of it once more at its end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    raise typer.Exit(2)
 
 
 def _console() -> Any:
@@ -81,14 +102,17 @@ def demo(
 
     Example: mfd-bayes demo out --quick
     """
-    from mfd_bayes import pipeline
-
     effort = "quick" if quick else "standard"
-    options = pipeline.Options(effort, seed, jobs, force=force, command=_command())
-    with _mistakes(), _watch() as observe:
-        view = pipeline.demo(out, options, observe)
-    _print_truth(view)
-    _print_end(view, out)
+    resume = ["mfd-bayes", "calibrate", str(out / "campaign" / "campaign.toml"), "-o", str(out)]
+    resume += ["--effort", effort, "--seed", str(seed), "--resume"]
+    with _mistakes(shlex.join(resume)):
+        from mfd_bayes import pipeline
+
+        options = pipeline.Options(effort, seed, jobs, force=force, command=_command())
+        with _watch() as observe:
+            view = pipeline.demo(out, options, observe)
+        _print_truth(view)
+        _print_end(view, out)
 
 
 @app.command()
@@ -107,10 +131,10 @@ def calibrate(
 
     Example: mfd-bayes calibrate campaign.toml -o out
     """
-    from mfd_bayes import pipeline
+    with _mistakes("" if dry_run else _resumption()):
+        from mfd_bayes import pipeline
 
-    options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
-    with _mistakes(out):
+        options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
         if dry_run:
             plan = pipeline.plan_campaign(campaign, options)
             samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
@@ -119,7 +143,7 @@ def calibrate(
             return
         with _watch() as observe:
             view = pipeline.calibrate_campaign(campaign, out, options, observe)
-    _print_end(view, out)
+        _print_end(view, out)
     if strict and pipeline.fails(view):
         raise typer.Exit(1)
 
@@ -130,11 +154,12 @@ def report(out: Out) -> None:
 
     Example: mfd-bayes report out
     """
-    from mfd_bayes import pipeline
+    with _mistakes(_command()):
+        from mfd_bayes import pipeline
 
-    with _mistakes(), _watch() as observe:
-        view = pipeline.report(out, observe)
-    _print_end(view, out)
+        with _watch() as observe:
+            view = pipeline.report(out, observe)
+        _print_end(view, out)
 
 
 @app.command()
@@ -235,6 +260,12 @@ def _command() -> str:
     return shlex.join(["mfd-bayes", *sys.argv[1:]])
 
 
+def _resumption() -> str:
+    """The command that goes on where this one is interrupted."""
+    given = [word for word in sys.argv[1:] if word not in ("--force", "--resume")]
+    return shlex.join(["mfd-bayes", *given, "--resume"])
+
+
 @contextmanager
 def _watch() -> Iterator[Any]:
     """Show steps as bars on a terminal, as lines elsewhere."""
@@ -312,4 +343,5 @@ def _print_end(view: Any, out: Path) -> None:
 
 def main() -> None:
     """Run the command line."""
-    app()
+    with end_on_signals():
+        app()

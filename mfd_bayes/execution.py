@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
-import multiprocessing
 import os
 import shutil
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -26,14 +23,28 @@ from mfd_bayes.population.marginal import summarize
 from mfd_bayes.population.standing import free_exponents
 from mfd_bayes.population.storage import save_population
 from mfd_bayes.run import Run, TestResult, load_result
-from mfd_bayes.store import MANIFEST, read_json, save_trace, write_bytes, write_json
-from mfd_bayes.task import Outcome, Step, Task, calibrate_test
+from mfd_bayes.store import (
+    MANIFEST,
+    is_part,
+    read_json,
+    save_trace,
+    sweep,
+    write_bytes,
+    write_json,
+)
+from mfd_bayes.task import Outcome, Step
+from mfd_bayes.workers import run_tasks
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None  # type: ignore[assignment]
 
 Observe = Callable[[Step], None]
 
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _RESULTS = ("population.nc", "parameters.csv", "laws.csv", "checks.csv", "scores.csv")
-_OUTPUTS = (*_RESULTS, "report.html", "campaign.toml", "priors.toml", MANIFEST)
+_OUTPUTS = (*_RESULTS, "report.html", "campaign.toml", "priors.toml")
+_DISCARDED = f".{MANIFEST}.discarded"
 
 
 def calibrate(
@@ -62,26 +73,39 @@ def calibrate(
     MfdError
         When something cannot be used; nothing is written then.
     """
+    if options.resume and options.force:
+        raise StoreError("give either --resume or --force, not both")
     plan = plan_campaign(path, options)
     plan.manifest.update(extra or {})
-    _prepare_folder(plan, out, options)
+    with _alone_in(out):
+        _prepare_folder(plan, out, options)
+        try:
+            _calibrate_tests(plan, out, options, observe)
+            return _pool_tests(plan, out, options)
+        finally:
+            sweep(out)
+
+
+def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) -> None:
+    """Store the posterior of every test that has none yet."""
     manifest = plan.manifest
+    write_json(out / MANIFEST, manifest)  # before all else: it makes the folder a run's
     write_bytes(out / "campaign.toml", plan.campaign.path.read_bytes())
     write_bytes(out / "priors.toml", plan.priors.path.read_bytes())
-    write_json(out / MANIFEST, manifest)
     for name, trace in plan.held_out.items():
         save_trace(out / "tests" / name / "record.nc", trace, {})
         manifest["tests"][name]["status"] = "held out"
     todo = [t for t in plan.tasks if not (out / "tests" / t.id / "posterior.nc").is_file()]
-    began = time.perf_counter()
-    for outcome in _run_tasks(todo, out, options, observe):
-        manifest["tests"][outcome.id] |= _entry(outcome)
-        write_json(out / MANIFEST, manifest)
     for task in plan.tasks:
         if task not in todo:
             manifest["tests"][task.id]["status"] = "done"
+    began = time.perf_counter()
+    jobs = options.jobs or os.cpu_count() or 1
+    with closing(run_tasks(todo, out, jobs, observe)) as outcomes:
+        for outcome in outcomes:
+            manifest["tests"][outcome.id] |= _entry(outcome)
+            write_json(out / MANIFEST, manifest)
     manifest["seconds"] = manifest.get("seconds", 0.0) + time.perf_counter() - began
-    return _pool_tests(plan, out, options)
 
 
 def _entry(outcome: Outcome) -> dict[str, Any]:
@@ -130,22 +154,47 @@ def _pool_tests(plan: Plan, out: Path, options: Options) -> Run:
     return Run(out, manifest, plan.priors, results, plan.held_out)
 
 
-def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
-    """Make the folder, or check that it may be finished or replaced."""
-    if options.resume and options.force:
-        raise StoreError("give either --resume or --force, not both")
+@contextmanager
+def _alone_in(out: Path) -> Iterator[None]:
+    """Make the folder and keep other processes from calibrating into it until the end.
+
+    The lock is the system's, so that no way to end leaves it behind.
+    """
     try:
-        if not out.exists() or _is_free(plan, out):
-            out.mkdir(parents=True, exist_ok=True)
-            return
+        out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(f"cannot make the run folder {out}: {error.strerror}") from error
+    if fcntl is None:
+        yield
+        return
+    folder = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno == errno.EWOULDBLOCK:  # and not that the file system knows no locks
+            os.close(folder)
+            raise StoreError(f"another process is calibrating into {out}: let it end") from None
+    try:
+        yield
+    finally:
+        os.close(folder)
+
+
+def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
+    """Check that a folder may be begun, finished or replaced; leave in it what is kept."""
+    if _is_free(plan, out):
+        return
     if not (options.resume or options.force):
         raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
-    if options.force:
+    if options.force or (out / _DISCARDED).exists():
         discard(out)
         return
-    before = read_json(out / MANIFEST)
+    try:
+        before = read_json(out / MANIFEST)
+    except StoreError as error:
+        raise StoreError(
+            f"{out} cannot be resumed: {error}; give --force to start again"
+        ) from error
     for key in ("settings", "inputs", "seed", "effort", "versions"):
         changed = _changes(before.get(key), json.loads(json.dumps(plan.manifest[key])))
         if changed is not None:
@@ -153,8 +202,6 @@ def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
                 f"{out} cannot be resumed: {key}{changed} changed since it was started; "
                 "give --force to start again"
             )
-    for part in out.rglob(".*.part"):  # what a killed process was writing
-        part.unlink(missing_ok=True)
     _keep(plan.manifest, before)
 
 
@@ -168,8 +215,11 @@ def _keep(manifest: dict[str, Any], before: dict[str, Any]) -> None:
 
 
 def _is_free(plan: Plan, out: Path) -> bool:
-    """Whether a folder is empty, or holds nothing but the campaign itself."""
-    return out.is_dir() and all(entry.resolve() == plan.campaign.folder for entry in out.iterdir())
+    """Whether a folder holds nothing but the campaign itself, or what was to be its manifest."""
+    return all(
+        entry.resolve() == plan.campaign.folder or is_part(entry, MANIFEST)
+        for entry in out.iterdir()
+    )
 
 
 def _changes(old: object, new: object) -> str | None:
@@ -183,60 +233,25 @@ def _changes(old: object, new: object) -> str | None:
 
 
 def discard(out: Path) -> None:
-    """Remove what a run wrote, and nothing else.
+    """Remove what a run wrote, and nothing else; what is begun is known for such until its end.
 
     Raises
     ------
     StoreError
-        When the folder is not a run folder.
+        When the folder is not a run folder, or something in it cannot be removed.
     """
-    if not (out / MANIFEST).is_file():
-        raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
-    for name in ("tests", "figures"):
-        shutil.rmtree(out / name, ignore_errors=True)
-    for name in _OUTPUTS:
-        (out / name).unlink(missing_ok=True)
-
-
-def _run_tasks(
-    tasks: list[Task], out: Path, options: Options, observe: Observe
-) -> Iterator[Outcome]:
-    """Calibrate tests in this process, or in several; yields outcomes as they come."""
-    jobs = min(options.jobs or os.cpu_count() or 1, max(1, len(tasks)))
-    if jobs == 1:
-        for task in tasks:
-            yield calibrate_test(task, out, observe)
-        return
-    for name in _THREADS:  # read by numpy when a process starts
-        os.environ.setdefault(name, "1")
-    context = multiprocessing.get_context("spawn")
-    with ExitStack() as stack:
-        with _deaf():
-            steps = stack.enter_context(context.Manager()).Queue()
-            pool_ = stack.enter_context(ProcessPoolExecutor(jobs, mp_context=context))
-            waiting = {pool_.submit(calibrate_test, task, out, steps.put) for task in tasks}
-        try:
-            while waiting:
-                done, waiting = wait(waiting, timeout=0.2)
-                while not steps.empty():
-                    observe(steps.get())
-                for future in done:
-                    yield future.result()
-        except BaseException:
-            for process in list((pool_._processes or {}).values()):
-                process.terminate()
-            pool_.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """Ignore Ctrl-C while processes start, which inherit that: this one is to stop them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begun = out / _DISCARDED
     try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        if (out / MANIFEST).is_file():
+            (out / MANIFEST).replace(begun)
+        elif not begun.exists():
+            raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
+        sweep(out)
+        for name in ("tests", "figures"):
+            if (out / name).exists():
+                shutil.rmtree(out / name)
+        for name in _OUTPUTS:
+            (out / name).unlink(missing_ok=True)
+        begun.unlink()
+    except OSError as error:
+        raise StoreError(f"cannot remove {error.filename}: {error.strerror}") from error

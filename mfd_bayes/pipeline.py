@@ -18,7 +18,7 @@ from mfd_bayes.population.predict import Band
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import checks_csv, laws_csv, parameters_csv, scores_csv
-from mfd_bayes.reporting.views import CampaignView, Check, Fan, Interval
+from mfd_bayes.reporting.views import IDENTIFIABILITY, CampaignView, Check, Fan, Interval
 from mfd_bayes.run import open_run
 from mfd_bayes.store import MANIFEST, write_atomically, write_bytes, write_json, write_text
 from mfd_bayes.task import Step
@@ -109,8 +109,10 @@ def report(out: Path, observe: Observe = lambda _: None) -> CampaignView:
 
 
 def check(out: Path) -> CampaignView:
-    """Convergence and predictive checks of a finished run."""
-    return assess(open_run(out))
+    """Convergence and predictive checks of a finished run, and what is to be noted besides."""
+    view = assess(open_run(out))
+    told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != "pass"]
+    return replace(view, checks=tuple(told))
 
 
 @dataclass(frozen=True)

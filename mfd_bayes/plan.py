@@ -85,7 +85,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     effort = find_effort(options.effort)
     laws = _laws(campaign)
     traces, rates, inputs = {}, {}, {campaign.path.name: hash_file(campaign.path)}
-    inputs[priors.path.name] = hash_file(priors.path)
+    inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
     for test in campaign.tests:
         record = _read(campaign, test)
         traces[test.id] = record.trace(campaign.rate, gap=priors.gap)

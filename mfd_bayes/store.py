@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import tempfile
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 
 MANIFEST = "manifest.json"
 _CHAINS = ("chain", "draw")
+_PART = ".part"
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
@@ -36,7 +38,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=_PART)
         os.close(handle)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror}") from error
@@ -51,6 +53,18 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def is_part(path: Path, name: str) -> bool:
+    """Whether a file is what a killed process was writing in the place of `name`."""
+    return path.name.startswith(f".{name}.") and path.suffix == _PART
+
+
+def sweep(out: Path) -> None:
+    """Remove from a run folder what a killed process was writing."""
+    for parts in (out.glob, (out / "tests").rglob, (out / "figures").rglob):
+        for part in parts(f".*{_PART}"):
+            part.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -264,10 +278,15 @@ def _trace_of(groups: Mapping[str, xr.Dataset]) -> Trace:
 
 
 def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
-    mode: Any = "w"
-    for name, dataset in groups.items():
-        dataset.to_netcdf(path, mode=mode, group=name, engine="h5netcdf")
-        mode = "a"
+    """Write NetCDF by way of memory: the HDF5 library crashes where a disk is full."""
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    memory = io.BytesIO()
+    with h5netcdf.File(memory, "w") as file:
+        for name, dataset in groups.items():
+            dataset.dump_to_store(H5NetCDFStore(file, group=name, mode="a"))
+    path.write_bytes(memory.getbuffer())
 
 
 def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:

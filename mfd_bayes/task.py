@@ -16,7 +16,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, Progress, sample
-from mfd_bayes.errors import MfdError
+from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.quantities import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store import save_test
@@ -62,7 +62,13 @@ class Outcome:
 
 
 def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-    """Sample one test's posterior and store it under `out`/tests/ID/posterior.nc."""
+    """Sample one test's posterior and store it under `out`/tests/ID/posterior.nc.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be written, as on a full disk: that is no fault of the test.
+    """
     began = time.perf_counter()
     observe(Step(task.id, "finding modes"))
     try:
@@ -74,6 +80,8 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
             report=lambda progress: observe(Step(task.id, "sampling", progress)),
         )
         _save(task, posterior, draws, out / "tests" / task.id / "posterior.nc")
+    except StoreError:
+        raise
     except MfdError as error:
         observe(Step(task.id, "failed", message=str(error)))
         return Outcome(task.id, "failed", time.perf_counter() - began, str(error))
@@ -116,6 +124,7 @@ def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
         "autocorrelation": dict(zip(draws.names, chains.autocorrelation.tolist(), strict=True)),
         "modes": len(draws.modes),
         "log_evidences": [mode.log_evidence for mode in draws.modes],
+        "mode_shares": draws.mode_shares.tolist(),
         "convergence": _convergence(values, chains.walkers),
         "wall_time": draws.wall_time,
     }

@@ -36,7 +36,7 @@ def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, A
     """R-hat and effective sample sizes against the effort's targets."""
     checks = []
     for row in rows:
-        if not np.isfinite(row.r_hat):
+        if np.isnan(row.r_hat):  # what is not sampled has none; an infinite one is a failure
             continue
         for name, value, limit, good in (
             ("R-hat", row.r_hat, f"<= {effort['r_hat']:g}", row.r_hat <= effort["r_hat"]),
@@ -49,7 +49,8 @@ def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, A
 
 def length_check(subject: str, facts: Mapping[str, Any], effort: Mapping[str, Any]) -> Check:
     """Whether the chains are long against their own memory."""
-    slowest, time = max(facts["autocorrelation"].items(), key=lambda item: item[1])
+    times = facts["autocorrelation"].items()  # None stands for infinity, which JSON has not
+    slowest, time = max(((n, np.inf if t is None else t) for n, t in times), key=lambda it: it[1])
     lengths = (facts["steps"] - facts["discarded"]) / time
     good = lengths >= effort["length"]
     verdict = "pass" if good else "fail"

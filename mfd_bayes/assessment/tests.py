@@ -104,6 +104,8 @@ def _rows(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Arr
             note = "the data do not inform it: the posterior is about the prior"
         lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
         r_hat, bulk, tail = facts["convergence"].get(name, (np.nan, np.nan, np.nan))
+        if r_hat is None:  # JSON has no infinity: walkers that never moved, or too few draws
+            r_hat, bulk, tail = np.inf, bulk or 0.0, tail or 0.0
         rows.append(
             Row(
                 subject=test.id,

@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.assessment.checks import identifiability_checks, notes
+from mfd_bayes.assessment.checks import (
+    convergence_checks,
+    identifiability_checks,
+    length_check,
+    notes,
+)
 from mfd_bayes.calibration.identifiability import (
     CONFLICT,
     Directions,
@@ -78,3 +83,29 @@ def test_every_contraction_is_told(contraction, verdict):
     assert (check.name, check.target, check.verdict) == (CONTRACTION, "k2", verdict)
     (*_, modes) = notes("p500", rows, {"modes": 2})
     assert (modes.name, modes.value, modes.verdict) == ("modes found", 2, "note")
+
+
+def test_an_ensemble_that_is_stuck_fails_the_verdict():
+    effort = {"r_hat": 1.01, "ess": 400.0, "length": 5.0}
+    spread = (1.0, 0.1, 0.8, 1.0, 1.2)
+    rows = [
+        Row("p500", "k2", "kip/in", *spread, 1.004, 900.0, 800.0, 0.9),
+        Row("p500", "k3", "kip/in", *spread, 1.31, 40.0, 30.0, 0.9),
+        Row("p500", "d2", "in", *spread, np.inf, 0.0, 0.0, 0.9),
+        Row("p500", "sigma1", "kip*s/in", *spread, np.nan, np.nan, np.nan, 0.0),
+    ]
+    verdicts = {(c.name, c.target): c.verdict for c in convergence_checks("p500", rows, effort)}
+    assert [verdicts["R-hat", name] for name in ("k2", "k3", "d2")] == ["pass", "fail", "fail"]
+    assert verdicts["bulk ESS", "d2"] == "fail"
+    assert not any(target == "sigma1" for _, target in verdicts)
+    facts = {"autocorrelation": {"k2": 10.0, "d2": None}, "steps": 500, "discarded": 100}
+    check = length_check("p500", facts, effort)
+    assert (check.target, check.value, check.verdict) == ("d2", 0.0, "fail")
+
+
+def test_modes_are_noted_with_what_they_hold():
+    facts = {"modes": 2, "mode_shares": [[0.9, 0.1], [0.94, 0.06]]}
+    (check,) = notes("p500", [], facts)
+    assert check.target == "posterior (they hold 92 %, 8 % of the draws)"
+    assert (check.value, check.verdict) == (2, "note")
+    assert notes("p500", [], {"modes": 1, "mode_shares": [[1.0]]}) == []

@@ -1,0 +1,358 @@
+"""Real processes, killed at random moments: what they leave, and what a resumed run makes of it.
+
+benchmarks/interruption.py does the same more often, with the whole report and a larger harness.
+"""
+
+import fcntl
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes import workers
+from mfd_bayes.cli import app
+from mfd_bayes.errors import FitError
+from mfd_bayes.execution import calibrate, discard
+from mfd_bayes.plan import Options, plan_campaign
+from mfd_bayes.workers import run_tasks
+
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/self/stat").is_file(), reason="looks for processes in Linux's /proc"
+)
+
+# The command as installed, but for the pictures, which take half of the time.
+DRIVER = """\
+from mfd_bayes.cli import main
+
+if __name__ == "__main__":
+    from mfd_bayes.reporting import figures
+
+    figures.draw_all = lambda view: {}
+    main()
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory) -> ModuleType:
+    """The benchmark's harness, running the driver."""
+    path = Path(__file__).parents[1] / "benchmarks" / "interruption.py"
+    if not path.is_file():
+        pytest.skip("benchmarks/ is not part of this distribution")
+    spec = importlib.util.spec_from_file_location("interruption_study", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    driver = tmp_path_factory.mktemp("driver") / "driver.py"
+    driver.write_text(DRIVER)
+    module.COMMAND = [sys.executable, str(driver)]
+    return module
+
+
+@pytest.fixture(scope="module")
+def campaign(study, tmp_path_factory) -> Path:
+    """The benchmark's campaign, with a model and a noise that take less time."""
+    path = study.lay_out(tmp_path_factory.mktemp("campaign"))
+    path.write_text(path.read_text().replace('"three_stage"', '"lugre"').replace('"ou"', '"iid"'))
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(study, campaign, tmp_path_factory):
+    """Run folder of the undisturbed run, and how it ended."""
+    out = tmp_path_factory.mktemp("whole") / "disk" / "out"
+    out.parent.mkdir()
+    began = time.monotonic()
+    ended = study.end(study.calibrate(campaign, out, 2), out, began)
+    assert (ended.code, ended.complaint) == (0, "")
+    return out, ended
+
+
+@pytest.fixture
+def out(tmp_path):
+    (tmp_path / "disk").mkdir()
+    return tmp_path / "disk" / "out"
+
+
+@pytest.fixture
+def copied(whole, out):
+    return Path(shutil.copytree(whole[0], out))
+
+
+def command(campaign, out, *options):
+    """Outcome of the command in this process."""
+    words = ("calibrate", campaign, "-o", out, "--effort", "quick", *options)
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def refused(outcome, *words):
+    assert outcome.exit_code == 2, (outcome.output, outcome.exception)
+    (sentence,) = outcome.stderr.splitlines()
+    for word in words:
+        assert word in sentence
+
+
+def assert_sound(study, out, ended, reference):
+    """See that nothing goes on, nothing is half written, and all that was said is a sentence."""
+    assert ended.orphans == 0
+    assert len(ended.complaint.splitlines()) <= 1, ended.complaint
+    assert [f for f in study.differing(out, reference) if f not in study.TIMED] == []
+
+
+def assert_same(study, out, reference):
+    assert study.files(out) == study.files(reference)
+    assert study.differing(out, reference) == []
+
+
+# --- signals
+
+
+@pytest.mark.parametrize(("seed", "jobs"), [(1, 1), (2, 2)])
+def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(
+    study, campaign, whole, out, seed, jobs
+):
+    reference, undisturbed = whole
+    rng = np.random.default_rng(seed)
+    came = 0
+    for kind in rng.permutation(["SIGINT", "SIGTERM", "SIGKILL"]):
+        began = time.monotonic()
+        process = study.calibrate(campaign, out, jobs, "--resume")
+        came += study.disturb(kind, process, 0.3 + 0.7 * rng.random() * undisturbed.seconds)
+        ended = study.end(process, out, began)
+        assert ended.code in (0, study.EXITS[kind])
+        if ended.code in (130, 143):
+            assert ended.complaint.startswith("mfd-bayes: interrupted")
+            assert "--resume" in ended.complaint
+        assert_sound(study, out, ended, reference)
+        jobs = 3 - jobs
+    assert came
+    ended = study.end(study.calibrate(campaign, out, jobs, "--resume"), out, time.monotonic())
+    assert (ended.code, ended.complaint) == (0, "")
+    assert_same(study, out, reference)
+
+
+def test_a_test_whose_process_is_killed_begins_again(study, campaign, whole, out):
+    process = study.calibrate(campaign, out, 2)
+    assert study.disturb("worker", process, 1.0)
+    ended = study.end(process, out, time.monotonic())
+    assert (ended.code, ended.complaint) == (0, "")
+    assert "begins again: its process was killed by SIGKILL" in ended.printed
+    assert_sound(study, out, ended, whole[0])
+    assert_same(study, out, whole[0])
+
+
+def test_a_test_whose_processes_are_always_killed_is_given_up(campaign, tmp_path):
+    (task, _) = plan_campaign(campaign, Options(effort="quick")).tasks
+    seen = []
+
+    def kill(step):
+        seen.append(step.stage)
+        if step.stage == "finding modes":
+            for child in workers.multiprocessing.active_children():
+                os.kill(child.pid, signal.SIGKILL)
+
+    with pytest.raises(FitError, match=f"{task.id} was killed by SIGKILL, 3 times.*--resume"):
+        list(run_tasks([task], tmp_path, 1, kill))
+    assert seen.count("finding modes") == workers.ATTEMPTS
+    assert not workers.multiprocessing.active_children()
+    assert not list(tmp_path.rglob("posterior.nc"))
+
+
+# --- a full disk
+
+
+@pytest.fixture
+def disk(study, out):
+    """Put a small disk under the run folder; a call makes it larger."""
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("only root can mount a small tmpfs")
+    try:
+        study.mount(out.parent, 16 * 1024)
+    except subprocess.CalledProcessError:
+        pytest.skip("this system does not let root mount a tmpfs")
+    yield lambda size: study.mount(out.parent, size, again=True)
+    subprocess.run(["umount", "-l", str(out.parent)], check=True)
+
+
+def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(
+    study, campaign, whole, out, disk
+):
+    reference, _ = whole
+    posterior = next(reference.rglob("posterior.nc")).stat().st_size
+    for size, jobs in ((16 * 1024, 1), (int(1.5 * posterior), 2)):
+        disk(size)
+        process = study.calibrate(campaign, out, jobs, "--resume")
+        ended = study.end(process, out, time.monotonic())
+        assert ended.code == 2
+        assert ended.complaint.startswith(f"mfd-bayes: cannot write {out}")
+        assert ended.complaint.endswith("No space left on device\n")
+        assert not list(out.rglob(".*"))
+        assert_sound(study, out, ended, reference)
+    disk(2**26)
+    ended = study.end(study.calibrate(campaign, out, 2, "--resume"), out, time.monotonic())
+    assert (ended.code, ended.complaint) == (0, "")
+    assert_same(study, out, reference)
+
+
+def test_a_full_disk_under_the_log_is_said_in_a_sentence(study, campaign, copied):
+    words = ("calibrate", str(campaign), "-o", str(copied), "--effort", "quick", "--resume")
+    with Path("/dev/full").open("w") as full:
+        outcome = subprocess.run(
+            [*study.COMMAND, *words], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert outcome.returncode == 2
+    assert outcome.stderr == "mfd-bayes: cannot write the output: No space left on device\n"
+
+
+# --- what is left behind
+
+
+def test_a_folder_without_its_first_manifest_is_begun(campaign, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".manifest.json.ab12cd34.part").write_text("{")
+    seen = []
+
+    def stop(step):
+        seen.append(step)
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        calibrate(campaign, tmp_path / "out", Options("quick", resume=True), stop)
+    assert seen
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "running"
+    assert not list((tmp_path / "out").rglob(".*"))
+    assert not workers.multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("content", ["", '{"status": "run', "[]", "{}"])
+def test_a_damaged_manifest_is_refused_and_replaced_by_force(campaign, copied, content):
+    (copied / "manifest.json").write_text(content)
+    refused(command(campaign, copied, "--resume"), str(copied), "cannot be resumed", "--force")
+    discard(copied)
+    assert not any(copied.iterdir())
+
+
+def test_what_was_being_discarded_is_not_resumed(campaign, copied, monkeypatch):
+    def stop(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shutil, "rmtree", stop)
+    with pytest.raises(KeyboardInterrupt):
+        discard(copied)
+    monkeypatch.undo()
+    assert list(copied.rglob("posterior.nc"))  # of another seed, it may be
+
+    def look(step):
+        assert not list(copied.rglob("posterior.nc"))
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        calibrate(campaign, copied, Options("quick", seed=7, resume=True), look)
+    assert json.loads((copied / "manifest.json").read_text())["seed"] == 7
+
+
+def test_what_cannot_be_removed_is_not_taken_for_new(campaign, copied, monkeypatch):
+    def fail(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(shutil, "rmtree", fail)
+    refused(command(campaign, copied, "--force"), "cannot remove", "Permission denied")
+
+
+def test_a_folder_that_another_process_works_on_is_refused(campaign, copied):
+    folder = os.open(copied, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    try:
+        for option in ("--resume", "--force"):
+            refused(command(campaign, copied, option), "another process", str(copied))
+    finally:
+        os.close(folder)
+    assert list(copied.rglob("posterior.nc"))
+
+
+# --- what has changed
+
+
+def change_campaign(folder):
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text().replace('role = "validate"', 'role = "calibrate"'))
+
+
+def change_data(folder):
+    path = next(folder.glob("p500*.csv"))
+    path.write_text(path.read_text().replace("0.01,", "0.010,", 1))
+
+
+def change_priors(folder):
+    path = folder / "mfd.toml"
+    path.write_text(path.read_text() + "\n# a thought\n")
+
+
+@pytest.fixture(scope="module")
+def ended_at_its_start(campaign, tmp_path_factory):
+    """Folder of a campaign with priors of its own, and of a run that is ended at its start."""
+    home = tmp_path_factory.mktemp("ended")
+    folder = Path(shutil.copytree(campaign.parent, home / "campaign"))
+    shutil.copy(Path(__file__).parents[1] / "priors" / "mfd.toml", folder)
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text().replace('priors = "mfd"', 'priors = "mfd.toml"'))
+
+    def stop(step):
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        calibrate(path, home / "out", Options("quick"), stop)
+    return home
+
+
+@pytest.fixture
+def unfinished(ended_at_its_start, tmp_path):
+    home = Path(shutil.copytree(ended_at_its_start, tmp_path / "home"))
+    return home / "campaign", home / "out"
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "words"),
+    [
+        (change_campaign, (), ("inputs (campaign.toml)",)),
+        (change_data, (), ("inputs (p500",)),
+        (change_priors, (), ("inputs (priors/mfd.toml)",)),
+        (None, ("--seed", 2), ("seed changed",)),
+        (None, ("--effort", "standard"), ("effort (", "changed")),
+    ],
+)
+def test_what_has_changed_is_named_and_not_resumed(unfinished, change, options, words):
+    folder, out = unfinished
+    before = (out / "manifest.json").read_bytes()
+    if change is not None:
+        change(folder)
+    refused(command(folder / "campaign.toml", out, "--resume", *options), *words, "--force")
+    assert (out / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["mfd_bayes", "python", "numpy", "scipy", "emcee"])
+def test_another_version_does_not_resume(unfinished, name):
+    folder, out = unfinished
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["versions"][name] = "0.0.1"
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    outcome = command(folder / "campaign.toml", out, "--resume")
+    refused(outcome, f"versions ({name}) changed", "--force")
+
+
+def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(campaign, tmp_path):
+    folder = Path(shutil.copytree(campaign.parent, tmp_path / "campaign"))
+    (folder / "campaign.toml").rename(folder / "mfd.toml")
+    inputs = plan_campaign(folder / "mfd.toml", Options("quick")).manifest["inputs"]
+    assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
