@@ -21,6 +21,9 @@ STEP = 1e-4
 APART = 0.05
 """Largest difference, in prior standard deviations, of two ends of least squares that are one."""
 
+HOPELESS = 400.0
+"""How far the log posterior may be below the best where least squares ends, to be climbed from."""
+
 
 @dataclass(frozen=True, eq=False)
 class Mode:
@@ -46,12 +49,12 @@ class Mode:
 
 
 def find_modes(
-    posterior: Posterior, rng: np.random.Generator, *, starts: int = 12, candidates: int = 500
+    posterior: Posterior, rng: np.random.Generator, *, starts: int = 24, candidates: int = 500
 ) -> tuple[Mode, ...]:
     """Distinct modes, best first.
 
-    The best of many prior draws, least squares on residual and prior from each, then BFGS on
-    the log posterior from each distinct end.
+    Of many prior draws some that fit well and differ most, least squares on residual and prior
+    from each, then BFGS on the log posterior from each distinct end.
 
     Raises
     ------
@@ -61,14 +64,15 @@ def find_modes(
     scale = prior_scale(posterior, rng)
     begin = _starting_points(posterior, rng, starts, candidates)
     fits = [_least_squares(posterior, q, *scale) for q in begin]
-    order = np.argsort([-posterior.log_prob(q[None])[0] for q in fits])
+    heights = posterior.log_prob(np.array(fits))
+    order = np.argsort(-heights)
     ends: list[Array] = []
-    for i in order:
+    for i in order[heights[order] > heights.max() - HOPELESS]:
         away = [np.max(np.abs(fits[i] - end) / scale[1]) for end in ends]
         if min(away, default=np.inf) > APART:
             ends.append(fits[i])
     modes: list[Mode] = []
-    for end in ends[: starts // 2]:
+    for end in ends:
         mode = climb(posterior.log_prob, end, scale[1])
         if not any(_same(mode, other) for other in modes):
             modes.append(mode)
@@ -84,13 +88,19 @@ def prior_scale(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, 
 def _starting_points(
     posterior: Posterior, rng: np.random.Generator, starts: int, candidates: int
 ) -> Array:
-    """Prior draws whose loops fit best, (starts, dim)."""
+    """Prior draws whose loops fit well and that are far from each other, (starts, dim)."""
     draws = posterior.coordinates(posterior.draw_prior(rng, candidates))
     draws = draws[np.isfinite(posterior.log_prior(draws))]
     if len(draws) == 0:
         raise FitError("the prior has no mass at any start: widen the priors of this device")
     misfit = np.mean(posterior.residual(draws)[:, posterior.first :] ** 2, axis=1)
-    return draws[np.argsort(misfit)[:starts]]
+    good = draws[np.argsort(misfit)[: max(starts, len(draws) // 5)]]
+    place = good / draws.std(axis=0)
+    chosen, distance = [0], np.full(len(good), np.inf)
+    while len(chosen) < min(starts, len(good)):
+        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return good[chosen]
 
 
 def _least_squares(posterior: Posterior, begin: Array, mean: Array, sd: Array) -> Array:

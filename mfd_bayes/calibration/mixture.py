@@ -19,6 +19,9 @@ DRAWS = 8000
 WIDE = 0.1
 """Weight of the wide part that keeps a learned proposal's tails above the target's."""
 
+ANCHORED = 0.25
+"""Weight of the anchors in a learned proposal."""
+
 BENT = 1.5
 """Largest parameters of a coordinate's shape, so that few draws bend it but so much."""
 
@@ -183,22 +186,21 @@ class Either:
 
 
 def learn(
-    draws: Array, parts: int, rng: np.random.Generator, anchors: Mixture | None = None
+    draws: Array, parts: int, rng: np.random.Generator, anchors: Proposal | None = None
 ) -> Proposal:
     """Proposal that resembles draws, somewhat wider than they are.
 
     Each coordinate is first mapped to about a normal one by itself. Parts are normal while
     they are fitted, by expectation–maximization with covariances shrunk to that of all
-    draws, and given tails after it. A tenth of the weight goes to a wide part, and a
-    twentieth to the anchors, so that a proposal goes on reaching places that the draws have
-    not seen.
+    draws, and given tails after it. Some of the weight goes to a wide part and some to the
+    anchors, so that a proposal goes on reaching places that the draws have not seen.
 
     Parameters
     ----------
     draws : (n, dim)
     parts : int
     rng : numpy.random.Generator
-    anchors : Mixture, optional
+    anchors : Proposal, optional
         Such as the modes' own.
     """
     if len(draws) > DRAWS:
@@ -217,7 +219,9 @@ def learn(
         np.append(np.full(len(weights), 30.0), 8.0),
     )
     found = Warped(mixture, warp)
-    return found if anchors is None else Either(np.array([0.95, 0.05]), (found, anchors))
+    return (
+        found if anchors is None else Either(np.array([1.0 - ANCHORED, ANCHORED]), (found, anchors))
+    )
 
 
 def _expectation_maximization(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence, autocorrelation_time, measure
 from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.map_fit import Density, Mode, find_modes
-from mfd_bayes.calibration.mixture import Mixture, learn
+from mfd_bayes.calibration.mixture import Either, Mixture, Proposal, learn
 from mfd_bayes.calibration.moves import Apart, Independent
 from mfd_bayes.calibration.posterior import UNIDENTIFIABLE, Posterior
 from mfd_bayes.errors import FitError
@@ -32,11 +32,18 @@ ROUND = 20
 ROUNDS = 12
 """Such rounds at most; fewer where they no longer help."""
 
+HEAT = (0.3, 0.3, 0.4, 0.4, 0.5, 0.5, 0.65, 0.8)
+"""Powers of the density in the first rounds, so that walkers see tails and other modes."""
+
+BROAD = 0.5
+"""The power at which a proposal is learned that stays a part of all later ones."""
+
 PATIENCE = 4
 """Rounds in a row that may accept no more than the best before the warm-up ends."""
 
 SLOW = 40.0
-"""Autocorrelation time, steps, from which the proposal is worth learning again."""
+"""Autocorrelation time, steps, from which the proposal is worth learning again. No walk is taken
+to be quicker either: a far tail is visited more seldom than the figures can tell."""
 
 PARTS = 6
 """Student-t densities of a learned proposal at most, besides its wide part."""
@@ -221,8 +228,9 @@ def sample_density(
 ) -> Chains:
     """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes.
 
-    A mixture of Student-t densities is learned from the walkers in rounds and then frozen;
-    what is kept comes after that, from independence proposals of the mixture together with
+    Walkers start at a power of the density below 1, which is raised round by round, and a
+    mixture of Student-t densities is learned from where they are. It is then frozen; what is
+    kept comes after that, from independence proposals of the mixture together with
     differential evolution. Should those mix slowly, or much be left to do, the mixture is
     learned again from what they found, and what is kept starts again.
 
@@ -247,7 +255,7 @@ def sample_density(
         if report is not None:
             report(walk.progress(found))
         slowest = float(np.max(chains.autocorrelation))
-        enough = walk.fresh >= effort.length * slowest
+        enough = walk.fresh >= effort.length * max(slowest, SLOW)
         if (enough and found.reached(effort.r_hat, effort.ess)) or walk.steps >= effort.limit:
             return chains
         if found.worst_ess < 0.5 * effort.ess or slowest > SLOW:
@@ -270,24 +278,37 @@ class _Walk:
         self._derived = derived
         self._effort, self._rng, self._began = effort, rng, time.perf_counter()
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
-        self._anchors = _around(modes)
+        self._power = HEAT[0]
+        self._anchors: Proposal = _around(modes, self._power)
         self._independent = Independent(self._anchors)
         self._sampler = emcee.EnsembleSampler(
             effort.ensembles * self._walkers,
             dim,
-            density,
+            lambda q: self._power * density(q),
             moves=[(self._independent, JUMPS), *_evolution(dim, effort.ensembles, 1.0 - JUMPS)],
             vectorize=True,
         )
         # emcee takes a RandomState's state and silently ignores anything else
         twister = np.random.RandomState(int(rng.integers(2**32)))
-        begin = _disperse(density, modes, self._anchors, self._sampler.nwalkers, twister)
+        begin = _disperse(
+            lambda q: self._power * density(q), self._anchors, self._sampler.nwalkers, twister
+        )
         self._state = emcee.State(begin, random_state=twister.get_state())
         self.steps = self._learned = 0
         self._freeze()
 
     def warm_up(self) -> None:
         """Learn the proposal in rounds, until a round accepts hardly more than the best one."""
+        for power in HEAT:
+            if self.steps >= self._effort.limit // 4:
+                break
+            self._raise(power)
+            self.run(ROUND)
+            self._learn(0.75)
+            if power == BROAD:
+                both = (self._anchors, self._independent.source)
+                self._anchors = Either(np.array([0.3, 0.7]), both)
+        self._raise(1.0)
         best, waited = 0.0, 0
         for _ in range(ROUNDS):
             self._independent.forget()
@@ -298,6 +319,14 @@ class _Walk:
             best = max(best, accepted)
             if waited >= PATIENCE or self.steps >= self._effort.limit // 4:
                 break
+        self._freeze()
+
+    def _raise(self, power: float) -> None:
+        """Go on with a power of the density, and forget where the walkers were before."""
+        state = emcee.State(self._state, copy=True)
+        if state.log_prob is not None:  # as at the start
+            state.log_prob *= power / self._power
+        self._state, self._power = state, power
         self._freeze()
 
     def learn_again(self) -> None:
@@ -380,8 +409,8 @@ def _evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.move
     ]
 
 
-def _around(modes: Sequence[Mode]) -> Mixture:
-    """Laplace's approximation to every mode that may hold mass, with tails.
+def _around(modes: Sequence[Mode], power: float) -> Mixture:
+    """Laplace's approximation to a power of the density at every mode that may hold mass.
 
     Laplace's masses err, so that a mode counts by the cube root of its own: one that is
     20 e-folds below the best is left to the walkers to find.
@@ -392,17 +421,13 @@ def _around(modes: Sequence[Mode]) -> Mixture:
     return Mixture.of(
         weights[kept] / weights[kept].sum(),
         np.array([mode.q for mode in modes])[kept],
-        np.array([1.2 * mode.covariance for mode in modes])[kept],
+        np.array([mode.covariance / power for mode in modes])[kept],
         np.full(int(kept.sum()), 6.0),
     )
 
 
 def _disperse(
-    density: Density,
-    modes: Sequence[Mode],
-    anchors: Mixture,
-    walkers: int,
-    random: np.random.RandomState,
+    density: Density, anchors: Proposal, walkers: int, random: np.random.RandomState
 ) -> Array:
     """Where walkers start, (walkers, dim): draws around the modes, the likelier ones rather."""
     draws = anchors.draw(random, 4 * walkers)
