@@ -79,7 +79,7 @@ class Chains:
     walkers : int
     steps, thin, discarded : int
         Steps of each ensemble, every which is kept, and how many at the start are not:
-        those in which the proposal was learned, and a few after it.
+        those in which the proposal was learned.
     acceptance : (chain,)
     autocorrelation : (dim,)
         Integrated autocorrelation time, steps.
@@ -279,20 +279,22 @@ class _Walk:
         self._effort, self._rng, self._began = effort, rng, time.perf_counter()
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
         self._power = HEAT[0]
+
+        def powered(q: Array) -> Array:
+            return self._power * density(q)
+
         self._anchors: Proposal = _around(modes, self._power)
         self._independent = Independent(self._anchors)
         self._sampler = emcee.EnsembleSampler(
             effort.ensembles * self._walkers,
             dim,
-            lambda q: self._power * density(q),
+            powered,
             moves=[(self._independent, JUMPS), *_evolution(dim, effort.ensembles, 1.0 - JUMPS)],
             vectorize=True,
         )
         # emcee takes a RandomState's state and silently ignores anything else
         twister = np.random.RandomState(int(rng.integers(2**32)))
-        begin = _disperse(
-            lambda q: self._power * density(q), self._anchors, self._sampler.nwalkers, twister
-        )
+        begin = _disperse(powered, self._anchors, self._sampler.nwalkers, twister)
         self._state = emcee.State(begin, random_state=twister.get_state())
         self.steps = self._learned = 0
         self._freeze()

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.lugre import friction_of, slip_force
 from mfd_bayes.friction.model import actuate, check_theta
-from mfd_bayes.friction.stepping import Damper, State
+from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.records.trace import Trace
 
 __all__ = ["BoucWen", "LuGre"]
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LuGre:
+class LuGre(Stepped):
     """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4)."""
 
     name: str = "lugre"
@@ -63,17 +63,3 @@ class LuGre:
         friction = friction_of(check_theta(self, theta))
         damper = Damper(friction, direction=direction, reference=reference_actuation)
         return State.at_rest(damper)
-
-    def step(
-        self,
-        state: State,
-        displacement: float,
-        velocity: float,
-        dt: float,
-        actuation: float | None = None,
-        *,
-        scales: Mapping[str, ArrayLike] | None = None,
-    ) -> tuple[Array, State]:
-        """Force, (n,), kip, at the next sample of a motion; see `ThreeStage.step`."""
-        state = state.step(displacement, velocity, dt, actuation, scales)
-        return state.force, state

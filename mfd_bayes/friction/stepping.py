@@ -107,7 +107,7 @@ class State:
         actuation: float | None = None,
         scales: Mapping[str, ArrayLike] | None = None,
     ) -> State:
-        """State at the next sample; see `ThreeStage.step`."""
+        """State at the next sample; see `Stepped.step`."""
         _check("displacement", displacement, isfinite(displacement), "finite, in inches")
         _check("velocity", velocity, isfinite(velocity), "finite, in inches per second")
         state = self._referred(actuation)
@@ -172,6 +172,51 @@ class State:
             both = turn(self.damper.gap, crossing, here, self.direction, self.slip)
             crossing = Crossing(both.side[1:], both.edge[1:], both.carry[1:])
         return replace(self, direction=-self.direction, crossing=crossing)
+
+
+class Stepped:
+    """What the models whose states are these have in common."""
+
+    def step(
+        self,
+        state: State,
+        displacement: float,
+        velocity: float,
+        dt: float,
+        actuation: float | None = None,
+        *,
+        scales: Mapping[str, ArrayLike] | None = None,
+    ) -> tuple[Array, State]:
+        """Force of every parameter vector at the next sample of a motion, and the state there.
+
+        It equals `force` on the same samples, velocities and actuation if the trace has no
+        reversal smaller than its hysteresis (`hysteresis=0` makes it so): that a reversal
+        will come to nothing is not known while it happens.
+
+        Parameters
+        ----------
+        state : State
+            Of `start`, or of the step before; it stays as it is and may be used again.
+        displacement, velocity : in, in/s
+        dt : s
+            Time since the sample before; of no account at the first.
+        actuation : ksi or kip, optional
+            Friction is in proportion to it; when left out, theta holds as it is. A record's
+            `force` refers to its `reference_actuation`: give that to `start` for the same.
+        scales : mapping of scalars or (n,), optional
+            Factors of the parameters that follow the actuation, instead of the proportion.
+
+        Returns
+        -------
+        (n,), kip, and the new state
+
+        Raises
+        ------
+        FitError
+            When a number is not finite, dt not positive, or actuation negative.
+        """
+        state = state.step(displacement, velocity, dt, actuation, scales)
+        return state.force, state
 
 
 def _actuated(

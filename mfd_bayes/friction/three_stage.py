@@ -12,14 +12,14 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.gap import Gap, blend, follow
 from mfd_bayes.friction.lugre import PIECE, friction_of, slip_force
 from mfd_bayes.friction.model import UNITS, actuate, check_theta
-from mfd_bayes.friction.stepping import Damper, State
+from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ThreeStage:
+class ThreeStage(Stepped):
     """Friction damper with a gap (Cao et al., Eqs. 1 to 4; model.md sections 2 to 4)."""
 
     name: str = "three_stage"
@@ -85,47 +85,6 @@ class ThreeStage:
         w0 = _check_start(start, columns["k2"].shape[1])
         damper = Damper(friction_of(columns), _gap(columns), w0, direction, reference_actuation)
         return State.at_rest(damper)
-
-    def step(
-        self,
-        state: State,
-        displacement: float,
-        velocity: float,
-        dt: float,
-        actuation: float | None = None,
-        *,
-        scales: Mapping[str, ArrayLike] | None = None,
-    ) -> tuple[Array, State]:
-        """Force of every parameter vector at the next sample of a motion, and the state there.
-
-        It equals `force` on the same samples, velocities and actuation if the trace has no
-        reversal smaller than its hysteresis (`hysteresis=0` makes it so): that a reversal
-        will come to nothing is not known while it happens.
-
-        Parameters
-        ----------
-        state : State
-            Of `start`, or of the step before; it stays as it is and may be used again.
-        displacement, velocity : in, in/s
-        dt : s
-            Time since the sample before; of no account at the first.
-        actuation : ksi or kip, optional
-            Friction is in proportion to it; when left out, theta holds as it is. A record's
-            `force` refers to its `reference_actuation`: give that to `start` for the same.
-        scales : mapping of scalars or (n,), optional
-            Factors of the parameters that follow the actuation, instead of the proportion.
-
-        Returns
-        -------
-        (n,), kip, and the new state
-
-        Raises
-        ------
-        FitError
-            When a number is not finite, dt not positive, or actuation negative.
-        """
-        state = state.step(displacement, velocity, dt, actuation, scales)
-        return state.force, state
 
 
 def _check_start(start: ArrayLike | None, n: int) -> Array:
