@@ -8,7 +8,7 @@ record is sampled by four ensembles that know nothing of each other, each with e
 differential evolution (ter Braak 2006: 80 % of the usual length, 20 % full jumps between walkers)
 and nothing else: no learned proposal, no code of `mfd_bayes.calibration.sampling`. Every ensemble
 looks for the modes anew, from prior draws of its own, and starts with twice Laplace's sd around
-all that it found, so that R̂ tells when they disagree. The first half of each run is its burn-in.
+all that it found, each by its evidence, so that R̂ tells when they disagree. The first half of each run is its burn-in.
 It ends when the smallest bulk effective sample size is `ESS`, R̂ at most `R_HAT` and what is kept
 as long as `LENGTH` autocorrelation times.
 Exit status 1: a record fell short of that within `MOST` steps.
@@ -77,7 +77,9 @@ TRUTH = {
 QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)  # percent
 ENSEMBLES, WALKERS = 4, 128
 ESS, R_HAT, LENGTH = 8000.0, 1.01, 10.0
-BLOCK, THIN, MOST = 1000, 10, 40_000  # steps
+LEAST = 0.02
+"""Least share of the walkers that start at a mode, over the best mode's; else by evidence."""
+BLOCK, THIN, MOST = 1000, 10, 120_000  # steps
 SEED = 20240
 
 
@@ -105,7 +107,10 @@ def begin(posterior, seed):
     rng = np.random.default_rng(seed)
     modes = find_modes(posterior, rng, starts=16)
     modes = [m for m in modes if m.log_evidence > modes[0].log_evidence - 30.0]
-    starts = [_near(posterior, modes[i % len(modes)], rng) for i in range(WALKERS)]
+    evidence = np.array([m.log_evidence for m in modes])
+    share = np.maximum(np.exp(evidence - evidence.max()), LEAST)
+    homes = rng.choice(len(modes), size=WALKERS, p=share / share.sum())
+    starts = [_near(posterior, modes[home], rng) for home in homes]
     return np.array(starts), len(modes)
 
 

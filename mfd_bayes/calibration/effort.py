@@ -28,6 +28,8 @@ class Effort:
         Walkers of each ensemble, more where there are many dimensions.
     kept : int
         Draws of each ensemble that are kept, about.
+    starts : int
+        Points from which modes are looked for: a minor one is missed from few.
     """
 
     ess: float
@@ -37,12 +39,13 @@ class Effort:
     ensembles: int = 4
     walkers: int = 48
     kept: int = 3000
+    starts: int = 24
 
 
 EFFORTS = {
     "quick": Effort(ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
     "standard": Effort(ess=400, limit=8000),
-    "thorough": Effort(ess=2000, limit=40000, length=15.0, kept=8000),
+    "thorough": Effort(ess=2000, limit=40000, length=15.0, kept=8000, starts=72),
 }
 
 

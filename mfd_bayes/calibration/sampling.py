@@ -167,7 +167,7 @@ def sample(
     began = time.perf_counter()
     chosen = find_effort(effort)
     rng = np.random.default_rng(seed)
-    modes = find_modes(posterior, rng)
+    modes = find_modes(posterior, rng, starts=chosen.starts)
     chains = sample_density(
         posterior.log_prob,
         modes,
