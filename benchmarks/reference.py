@@ -8,9 +8,9 @@ record is sampled by four ensembles that know nothing of each other, each with e
 differential evolution (ter Braak 2006: 80 % of the usual length, 20 % full jumps between walkers)
 and nothing else: no learned proposal, no code of `mfd_bayes.calibration.sampling`. Every ensemble
 looks for the modes anew, from prior draws of its own, and starts with twice Laplace's sd around
-all that it found, each by its evidence, so that R̂ tells when they disagree. The first half of each run is its burn-in.
-It ends when the smallest bulk effective sample size is `ESS`, R̂ at most `R_HAT` and what is kept
-as long as `LENGTH` autocorrelation times.
+all that it found, each by its evidence, so that R̂ tells when they disagree. The first half of
+each run is its burn-in. It ends when the smallest bulk effective sample size is `ESS`, R̂ at most
+`R_HAT` and what is kept as long as `LENGTH` autocorrelation times.
 Exit status 1: a record fell short of that within `MOST` steps.
 
 The real records come from --data (MFD_BAYES_DATA, ../shared/data).

@@ -95,8 +95,8 @@ def measure_draws(draws: Array, walkers: int) -> Convergence:
     return measure(draws.reshape(len(draws), walkers, -1, 1).swapaxes(1, 2))
 
 
-def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
-    """Rank-normalised split R̂ and ESS of an array (chain, draw), from either ArviZ."""
+def _import_arviz() -> Any:
+    """Import ArviZ, whose first import may announce something, or need a folder to write to."""
     with warnings.catch_warnings():
         # 0.23 announces its refactoring on the first import of a day
         warnings.simplefilter("ignore", FutureWarning)
@@ -105,8 +105,18 @@ def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
         except OSError:  # it writes to the user's cache, which may be read-only
             os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="mfd_bayes-cache-")
             import arviz
-    if int(arviz.__version__.split(".")[0]) < 1:
-        classic: Any = arviz
+    return arviz
+
+
+def _is_classic(arviz: Any) -> bool:
+    """Whether this ArviZ is 0.2x, and not 1.x."""
+    return int(arviz.__version__.split(".")[0]) < 1
+
+
+def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
+    """Rank-normalised split R̂ and ESS of an array (chain, draw), from either ArviZ."""
+    classic = _import_arviz()
+    if _is_classic(classic):
         return (
             lambda x: float(classic.rhat(x, method="rank")),
             lambda x, kind: float(classic.ess(x, method=kind)),
@@ -121,6 +131,33 @@ def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
         lambda x: float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")),
         new_ess,
     )
+
+
+def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
+    """Pareto-smoothed log weights, whose weights sum to 1, (n,), and Pareto k, of either ArviZ.
+
+    Vehtari, Simpson, Gelman, Yao and Gabry (2024). Above k = 0.7 the weights cannot be trusted.
+
+    Parameters
+    ----------
+    log_ratios : (n,)
+        Log density that is wanted over that of the draws.
+    efficiency : float
+        Effective sample size over n.
+    """
+    ratios = log_ratios - log_ratios.max()
+    if np.all(ratios == 0.0):  # nothing to fit a tail to, and none is needed
+        return ratios - np.log(ratios.size), -np.inf
+    classic = _import_arviz()
+    with np.errstate(over="ignore"):  # in the fit to a very heavy tail, where it does no harm
+        if _is_classic(classic):
+            weights, k = classic.psislw(ratios, reff=efficiency)
+        else:
+            from arviz_stats.base import array_stats
+
+            weights, k = array_stats.psislw(-ratios, r_eff=efficiency)
+    log_weights = np.asarray(weights, dtype=np.float64)
+    return log_weights - np.logaddexp.reduce(log_weights), float(k)
 
 
 def contraction(prior_sd: Array, draws: Array) -> Array:

@@ -15,14 +15,14 @@ from mfd_bayes.calibration.likelihood import Noise, find_noise
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.priors import KINDS, Prior
 from mfd_bayes.errors import FitError, PriorError
-from mfd_bayes.friction.baselines import LuGre
+from mfd_bayes.friction.baselines import BoucWen, LuGre
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-MODELS: dict[str, Model] = {model.name: model for model in (ThreeStage(), LuGre())}
+MODELS: dict[str, Model] = {model.name: model for model in (ThreeStage(), LuGre(), BoucWen())}
 
 # How a model's parameters follow from what is sampled: F_s = F_c (1 + excess), γ2 = ℓ γ1.
 _SOURCES = {
@@ -30,6 +30,9 @@ _SOURCES = {
     "Fs_bwd": "static_excess_bwd",
     "gamma2": "ell",
 }
+_BOUNDS = {"alpha": (0.0, 1.0), "beta": (0.5, 1.0), "exponent": (1.0, np.inf)}
+"""Least and greatest value of what may not be just anything above 0."""
+
 UNIDENTIFIABLE = "gamma1"
 """Does not reach the force but through ℓ = γ2/γ1; it keeps its prior exactly."""
 
@@ -122,7 +125,7 @@ class Posterior:
             raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
         chosen_priors = {name: file.parameters[name] for name in wanted}
         if chosen.name in MODELS:
-            _check_signs(file.path.name, chosen_priors)
+            _check_bounds(file.path.name, chosen_priors)
         names = tuple(n for n in wanted if n != UNIDENTIFIABLE and not chosen_priors[n].fixed)
         values = {
             "trace": trace,
@@ -166,9 +169,12 @@ class Posterior:
 
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
-        points = self._own_coordinates(self._check(q))
-        density = np.zeros(len(points))
-        for name, column in zip(self.names, points.T, strict=True):
+        return self.log_prior_own(self.to_own(self._check(q)))
+
+    def log_prior_own(self, own: Array) -> Array:
+        """Log prior density of the priors' own coordinates, (n, dim) -> (n,)."""
+        density = np.zeros(len(own))
+        for name, column in zip(self.names, own.T, strict=True):
             density += self.priors[name].log_density(column)
         return density
 
@@ -179,7 +185,10 @@ class Posterior:
         kept = slice(self.first, None)
         with np.errstate(over="ignore", invalid="ignore"):
             residual = self.residual(points)[:, kept]
-            density = self.noise.log_density(residual, self.trace.time[kept], values)
+            travel = self.travel(values)
+            density = self.noise.log_density(
+                residual, self.trace.time[kept], values, None if travel is None else travel[:, kept]
+            )
         return np.where(np.isnan(density), -np.inf, density)
 
     def residual(self, q: ArrayLike) -> Array:
@@ -196,12 +205,19 @@ class Posterior:
             self.theta(values), self.trace if trace is None else trace, values["start"]
         )
 
+    def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
+        """Travel since the last slip, (n, T), in; None where the noise does not need it."""
+        if not self.noise.staged:
+            return None
+        chosen = self.trace if trace is None else trace
+        return self.model.travel(self.theta(values), chosen, values["start"])
+
     def values(self, q: ArrayLike) -> dict[str, Array]:
         """Values of all quantities of q by name, (n,) each, internal units.
 
         γ1 is 1 here: it does not matter to the force.
         """
-        points = self._own_coordinates(self._check(q))
+        points = self.to_own(self._check(q))
         values = {name: np.full(len(points), value) for name, value in self._defaults.items()}
         for name, column in zip(self.names, points.T, strict=True):
             values[name] = self.priors[name].value(column)
@@ -220,17 +236,22 @@ class Posterior:
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""
-        points = np.stack([self.priors[n].coordinate(values[n]) for n in self.names], axis=1)
-        for pivot in self.pivots:
-            points[:, pivot.kinetic] += pivot.shift(points)
-        return points
+        own = [self.priors[name].coordinate(values[name]) for name in self.names]
+        return self.from_own(np.stack(own, axis=1))
 
-    def _own_coordinates(self, points: Array) -> Array:
+    def to_own(self, points: Array) -> Array:
         """Coordinates of the priors themselves, of those that are sampled, (n, dim)."""
         own = points.copy()
         for pivot in self.pivots:
             own[:, pivot.kinetic] -= pivot.shift(points)
         return own
+
+    def from_own(self, own: Array) -> Array:
+        """The coordinates that are sampled, of those of the priors, (n, dim)."""
+        points = own.copy()
+        for pivot in self.pivots:
+            points[:, pivot.kinetic] += pivot.shift(own)
+        return points
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters of the model in its own order, (n, p)."""
@@ -273,15 +294,19 @@ def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[str]
     return [name for name in KINDS if name in needed]
 
 
-def _check_signs(file: str, priors: Mapping[str, Prior]) -> None:
-    """Refuse priors that let a quantity be negative that no damper has so."""
+def _check_bounds(file: str, priors: Mapping[str, Prior]) -> None:
+    """Refuse priors that allow what no damper has, such as negative values."""
     for name, prior in priors.items():
-        lowest = prior.figures["value"] if prior.fixed else prior.lower
-        if name != "offset" and lowest < 0:
-            raise PriorError(
-                f"prior of {name} in {file}: {prior.family} allows negative values, "
-                f"which {name} cannot have"
-            )
+        value = prior.figures.get("value", np.nan)
+        lowest, highest = (value, value) if prior.fixed else (prior.lower, prior.upper)
+        least, most = _BOUNDS.get(name, (0.0, np.inf))
+        if name == "offset" or least <= lowest <= highest <= most:
+            continue
+        beyond = f"values above {most:g}" if lowest >= least else f"values below {least:g}"
+        raise PriorError(
+            f"prior of {name} in {file}: {prior.family} allows "
+            f"{'negative values' if lowest < 0 else beyond}, which {name} cannot have"
+        )
 
 
 def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -> tuple[Pivot, ...]:

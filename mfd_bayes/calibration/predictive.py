@@ -27,10 +27,13 @@ class Replicas:
         Model and offset, of posterior draws.
     observed : (n, T), kip
         The same with noise.
+    values : mapping of str to (n,)
+        The draws that they were made of.
     """
 
     force: Array
     observed: Array
+    values: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,8 @@ def replicate(
     pick = np.linspace(0, total - 1, min(n, total)).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}
     force = posterior.force(taken) + taken["offset"][:, None]
-    noise = posterior.noise.draw(rng, posterior.trace.time, taken)
-    return Replicas(force, force + noise)
+    noise = posterior.noise.draw(rng, posterior.trace.time, taken, posterior.travel(taken))
+    return Replicas(force, force + noise, taken)
 
 
 def check_predictive(

@@ -28,11 +28,21 @@ KINDS = {
     "ell": "displacement",
     "gamma1": "dimensionless",
     "v_s": "velocity",
+    "k": "stiffness",
+    "alpha": "dimensionless",
+    "Fy_fwd": "force",
+    "Fy_bwd": "force",
+    "beta": "dimensionless",
+    "exponent": "dimensionless",
+    "c": "damping",
     "start": "dimensionless",
     "offset": "force",
     "noise_sd": "force",
     "noise_time": "time",
     "noise_dof": "dimensionless",
+    "noise_build": "force",
+    "noise_fade": "displacement",
+    "noise_build_time": "time",
 }
 """What each sampled quantity measures."""
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.lugre import friction_of, slip_force
-from mfd_bayes.friction.model import actuate, check_theta
+from mfd_bayes.friction.model import actuate, check_theta, travel_since_turn
 from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.records.trace import Trace
 
@@ -50,6 +50,10 @@ class LuGre(Stepped):
         """
         columns = actuate(check_theta(self, theta), trace, scales)
         return slip_force(friction_of(columns), trace.path)[0].T
+
+    def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
+        """Travel since the last turning point, (n, T), in."""
+        return travel_since_turn(theta, trace)
 
     def start(
         self,

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.hysteresis import Curve
+from mfd_bayes.friction.model import travel_since_turn
 from mfd_bayes.records.trace import Trace, vertices
 
 Array = NDArray[np.float64]
@@ -143,6 +144,10 @@ class BoucWen:
             strength = _strength(columns, sign, *ends)
             z[:, begin:end] = _advance(curve, columns["k"], strength, z[:, begin - 1], way)
         return _total(columns, z[:, rows], trace.displacement - trace.displacement[0], v)
+
+    def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
+        """Travel since the last turning point, (n, T), in."""
+        return travel_since_turn(theta, trace)
 
     def start(
         self,

@@ -102,6 +102,34 @@ def follow(gap: Gap, path: Path, start: Array, slip: Array) -> Crossing:
     return turn(gap, first, path.displacement[path.turning_points], path.direction, slip)
 
 
+def travel(gap: Gap, path: Path, start: Array) -> Array:
+    """Travel u since the last slip at every sample, (T, n), in; see `follow`.
+
+    From 0 to D the gap is crossed; beyond, the device slips.
+    """
+    first = begin(gap, float(path.displacement[0]), path.direction, start)
+    x = path.displacement[path.turning_points][:, None]
+    directions = np.where(np.arange(len(x) + 1) % 2, -1.0, 1.0) * path.direction
+    edge, slipped = _dragged(gap, first.edge, x, directions)
+    side = _side(first, slipped, directions)[0]
+    crossing = Crossing(side, edge, np.zeros(edge.shape))
+    along = np.empty((path.samples.size, start.size))
+    rows_of(side, path.stretch, out=along)
+    along *= path.displacement[path.samples, None]
+    along -= rows_of(side * crossing.origin(gap), path.stretch, out=np.empty(along.shape))
+    return along
+
+
+def _side(
+    before: Crossing, slipped: NDArray[np.bool_], directions: Array
+) -> tuple[Array, NDArray[np.intp]]:
+    """Direction of the crossing in each stretch, (K + 1, n), and the stretch that set it."""
+    latest = np.zeros((len(slipped) + 1, slipped.shape[1]), dtype=np.intp)
+    np.multiply(slipped, np.arange(1, len(latest))[:, None], out=latest[1:])
+    np.maximum.accumulate(latest, axis=0, out=latest)
+    return np.where(latest > 0, directions[latest], before.side), latest
+
+
 def begin(gap: Gap, displacement: float, direction: int, start: Array) -> Crossing:
     """State before the first turning point, of one stretch; see `follow`."""
     behind = start if direction > 0 else 1.0 - start
@@ -131,10 +159,7 @@ def turn(gap: Gap, before: Crossing, at: Array, direction: int, slip: Array) -> 
     x = at[:, None]
     directions = np.where(np.arange(len(x) + 1) % 2, -1.0, 1.0) * direction
     edge, slipped = _dragged(gap, before.edge, x, directions)
-    latest = np.zeros(edge.shape, dtype=np.intp)
-    np.multiply(slipped, np.arange(1, len(edge))[:, None], out=latest[1:])
-    np.maximum.accumulate(latest, axis=0, out=latest)
-    side = np.where(latest > 0, directions[latest], before.side)
+    side, latest = _side(before, slipped, directions)
     carry = np.zeros(edge.shape)
     left, faded = _left_over(gap, Crossing(side, edge, carry), x, slipped, slip)
     carry[0], carry[1:] = before.carry[0], left

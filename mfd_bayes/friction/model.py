@@ -65,6 +65,17 @@ class Model(Protocol):
     ) -> Array:
         """Force of every parameter vector, (n, T), kip."""
 
+    def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
+        """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
+
+
+def travel_since_turn(theta: ArrayLike, trace: Trace) -> Array:
+    """Travel since the last turning point, (n, T), in: that of a device without a gap."""
+    path = trace.path
+    turns = np.concatenate([path.displacement[:1], path.displacement[path.turning_points]])
+    travel = np.abs(trace.displacement - turns[path.stretch])
+    return np.broadcast_to(travel, (len(np.asarray(theta)), trace.samples))
+
 
 def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
     """Columns of theta by name, (1, n) each.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.gap import Gap, blend, follow
+from mfd_bayes.friction.gap import Gap, blend, follow, travel
 from mfd_bayes.friction.lugre import PIECE, friction_of, slip_force
 from mfd_bayes.friction.model import UNITS, actuate, check_theta
 from mfd_bayes.friction.stepping import Damper, State, Stepped
@@ -61,6 +61,14 @@ class ThreeStage(Stepped):
         w0 = _check_start(start, n)
         columns = actuate(columns, trace, scales)
         return _force(columns, trace, w0).T
+
+    def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
+        """Travel u since the last slip of every parameter vector, (n, T), in.
+
+        Arguments as in `force`. From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
+        """
+        columns = check_theta(self, theta)
+        return travel(_gap(columns), trace.path, _check_start(start, columns["k2"].shape[1])).T
 
     def start(
         self,

@@ -34,34 +34,113 @@ _SYMBOLS = {
     "gamma2": (r"\gamma_2", "γ<sub>2</sub>", "transition constant"),
     "ell": (r"\ell = \gamma_2/\gamma_1", "ℓ = γ<sub>2</sub>/γ<sub>1</sub>", "transition length"),
     "v_s": (r"\dot x_s", "ẋ<sub>s</sub>", "Stribeck velocity"),
+    "k": ("k", "k", "stiffness of Bouc-Wen hysteresis"),
+    "alpha": (r"\alpha", "α", "share of the stiffness that is left in slip"),
+    "Fy_fwd": (r"F_{y,\mathrm{fwd}}", "F<sub>y,fwd</sub>", "yield force, forward"),
+    "Fy_bwd": (r"F_{y,\mathrm{bwd}}", "F<sub>y,bwd</sub>", "yield force, backward"),
+    "beta": (r"\beta", "β", "shape of the unloading"),
+    "exponent": ("n", "n", "sharpness of the knee"),
+    "c": ("c", "c", "viscous damping of Bouc-Wen hysteresis"),
     "offset": ("F_0", "F<sub>0</sub>", "offset of the load cell"),
     "start": ("w_0", "w<sub>0</sub>", "place in the gap at the first sample"),
     "noise_sd": ("s", "s", "standard deviation of the noise"),
     "noise_time": (r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise"),
     "noise_dof": (r"\nu", "ν", "degrees of freedom of the noise"),
+    "noise_build": ("s_b", "s<sub>b</sub>", "what the noise gains where the force builds up"),
+    "noise_fade": (r"\lambda", "λ", "slip over which that gain fades"),
+    "noise_build_time": (r"\tau_b", "τ<sub>b</sub>", "correlation time of the noise there"),
     "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
     "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
     "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),
     "K_s_bwd": (r"K_{s,\mathrm{bwd}}", "K<sub>s,bwd</sub>", "static friction per actuation"),
     "alpha_sigma0": (r"\alpha_{\sigma_0}", "α<sub>σ0</sub>", "bristle stiffness per actuation"),
+    "energy_per_cycle": ("E", "E", "energy dissipated per full cycle"),
+    "c_eq": (r"c_\mathrm{eq}", "c<sub>eq</sub>", "equivalent viscous damping coefficient"),
+    "peak_fwd": (r"F_{\max,\mathrm{fwd}}", "F<sub>max,fwd</sub>", "peak force, forward"),
+    "peak_bwd": (r"F_{\max,\mathrm{bwd}}", "F<sub>max,bwd</sub>", "peak force, backward"),
+    "C_fwd": (r"C_\mathrm{fwd}", "C<sub>fwd</sub>", "self-energizing factor, forward"),
+    "C_bwd": (r"C_\mathrm{bwd}", "C<sub>bwd</sub>", "self-energizing factor, backward"),
     "sigma0_0": (r"\sigma_0|_{p=0}", "σ<sub>0</sub>|<sub>p=0</sub>", "bristle stiffness at p = 0"),
 }
 _LONGEST = 60
 
+# Of a population, before the name of a quantity or of a scatter group: a word, and what it is.
+_PREFIXES = {
+    "scatter": ("scatter of", "scatter from test to test, of the logarithm"),
+    "deviation_level": (
+        "deviation by level,",
+        "smooth departure from the law that all tests of a level share, standard deviation",
+    ),
+    "deviation_session": (
+        "deviation by session,",
+        "departure that all tests of a session share, standard deviation",
+    ),
+    "exponent": ("exponent of", "exponent of the power law"),
+    "share": ("share of", "share of the value at the reference that grows with the actuation"),
+    "dependence": ("dependence of", "change of the logarithm where a covariate grows e-fold"),
+}
+# Pooled in other coordinates than those of the tests, and named after the first of them.
+_POOLED = {
+    "Fc_fwd": "slip force at a common speed, forward",
+    "Fc_bwd": "slip force at a common speed, backward",
+    "d2": "width of the gap, d2 + d3",
+    "d3": "ratio d3/d2",
+    "k3": "ratio of k3 d3 to the mean slip force",
+}
+
 
 def in_figure(name: str) -> str:
     """Symbol of a quantity as matplotlib writes it; an unknown name as plain text."""
-    return f"${_SYMBOLS[name][0]}$" if name in _SYMBOLS else plain(name.replace("_", " "))
+    if name in _SYMBOLS:
+        return f"${_SYMBOLS[name][0]}$"
+    word, of, more = _of_population(name)
+    return f"{word} {in_figure(of)}{more}" if word else plain(name.replace("_", " "))
 
 
 def in_html(name: str) -> Markup:
     """Symbol of a quantity as HTML; an unknown name escaped."""
-    return Markup(_SYMBOLS[name][1]) if name in _SYMBOLS else escape(name.replace("_", " "))
+    if name in _SYMBOLS:
+        return Markup(_SYMBOLS[name][1])
+    word, of, more = _of_population(name)
+    return escape(word + " ") + in_html(of) + more if word else escape(name.replace("_", " "))
 
 
 def meaning(name: str) -> str:
     """What a quantity is, "" where that is not known."""
-    return _SYMBOLS[name][2] if name in _SYMBOLS else ""
+    if name in _SYMBOLS:
+        return _SYMBOLS[name][2]
+    prefix, of, more = _parts(name)
+    if not prefix:
+        return ""
+    text = _PREFIXES[prefix][1]
+    if name in ("scatter_offset", "scatter_start"):
+        text = "scatter from test to test"
+    what = _POOLED.get(of) if prefix == "scatter" else None
+    return f"{text}: {what or meaning(of) or of.replace('_', ' ')}{more}"
+
+
+def _of_population(name: str) -> tuple[str, str, str]:
+    """Word, quantity, and what it depends on; empty for a name of another kind."""
+    prefix, of, more = _parts(name)
+    if not prefix:
+        return "", "", ""
+    if prefix == "scatter" and of in _POOLED:
+        short = {"d2": "gap", "d3": "d3/d2", "k3": "k3 d3/slip force"}
+        of = short.get(of, f"slip force {of.removeprefix('Fc_')}")
+    return _PREFIXES[prefix][0], of, more
+
+
+def _parts(name: str) -> tuple[str, str, str]:
+    """Prefix of a name, the quantity or group after it, and a covariate."""
+    for prefix in _PREFIXES:
+        of = name.removeprefix(f"{prefix}_")
+        if of == name:
+            continue
+        if prefix == "dependence":
+            of, _, covariate = of.rpartition("_")
+            return prefix, of, f" on {covariate}"
+        return prefix, of, ""
+    return "", "", ""
 
 
 def plain(text: str) -> str:

@@ -23,6 +23,7 @@ CASES = pytest.mark.parametrize(
         ("three_stage", "iid", "mask"),
         ("three_stage", "student_t", "sample"),
         ("lugre", "ou", "sample"),
+        ("bouc_wen", "ou", "sample"),
     ],
 )
 
@@ -256,8 +257,8 @@ def test_a_mask_needs_a_record_that_slips():
 def test_missing_force_unknown_names_and_missing_priors_are_refused():
     with pytest.raises(FitError, match="force"):
         Posterior(Trace.from_arrays(TIME, MOTION), "brfd")
-    with pytest.raises(FitError, match=r"'bouc_wen'.*three_stage, lugre"):
-        Posterior(TRACE, "brfd", model="bouc_wen")
+    with pytest.raises(FitError, match=r"'maxwell'.*three_stage, lugre, bouc_wen"):
+        Posterior(TRACE, "brfd", model="maxwell")
     with pytest.raises(FitError, match=r"'pink'.*ou, iid, student_t"):
         Posterior(TRACE, "brfd", noise="pink")
     with pytest.raises(PriorError, match=r"'brdf'.*brfd, mfd"):
@@ -301,3 +302,26 @@ def test_log_posterior_at_truth_is_above_that_of_far_points():
     posterior = build(trace=with_force(force + truth["offset"]))
     q = posterior.coordinates(truth)
     assert np.all(posterior.log_prob(points(posterior, 200)) < posterior.log_prob(q)[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "prior", "words"),
+    [
+        ("exponent", Prior("lognormal", {"median": 2.0, "spread": 0.5}), "below 1"),
+        ("exponent", Prior("fixed", {"value": 0.5}), "below 1"),
+        ("beta", Prior("uniform", {"lower": 0.4, "upper": 1.0}), "below 0.5"),
+        ("alpha", Prior("half_normal", {"sd": 0.1}), "above 1"),
+        ("alpha", Prior("normal", {"mean": 0.1, "sd": 0.1}), "negative values"),
+    ],
+)
+def test_priors_beyond_what_bouc_wen_admits_are_refused(name, prior, words):
+    with pytest.raises(PriorError, match=rf"{name} in brfd.toml.*{words}"):
+        build("bouc_wen", priors={name: prior})
+    build("lugre", priors={name: prior})  # where they do not count
+
+
+def test_priors_of_a_model_are_needed_only_where_it_is_chosen():
+    own = {k: v for k, v in FILE.parameters.items() if k not in ("Fy_fwd", "exponent", "alpha")}
+    with pytest.raises(PriorError, match="alpha, Fy_fwd, exponent"):
+        Posterior(TRACE, replace(FILE, parameters=own), model="bouc_wen")
+    Posterior(TRACE, replace(FILE, parameters=own), model="three_stage")
