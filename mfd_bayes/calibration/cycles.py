@@ -1,0 +1,150 @@
+"""The log density of one cycle of a record, given all others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from mfd_bayes.calibration.likelihood import memory
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+Cycles = NDArray[np.intp]
+
+FEWEST = 3
+"""Cycles that a record must have at least, for one to be left out."""
+
+_LOG_2PI = float(np.log(2 * np.pi))
+_PIECE = 1 << 19  # numbers per array that are worked on together
+
+
+def find_cycles(trace: Trace, first: int = 0) -> Cycles:
+    """Samples at which the cycles of a record begin, and its end, (C + 1,).
+
+    A cycle ends at every second turning point, as a harmonic record's does. In an irregular
+    record small loops are joined until they last half the mean period 2π sd(x)/sd(v), so that
+    a block is no ripple between neighbours that give it away; so is what is left at the end.
+    The cycles follow from the motion alone: they are the same for every model.
+
+    Parameters
+    ----------
+    trace : Trace
+    first : int
+        Samples before this one are in no cycle.
+
+    Raises
+    ------
+    FitError
+        When there are fewer than `FEWEST` cycles.
+    """
+    time = trace.time
+    shortest = np.pi * trace.displacement[first:].std() / trace.velocity[first:].std()
+    edges, turns = [first], 0
+    for turn in trace.turning_points[trace.turning_points > first].tolist():
+        turns += 1
+        if turns >= 2 and time[turn] - time[edges[-1]] >= shortest:
+            edges.append(turn)
+            turns = 0
+    if len(edges) > 1 and time[-1] - time[edges[-1]] < shortest:
+        edges.pop()
+    if len(edges) < FEWEST:
+        raise FitError(
+            f"leaving out one cycle needs a record with {FEWEST} of them at least, got {len(edges)}"
+        )
+    return np.array([*edges, trace.samples], dtype=np.intp)
+
+
+def cycle_log_likelihood(
+    posterior: Posterior, values: Mapping[str, Array], cycles: Cycles
+) -> tuple[Array, Array]:
+    """Log density of every cycle given all others, and of all together.
+
+    log p(y_c | y_-c, θ), (n, C), and log p(y | θ), (n,).
+
+    Parameters
+    ----------
+    posterior : Posterior
+    values : mapping of str to (n,)
+        Draws of all quantities.
+    cycles : (C + 1,)
+        From `find_cycles` with the posterior's `first`.
+    """
+    n = values["offset"].size
+    size = max(1, _PIECE // posterior.trace.samples)
+    pieces = [
+        {name: column[begin : begin + size] for name, column in values.items()}
+        for begin in range(0, n, size)
+    ]
+    found = [_log_likelihood(posterior, piece, cycles) for piece in pieces]
+    given, whole = zip(*found, strict=True)
+    return np.concatenate(given), np.concatenate(whole)
+
+
+def _log_likelihood(
+    posterior: Posterior, values: Mapping[str, Array], cycles: Cycles
+) -> tuple[Array, Array]:
+    kept = slice(cycles[0], None)
+    residual = np.asarray(posterior.trace.force) - values["offset"][:, None]
+    residual -= posterior.force(values)
+    travel = posterior.travel(values)
+    decay, scale = memory(
+        posterior.noise,
+        posterior.trace.time[kept],
+        values,
+        None if travel is None else travel[:, kept],
+    )
+    dof = values["noise_dof"] if "noise_dof" in posterior.noise.parameters else None
+    return conditional_density(residual[:, kept], decay, scale, cycles[:-1] - cycles[0], dof)
+
+
+def conditional_density(
+    residual: Array, decay: Array, scale: Array, starts: Cycles, dof: Array | None = None
+) -> tuple[Array, Array]:
+    """Log density of every block of a Markov chain given all others, (n, C), and of all, (n,).
+
+    With a the first sample of a block and b the first behind it,
+
+        p(y_c | y_-c) = Π_{n=a}^{b} p(e_n | e_{n−1}) / p(e_b | e_{a−1}),
+
+    where the last density bridges the hole: its φ is the product of all φ from a to b. That
+    is exact for Gaussian noise. A sum of Student-t innovations has no closed form: there the
+    bridge is a Student-t of the same degrees of freedom, which has the sum's mean and
+    variance.
+
+    Parameters
+    ----------
+    residual : (n, T), kip
+    decay, scale : (n, T)
+        From `memory`.
+    starts : (C,)
+        First sample of each block, the first of them 0; a block ends where the next begins.
+    dof : (n,), optional
+        Degrees of freedom of Student-t innovations.
+    """
+    standard = residual / scale
+    before = np.zeros_like(standard)
+    before[:, 1:] = standard[:, :-1]
+    link = _transition(standard, before, decay, dof)
+    density = np.add.reduceat(link - np.log(scale), starts, axis=1)
+    whole = density.sum(axis=1)
+    behind = starts[1:]
+    hole = np.add.reduceat(decay, starts, axis=1)[:, :-1] + decay[:, behind]
+    bridge = _transition(standard[:, behind], before[:, starts[:-1]], hole, dof)
+    density[:, :-1] += link[:, behind] - bridge
+    return np.asarray(density), np.asarray(whole)
+
+
+def _transition(after: Array, before: Array, decay: Array, dof: Array | None) -> Array:
+    """Log density of standardised noise given that before it, with φ = exp(−decay)."""
+    shrink = -np.expm1(-2.0 * decay)
+    squares = (after - np.exp(-decay) * before) ** 2 / shrink
+    if dof is None:
+        return np.asarray(-0.5 * (squares + _LOG_2PI + np.log(shrink)))
+    nu = dof[:, None]
+    peak = special.gammaln((nu + 1) / 2) - special.gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
+    return np.asarray(peak - 0.5 * (nu + 1) * np.log1p(squares / nu) - 0.5 * np.log(shrink))

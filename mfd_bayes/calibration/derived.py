@@ -1,0 +1,153 @@
+"""Derived quantities: what a designer asks of a damper, of draws of its force (model.md section 7).
+
+The force is the damper's own: without the load cell's offset, and without noise.
+
+A **full cycle** runs from one turning point to the second next; cycles follow each other from
+the first turning point on, so that the motion before it, and after the last full cycle, is left
+out. In a motion of changing amplitude a cycle does not quite close; what one leaves open, the
+next takes up. Every reversal that counts as a turning point ends a cycle, however small: in an
+earthquake record the mean cycle is smaller than the largest. A record with fewer than three
+turning points has no full cycle, and what is of cycles is NaN there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+UNITS: Mapping[str, str] = {
+    "energy_per_cycle": "kip*in",
+    "c_eq": "kip*s/in",
+    "peak_fwd": "kip",
+    "peak_bwd": "kip",
+    "gap": "in",
+    "C_fwd": "1",
+    "C_bwd": "1",
+}
+"""Internal unit of every derived quantity, in the order of tables."""
+
+
+def derive_from_force(force: ArrayLike, trace: Trace, *, first: int = 0) -> dict[str, Array]:
+    """Energy, equivalent damping and peaks by name, (n,) each, in the units of `UNITS`.
+
+    Parameters
+    ----------
+    force : (n, T), kip
+        Draws of the damper's force, or the measured one with its offset taken off.
+    trace : Trace
+        The motion.
+    first : int
+        Samples before this one are left out.
+
+    Raises
+    ------
+    FitError
+        When the force is not of this motion.
+    """
+    forward, backward = peak_forces(force, trace, first=first)
+    energies = cycle_energies(force, trace, first=first)
+    none = np.full(len(energies), np.nan)
+    return {
+        "energy_per_cycle": energies.mean(axis=1) if energies.shape[1] else none,
+        "c_eq": equivalent_damping(force, trace, first=first),
+        "peak_fwd": forward,
+        "peak_bwd": backward,
+    }
+
+
+def derive_from_parameters(
+    values: Mapping[str, Array], pressure: float = float("nan"), area: float | None = None
+) -> dict[str, Array]:
+    """Gap width and self-energizing factors by name, (n,) each, as far as they are known.
+
+    Parameters
+    ----------
+    values : mapping of str to (n,)
+        Draws of the parameters. Without `d2` and `d3`, as in a model without a gap, there is
+        no gap width.
+    pressure : float, ksi
+        The level that the draws belong to.
+    area : float, in², or None
+        The actuator's. Without it, or without pressure, there are no factors.
+
+    Returns
+    -------
+    dict
+        `gap`, D = d2 + d3, in, the drum's travel from one side of the gap to the other;
+        `C_fwd` and `C_bwd`, C = F_c/(p A), the brake's kinetic friction (Bouc-Wen's yield
+        force) over the actuator's thrust: by so much the shoes energize themselves in that
+        direction (model.md section 7).
+    """
+    found = {}
+    if "d2" in values and "d3" in values:
+        found["gap"] = values["d2"] + values["d3"]
+    if area is not None and pressure > 0.0:
+        for side in ("fwd", "bwd"):
+            friction = values.get(f"Fc_{side}", values.get(f"Fy_{side}"))
+            if friction is not None:
+                found[f"C_{side}"] = friction / (pressure * area)
+    return found
+
+
+def cycle_energies(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
+    """Energy dissipated in each of the L full cycles, E = ∮ F dx, (n, L), kip·in.
+
+    By the trapezoidal rule between the samples of `trace`, to which force, (n, T), belongs.
+    """
+    draws, bounds = _of_motion(force, trace), _bounds(trace, first)
+    if bounds.size < 2:
+        return np.empty((len(draws), 0))
+    draws = draws[:, bounds[0] : bounds[-1] + 1]
+    steps = np.diff(trace.displacement[bounds[0] : bounds[-1] + 1])
+    work = 0.5 * (draws[:, 1:] + draws[:, :-1]) * steps
+    return np.add.reduceat(work, bounds[:-1] - bounds[0], axis=1)
+
+
+def equivalent_damping(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
+    """Equivalent viscous damping coefficient over the full cycles, (n,), kip·s/in.
+
+    The dashpot that dissipates as much in the same motion, c_eq = ∫ F dx / ∫ v² dt. In
+    harmonic motion of amplitude X and circular frequency ω the lower integral is π ω X² a
+    cycle, which makes it the usual c_eq = E/(π ω X²) (Chopra, Dynamics of Structures,
+    "Energy dissipated in viscous damping" and "Equivalent viscous damping", chapter 3).
+
+    Parameters are those of `cycle_energies`; NaN where there is no full cycle.
+    """
+    energies = cycle_energies(force, trace, first=first)
+    if not energies.shape[1]:
+        return np.full(len(energies), np.nan)
+    bounds = _bounds(trace, first)
+    kept = slice(bounds[0], bounds[-1] + 1)
+    viscous = np.trapezoid(trace.velocity[kept] ** 2, trace.time[kept])
+    return np.asarray(energies.sum(axis=1) / viscous)
+
+
+def peak_forces(force: ArrayLike, trace: Trace, *, first: int = 0) -> tuple[Array, Array]:
+    """Largest force forward, max F, and backward, −min F, (n,) each, kip."""
+    draws = _of_motion(force, trace)[:, first:]
+    return draws.max(axis=1), -draws.min(axis=1)
+
+
+def count_cycles(trace: Trace, *, first: int = 0) -> int:
+    """Number of full cycles L from sample `first` on."""
+    return max(_bounds(trace, first).size - 1, 0)
+
+
+def _bounds(trace: Trace, first: int) -> NDArray[np.intp]:
+    """Samples at which full cycles begin, and at which the last ends, (L + 1,)."""
+    turns = trace.turning_points
+    return turns[turns >= first][::2]
+
+
+def _of_motion(force: ArrayLike, trace: Trace) -> Array:
+    draws = np.asarray(force, dtype=np.float64)
+    if draws.ndim != 2 or draws.shape[1] != trace.samples:
+        raise FitError(f"force must have shape (n, {trace.samples}), got {draws.shape}")
+    return draws

@@ -1,0 +1,83 @@
+"""The evidence of a density, by importance sampling that adapts its proposal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, special
+
+from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.mixture import learn
+
+Array = NDArray[np.float64]
+
+DRAWS = 4000
+"""Draws from each proposal."""
+
+ROUNDS = 16
+"""Proposals at most."""
+
+SHARE = 0.1
+"""Effective share of the draws from which the next proposal is learned."""
+
+ENOUGH = 0.6
+"""Pareto k at which the proposal is good enough, with some distance to 0.7."""
+
+PARTS = 2
+"""Student-t densities of a proposal, besides its wide part."""
+
+
+def log_evidence(
+    density: Callable[[Array], Array],
+    draws: Array,
+    log_weights: Array,
+    rng: np.random.Generator,
+) -> tuple[float, float]:
+    """Log of the integral of a density, and the Pareto k of the weights it is the mean of.
+
+    Population Monte Carlo (Cappé et al., 2004) with tempered weights (Koblents and Míguez,
+    2015): a proposal is learned from weighted draws, drawn from and weighted in turn, until k
+    is small. As long as few draws have all the weight, a power of the weights is taken.
+
+    Parameters
+    ----------
+    density : callable
+        Log density, unnormalised, (n, dim) -> (n,).
+    draws : (n, dim)
+        From a density not too far away.
+    log_weights : (n,)
+        Log of the density over theirs, unnormalised.
+    rng : numpy.random.Generator
+    """
+    random = np.random.RandomState(int(rng.integers(2**32)))
+    best = (-np.inf, np.inf)
+    for _ in range(ROUNDS):
+        weights = special.softmax(_temper(log_weights) * (log_weights - log_weights.max()))
+        chosen = rng.choice(len(draws), size=DRAWS, p=weights)
+        proposal = learn(draws[chosen], PARTS, rng)
+        draws = proposal.draw(random, DRAWS)
+        log_weights = density(draws) - proposal.log_density(draws)
+        if not np.any(np.isfinite(log_weights)):
+            break
+        k = psis(log_weights)[1]
+        if k < best[1]:
+            best = float(np.logaddexp.reduce(log_weights)) - np.log(DRAWS), k
+        if k <= ENOUGH:
+            break
+    return best
+
+
+def _temper(log_weights: Array) -> float:
+    """Power of the weights at which their effective share is `SHARE`, at most 1."""
+    floor = np.log(SHARE * log_weights.size)
+
+    def excess(power: float) -> float:
+        scaled = power * (log_weights - log_weights.max())
+        size = 2.0 * special.logsumexp(scaled) - special.logsumexp(2.0 * scaled)
+        return float(size - floor)
+
+    if excess(1.0) >= 0.0:
+        return 1.0
+    return float(optimize.brentq(excess, 1e-6, 1.0, xtol=1e-4))

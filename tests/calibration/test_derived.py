@@ -1,0 +1,155 @@
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.derived import (
+    count_cycles,
+    cycle_energies,
+    derive_from_force,
+    derive_from_parameters,
+    equivalent_damping,
+)
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.trace import Trace
+
+X = 1.3  # in
+OMEGA = 2.0 * np.pi * 0.25  # 1/s
+TIME = np.arange(0.0, 14.0, 0.005)  # three and a half periods
+THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
+
+
+def harmonic(time=TIME, omega=OMEGA):
+    return Trace.from_arrays(
+        time, X * np.sin(omega * time), velocity=X * omega * np.cos(omega * time)
+    )
+
+
+def decaying():
+    x = X * np.exp(-0.1 * TIME) * np.sin(OMEGA * TIME)
+    return Trace.from_arrays(TIME, x)
+
+
+def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
+    trace, friction = harmonic(), np.array([0.5, 2.0])
+    force = friction[:, None] * np.sign(trace.velocity)
+    energies = cycle_energies(force, trace)
+    assert energies.shape == (2, 3)
+    np.testing.assert_allclose(energies, np.tile(4.0 * friction[:, None] * X, 3), rtol=1e-3)
+    derived = derive_from_force(force, trace)
+    np.testing.assert_allclose(derived["energy_per_cycle"], 4.0 * friction * X, rtol=1e-3)
+    equivalent = 4.0 * friction / (np.pi * OMEGA * X)  # Chopra, Coulomb damping
+    np.testing.assert_allclose(derived["c_eq"], equivalent, rtol=1e-3)
+    np.testing.assert_array_equal(derived["peak_fwd"], friction)
+    np.testing.assert_array_equal(derived["peak_bwd"], friction)
+
+
+def test_peaks_of_both_directions_are_told_apart():
+    trace = harmonic()
+    force = np.where(trace.velocity > 0, 1.0, -3.0)[None, :]
+    derived = derive_from_force(force, trace)
+    assert (derived["peak_fwd"].item(), derived["peak_bwd"].item()) == (1.0, 3.0)
+    np.testing.assert_allclose(derived["energy_per_cycle"], 2.0 * (1.0 + 3.0) * X, rtol=1e-3)
+
+
+@pytest.mark.parametrize("motion", [harmonic, decaying])
+def test_a_dashpot_is_equivalent_to_itself_in_any_motion(motion):
+    trace, c = motion(), np.array([0.2, 0.7, 1.5])
+    found = equivalent_damping(c[:, None] * trace.velocity, trace)
+    np.testing.assert_allclose(found, c, rtol=2e-4)
+
+
+@pytest.mark.parametrize("omega", [0.5 * OMEGA, OMEGA, 3.0 * OMEGA])
+def test_in_harmonic_motion_equivalent_damping_is_energy_over_pi_omega_x_squared(omega):
+    trace = harmonic(omega=omega)
+    rng = np.random.default_rng(1)
+    theta = np.array(THETA) * np.exp(0.05 * rng.standard_normal((5, 14)))
+    theta[:, [3, 5]] = 1.2 * theta[:, [4, 6]]
+    force = ThreeStage().force(theta, trace)
+    energy = derive_from_force(force, trace)["energy_per_cycle"]
+    np.testing.assert_allclose(
+        equivalent_damping(force, trace), energy / (np.pi * omega * X**2), rtol=1e-3
+    )
+
+
+def test_a_spring_dissipates_nothing_and_an_offset_adds_nothing():
+    trace = harmonic()
+    force = np.sign(trace.velocity)[None, :]
+    shifted = force + 20.0 * trace.displacement + 0.4
+    np.testing.assert_allclose(
+        cycle_energies(shifted, trace), cycle_energies(force, trace), atol=2e-3
+    )
+
+
+def test_the_motion_before_the_first_turn_and_after_the_last_full_cycle_is_left_out():
+    trace = harmonic()
+    period = round(2 * np.pi / OMEGA / 0.005)
+    begin = trace.turning_points[0]
+    force = np.sign(trace.velocity)
+    spoiled = force.copy()
+    spoiled[: begin - 1] = 50.0
+    spoiled[begin + 3 * period + 2 :] = 50.0
+    energies = cycle_energies(np.stack([force, spoiled]), trace)
+    np.testing.assert_array_equal(energies[0], energies[1])
+    kept = derive_from_force(spoiled[None, :], trace, first=int(begin) + 1)
+    assert kept["energy_per_cycle"].item() == pytest.approx(4.0 * X, rel=1e-3)
+    assert count_cycles(trace) == 3
+    assert count_cycles(trace, first=int(begin) + 1) == 2
+
+
+def test_cycles_of_changing_amplitude_are_averaged():
+    trace = decaying()
+    force = np.sign(trace.velocity)[None, :]
+    energies = cycle_energies(force, trace)[0]
+    x = trace.displacement[trace.turning_points]
+    way = np.abs(np.diff(x))
+    np.testing.assert_allclose(
+        energies, [way[0] + way[1], way[2] + way[3], way[4] + way[5]], rtol=1e-2
+    )
+    assert derive_from_force(force, trace)["energy_per_cycle"].item() == pytest.approx(
+        energies.mean()
+    )
+
+
+def test_without_a_full_cycle_there_are_only_peaks():
+    time = TIME[TIME < 3.9]  # two turning points
+    trace = harmonic(time)
+    derived = derive_from_force(np.sign(trace.velocity)[None, :], trace)
+    assert count_cycles(trace) == 0
+    assert np.isnan(derived["energy_per_cycle"]).all()
+    assert np.isnan(derived["c_eq"]).all()
+    assert (derived["peak_fwd"].item(), derived["peak_bwd"].item()) == (1.0, 1.0)
+
+
+def test_batch_equals_loop():
+    trace = harmonic()
+    force = np.random.default_rng(2).standard_normal((4, trace.samples))
+    batch = derive_from_force(force, trace)
+    for i, row in enumerate(force):
+        for name, value in derive_from_force(row[None, :], trace).items():
+            np.testing.assert_allclose(value[0], batch[name][i])
+
+
+def test_gap_and_self_energizing_factors_follow_from_the_parameters():
+    values = {
+        "d2": np.array([0.1, 0.2]),
+        "d3": np.array([0.05, 0.1]),
+        "Fc_fwd": np.array([1.0, 2.0]),
+        "Fc_bwd": np.array([3.0, 4.0]),
+    }
+    derived = derive_from_parameters(values, pressure=0.5, area=2.0)
+    np.testing.assert_allclose(derived["gap"], [0.15, 0.3])
+    np.testing.assert_allclose(derived["C_fwd"], [1.0, 2.0])
+    np.testing.assert_allclose(derived["C_bwd"], [3.0, 4.0])
+    assert set(derive_from_parameters(values)) == {"gap"}
+    assert set(derive_from_parameters(values, pressure=0.0, area=2.0)) == {"gap"}
+    assert derive_from_parameters({"Fc_fwd": values["Fc_fwd"]}) == {}
+
+
+def test_a_yield_force_stands_for_kinetic_friction_where_there_is_none():
+    derived = derive_from_parameters({"Fy_fwd": np.array([3.0])}, pressure=0.5, area=2.0)
+    assert {name: value.item() for name, value in derived.items()} == {"C_fwd": 3.0}
+
+
+def test_a_force_of_another_motion_is_refused():
+    with pytest.raises(FitError, match=r"\(n, 2800\), got \(1, 5\)"):
+        derive_from_force(np.zeros((1, 5)), harmonic())
