@@ -33,7 +33,9 @@ from mfd_bayes.units import (
 )
 
 LawName = Literal["proportional", "affine", "power", "constant", "compare"]
+ModelName = Literal["three_stage", "lugre", "bouc_wen"]
 Role = Literal["calibrate", "validate"]
+Covariate = Literal["velocity", "amplitude"]
 
 _ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
 
@@ -94,13 +96,27 @@ class Columns(_Part):
 
 
 class Laws(_Part):
-    """How parameters follow the actuation; "compare" weighs the laws against each other."""
+    """How parameters follow the actuation; "compare" weighs the laws against each other.
+
+    Bouc-Wen's F_y follows F_c's law where it has none of its own.
+    """
 
     Fc_fwd: LawName = "proportional"
     Fc_bwd: LawName = "proportional"
     Fs_fwd: LawName = "proportional"
     Fs_bwd: LawName = "proportional"
     sigma0: LawName = "affine"
+    Fy_fwd: LawName | None = None
+    Fy_bwd: LawName | None = None
+
+
+class Dependence(_Part):
+    """What parameters follow besides the actuation; nothing where it is not given."""
+
+    Fc_fwd: tuple[Covariate, ...] = ()
+    Fc_bwd: tuple[Covariate, ...] = ()
+    sigma0: tuple[Covariate, ...] = ()
+    d2: tuple[Covariate, ...] = ()
 
 
 class Settings(_Part):
@@ -108,8 +124,8 @@ class Settings(_Part):
 
     title: str = ""
     priors: Annotated[str, Field(min_length=1)] = "mfd"
-    model: Literal["three_stage", "lugre"] = "three_stage"
-    noise: Literal["ou", "iid", "student_t"] = "ou"
+    model: ModelName = "three_stage"
+    noise: Literal["ou", "iid", "student_t", "staged"] = "ou"
     rate: Annotated[float, Field(gt=0, strict=True), _rate] | None = None
     start: Literal["sample", "mask"] = "sample"
     area: Annotated[float, Field(gt=0, strict=True), _area] | None = None
@@ -128,12 +144,14 @@ class _Entry(_Part):
     fit: Annotated[str, AfterValidator(_checked(parse_window))] | None = None
     role: Role = "calibrate"
     columns: Columns = Columns()
+    session: Annotated[str, Field(max_length=100)] = ""
 
 
 class _File(_Part):
     campaign: Settings = Settings()
     columns: Columns = Columns()
     laws: Laws = Laws()
+    dependence: Dependence = Dependence()
     test: Annotated[tuple[_Entry, ...], Field(min_length=1)]
 
 
@@ -154,6 +172,8 @@ class Test:
     role : "calibrate" or "validate"
     columns : dict
         Role to the column's name and unit, where given.
+    session : str
+        Tests of one session share what changes between sessions.
     """
 
     __test__: ClassVar[bool] = False  # no test class, whatever pytest makes of its name
@@ -166,6 +186,7 @@ class Test:
     window: Window | None
     role: Role
     columns: dict[str, tuple[str, str | None]]
+    session: str = ""
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
@@ -190,7 +211,10 @@ class Campaign:
     model, noise, start : str
     rate : float, Hz, or None
     area : float, in², or None
+        Of the actuator, where actuation is a pressure.
     laws : Laws
+    dependence : dict of str to tuple of str
+        Covariates, "velocity" or "amplitude", that parameters follow.
     tests : tuple of Test
     actuation_unit : "ksi" or "kip"
         The same for all tests.
@@ -200,25 +224,32 @@ class Campaign:
     folder: Path
     title: str
     priors: str
-    model: Literal["three_stage", "lugre"]
-    noise: Literal["ou", "iid", "student_t"]
+    model: ModelName
+    noise: Literal["ou", "iid", "student_t", "staged"]
     rate: float | None
     start: Literal["sample", "mask"]
     area: float | None
     laws: Laws
+    dependence: dict[str, tuple[str, ...]]
     tests: tuple[Test, ...]
     actuation_unit: ActuationUnit
 
 
-def load_campaign(path: str | Path) -> Campaign:
+def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
     """Campaign of a TOML file; test files must exist but are not read yet.
+
+    Parameters
+    ----------
+    path : str or Path
+    model : {"three_stage", "lugre", "bouc_wen"}, optional
+        Instead of the file's own.
 
     Raises
     ------
     CampaignError
         When the file is not TOML, a key is unknown, missing or of the wrong kind, two tests
         share an id, a test's file is missing or outside the campaign's folder, actuations mix
-        pressures and forces, or no test calibrates.
+        pressures and forces or a force has an area, or no test calibrates.
     """
     path = Path(path)
     raw = _toml(path)
@@ -232,17 +263,23 @@ def load_campaign(path: str | Path) -> Campaign:
         raise CampaignError(f"cannot read {path}: {error}") from error
     tests = tuple(_test(path, folder, content.columns, entry) for entry in content.test)
     _check_together(path, tests)
+    if content.campaign.area is not None and tests[0].actuation_unit != "ksi":
+        raise CampaignError(
+            f"area in [campaign] of {path} is that of a pressure's actuator; test "
+            f"{tests[0].id!r} is actuated by a force: leave it out"
+        )
     return Campaign(
         path=path,
         folder=folder,
         title=content.campaign.title or path.stem,
         priors=content.campaign.priors,
-        model=content.campaign.model,
+        model=model or content.campaign.model,
         noise=content.campaign.noise,
         rate=content.campaign.rate,
         start=content.campaign.start,
         area=content.campaign.area,
         laws=content.laws,
+        dependence={name: those for name, those in content.dependence if those},
         tests=tests,
         actuation_unit=tests[0].actuation_unit,
     )
@@ -275,6 +312,7 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: _Entry) -> Test:
         window=None if entry.fit is None else parse_window(entry.fit),
         role=entry.role,
         columns={role: (c.name, c.unit) for role, c in chosen.items() if c is not None},
+        session=entry.session,
     )
 
 
@@ -326,6 +364,7 @@ _SECTIONS: dict[str, type[_Part]] = {
     "campaign": Settings,
     "columns": Columns,
     "laws": Laws,
+    "dependence": Dependence,
     "test": _Entry,
 }
 

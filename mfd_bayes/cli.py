@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
+from mfd_bayes import console
 from mfd_bayes.interruption import end_on_signals, hinting
 
 app = typer.Typer(
@@ -80,13 +81,6 @@ def _fail(sentence: str) -> NoReturn:
     raise typer.Exit(2)
 
 
-def _console() -> Any:
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=110)
-
-
 @app.command()
 def demo(
     out: Out,
@@ -109,10 +103,10 @@ def demo(
         from mfd_bayes import pipeline
 
         options = pipeline.Options(effort, seed, jobs, force=force, command=_command())
-        with _watch() as observe:
+        with console.watch() as observe:
             view = pipeline.demo(out, options, observe)
-        _print_truth(view)
-        _print_end(view, out)
+        console.print_truth(view)
+        console.print_end(view, out)
 
 
 @app.command()
@@ -141,11 +135,71 @@ def calibrate(
             typer.echo(f"{campaign} is fine: would calibrate {samples}")
             typer.echo(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
             return
-        with _watch() as observe:
+        with console.watch() as observe:
             view = pipeline.calibrate_campaign(campaign, out, options, observe)
-        _print_end(view, out)
+        console.print_end(view, out)
     if strict and pipeline.fails(view):
         raise typer.Exit(1)
+
+
+@app.command()
+def crossvalidate(
+    campaign: Campaign,
+    out: Annotated[Path, typer.Option("-o", "--out", help="The run folder to make.")],
+    by: Annotated[str, typer.Option(metavar="test|level|session", help="What a part is.")] = "test",
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
+    force: Force = False,
+    jobs: Jobs = 0,
+    seed: Seed = 1,
+    effort: Annotated[EffortName, typer.Option(help="How far to sample.")] = EffortName.standard,
+) -> None:
+    """Predict every part of a campaign from all the others, and score the predictions.
+
+    Calibrates the campaign first; with --resume it takes the posteriors that OUT has. Then it
+    leaves out one test, level of actuation or session after another, infers the population of
+    the others, and writes OUT/crossvalidation.csv and the report.
+
+    Example: mfd-bayes crossvalidate campaign.toml -o out --by level --resume
+    """
+    with _mistakes(_resumption()):
+        from mfd_bayes import pipeline
+
+        options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
+        with console.watch() as observe:
+            view = pipeline.crossvalidate(campaign, out, by, options, observe)
+        console.print_left_out(view)
+        console.print_end(view, out)
+
+
+@app.command()
+def compare(
+    campaign: Campaign,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of one run for each model.")],
+    models: Annotated[
+        str, typer.Option(help="Two or more, with commas between them.")
+    ] = "three_stage,lugre,bouc_wen",
+    resume: Annotated[bool, typer.Option("--resume", help="Finish runs that are there.")] = False,
+    force: Force = False,
+    jobs: Jobs = 0,
+    seed: Seed = 1,
+    effort: Annotated[EffortName, typer.Option(help="How far to sample.")] = EffortName.standard,
+) -> None:
+    """Calibrate a campaign under several models and say which one its records favour.
+
+    Makes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each model predicts
+    every cycle of a record from all others (PSIS-LOO). The campaign's own model does not count.
+
+    Example: mfd-bayes compare campaign.toml -o out --models three_stage,lugre
+    """
+    with _mistakes(_resumption()):
+        from mfd_bayes import pipeline
+
+        names = [name.strip() for name in models.split(",") if name.strip()]
+        options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
+        with console.watch() as observe:
+            found = pipeline.compare(campaign, out, names, options, observe)
+        console.print_comparison(found)
+        typer.echo(f"look next at {out / 'comparison.csv'}")
 
 
 @app.command()
@@ -157,9 +211,9 @@ def report(out: Out) -> None:
     with _mistakes(_command()):
         from mfd_bayes import pipeline
 
-        with _watch() as observe:
+        with console.watch() as observe:
             view = pipeline.report(out, observe)
-        _print_end(view, out)
+        console.print_end(view, out)
 
 
 @app.command()
@@ -179,11 +233,13 @@ def predict(
 
     question = pipeline.Question(motion, actuation, kind.value, probability, bands)
     with _mistakes():
-        band = pipeline.predict(out, question)
+        band, derived = pipeline.predict(out, question)
     typer.echo(
         f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
         f"{band.source}: {bands} and {bands.with_suffix('.png')}"
     )
+    console.print_derived(derived, band.probability)
+    typer.echo(f"look next at {question.derived}")
 
 
 @app.command()
@@ -196,7 +252,7 @@ def check(out: Out) -> None:
 
     with _mistakes():
         view = pipeline.check(out)
-    _print_checks(view)
+    console.print_checks(view)
     typer.echo(view.sentence)
     if pipeline.fails(view):
         raise typer.Exit(1)
@@ -264,81 +320,6 @@ def _resumption() -> str:
     """The command that goes on where this one is interrupted."""
     given = [word for word in sys.argv[1:] if word not in ("--force", "--resume")]
     return shlex.join(["mfd-bayes", *given, "--resume"])
-
-
-@contextmanager
-def _watch() -> Iterator[Any]:
-    """Show steps as bars on a terminal, as lines elsewhere."""
-    console = _console()
-    if not console.is_terminal:
-        yield lambda step: typer.echo(_line(step))
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[news]}"))
-    with Progress(*columns, TimeElapsedColumn(), console=console) as bars:
-        shown: dict[str, Any] = {}
-
-        def observe(step: Any) -> None:
-            if step.id not in shown:
-                shown[step.id] = bars.add_task(step.id, total=1.0, news="")
-            done = step.stage == "done"
-            share = 0.0 if step.progress is None else step.progress.steps / step.progress.limit
-            bars.update(shown[step.id], completed=1.0 if done else share, news=_news(step))
-
-        yield observe
-
-
-def _news(step: Any) -> str:
-    """What a step says, in a line."""
-    progress = step.progress
-    if progress is None:
-        return f"{step.stage} {step.message}".strip()
-    rate = progress.steps / max(progress.seconds, 1e-9)
-    left = (progress.limit - progress.steps) / rate
-    text = f"{step.stage}, {progress.steps} steps, R-hat {progress.r_hat:.3f}, "
-    text += f"ESS {progress.ess:.0f}, {rate:.0f} steps/s"
-    return text if step.stage == "done" else f"{text}, at most {left:.0f} s left"
-
-
-def _line(step: Any) -> str:
-    return f"{step.id}: {_news(step)}"
-
-
-def _print_truth(view: Any) -> None:
-    from rich.table import Table
-
-    table = Table(title="Truth against posterior (95 % equal-tailed interval)")
-    for name in ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data"):
-        table.add_column(name)
-    for row in view.truth:
-        figures = (f"{x:.4g}" for x in (row.truth, row.lower, row.median, row.upper))
-        informed = "informed" if row.informed else "prior only"
-        inside = "yes" if row.inside else "NO"
-        table.add_row(row.subject, row.name, row.unit, *figures, inside, informed)
-    _console().print(table)
-    known = [row for row in view.truth if row.informed]
-    hits = sum(row.inside for row in known)
-    typer.echo(
-        f"truth inside the 95 % interval for {hits} of {len(known)} quantities that the "
-        f"data inform ({hits / max(len(known), 1):.1%})"
-    )
-
-
-def _print_checks(view: Any) -> None:
-    from rich.table import Table
-
-    table = Table(title="Checks")
-    for name in ("subject", "check", "target", "value", "limit", "verdict"):
-        table.add_column(name, overflow="fold")
-    for c in view.checks:
-        table.add_row(c.subject, c.name, c.target, f"{c.value:.4g}", c.limit, c.verdict)
-    _console().print(table)
-
-
-def _print_end(view: Any, out: Path) -> None:
-    typer.echo(f"{view.verdict.upper()}: {view.sentence}")
-    typer.echo(f"look next at {out / 'report.html'}")
 
 
 def main() -> None:

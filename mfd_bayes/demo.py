@@ -126,8 +126,7 @@ def write_campaign(folder: Path, seed: int, truth: Truth | None = None) -> dict[
     laws = dict(stated.laws)
     for side in ("fwd", "bwd"):
         laws[f"K_s_{side}"] = laws[f"K_c_{side}"] * (1 + stated.medians[f"static_excess_{side}"])
-    laws |= {f"scatter_{group}": value for group, value in stated.scatter.items()}
-    return {"population": laws, "tests": tests}
+    return {"population": laws | _known_scatter(stated), "tests": tests}
 
 
 _HEADER = """\
@@ -172,6 +171,22 @@ def _known(values: Mapping[str, Array]) -> dict[str, float]:
     for side in ("fwd", "bwd"):
         known[f"Fs_{side}"] = known[f"Fc_{side}"] * (1 + known[f"static_excess_{side}"])
     return known
+
+
+def _known_scatter(truth: Truth) -> dict[str, float]:
+    """Truth of the scatter by name, in the coordinates in which tests are pooled.
+
+    That of the slip force and of the gap (`Fc`, `d2`) has no plain truth: they are made up of
+    what is drawn here.
+    """
+    known = {
+        f"scatter_{name}": truth.scatter[group]
+        for group, names in _GROUPS.items()
+        for name in names
+        if name not in ("Fc_fwd", "Fc_bwd", "d2", "d3")
+    }
+    ratio = float(np.sqrt(2.0)) * truth.scatter["travel"]  # of d3 to d2, which scatter alike
+    return known | {"scatter_d3": ratio, "scatter_offset": truth.scatter["offset"]}
 
 
 def _write_csv(

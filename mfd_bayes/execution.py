@@ -9,19 +9,17 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from mfd_bayes.calibration.effort import find_effort
+from mfd_bayes.calibration.sampling import Progress
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.hierarchy import infer, pool
-from mfd_bayes.population.marginal import summarize
-from mfd_bayes.population.standing import free_exponents
-from mfd_bayes.population.storage import save_population
+from mfd_bayes.pooled import pool_tests
+from mfd_bayes.population.storage import save_pooled, save_population
+from mfd_bayes.quantities import UNITS
 from mfd_bayes.run import Run, TestResult, load_result
 from mfd_bayes.store import (
     MANIFEST,
@@ -42,8 +40,14 @@ except ImportError:  # not a POSIX system
 
 Observe = Callable[[Step], None]
 
-_RESULTS = ("population.nc", "parameters.csv", "laws.csv", "checks.csv", "scores.csv")
-_OUTPUTS = (*_RESULTS, "report.html", "campaign.toml", "priors.toml")
+_TABLES = (
+    *("parameters.csv", "derived.csv", "laws.csv", "law_scores.csv", "checks.csv", "scores.csv"),
+    "crossvalidation.csv",
+)
+_OUTPUTS = ("population.nc", *_TABLES, "report.html", "campaign.toml", "priors.toml")
+_FOLDERS = ("tests", "figures", "crossvalidation")
+_POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
+"""What the manifest holds of the population."""
 _DISCARDED = f".{MANIFEST}.discarded"
 
 
@@ -77,17 +81,20 @@ def calibrate(
         raise StoreError("give either --resume or --force, not both")
     plan = plan_campaign(path, options)
     plan.manifest.update(extra or {})
-    with _alone_in(out):
-        _prepare_folder(plan, out, options)
+    with alone_in(out):
+        before = _prepare_folder(plan, out, options)
         try:
-            _calibrate_tests(plan, out, options, observe)
-            return _pool_tests(plan, out, options)
+            anew = _calibrate_tests(plan, out, options, observe)
+            results = _results(plan, out)
+            if anew or not _keep_population(plan, out, before):
+                _pool_tests(plan, out, results, options, observe)
+            return _finish(plan, out, results)
         finally:
             sweep(out)
 
 
-def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) -> None:
-    """Store the posterior of every test that has none yet."""
+def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) -> bool:
+    """Store the posterior of every test that has none yet; whether there was one to do."""
     manifest = plan.manifest
     write_json(out / MANIFEST, manifest)  # before all else: it makes the folder a run's
     write_bytes(out / "campaign.toml", plan.campaign.path.read_bytes())
@@ -100,12 +107,12 @@ def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) 
         if task not in todo:
             manifest["tests"][task.id]["status"] = "done"
     began = time.perf_counter()
-    jobs = options.jobs or os.cpu_count() or 1
-    with closing(run_tasks(todo, out, jobs, observe)) as outcomes:
+    with closing(run_tasks(todo, out, options.processes, observe)) as outcomes:
         for outcome in outcomes:
             manifest["tests"][outcome.id] |= _entry(outcome)
             write_json(out / MANIFEST, manifest)
     manifest["seconds"] = manifest.get("seconds", 0.0) + time.perf_counter() - began
+    return bool(todo)
 
 
 def _entry(outcome: Outcome) -> dict[str, Any]:
@@ -113,41 +120,64 @@ def _entry(outcome: Outcome) -> dict[str, Any]:
     return entry | ({"error": outcome.error} if outcome.error else {})
 
 
-def _pool_tests(plan: Plan, out: Path, options: Options) -> Run:
-    """Infer the population from the stored posteriors, and finish the manifest."""
-    results: dict[str, TestResult] = {}
+def _results(plan: Plan, out: Path) -> dict[str, TestResult]:
+    """Tests that have a posterior."""
+    found: dict[str, TestResult] = {}
     for task in plan.tasks:
         file = out / "tests" / task.id / "posterior.nc"
         if file.is_file():
-            results[task.id] = load_result(task.id, file, plan.priors)
-    if not results:
+            found[task.id] = load_result(task.id, file, plan.priors)
+    if not found:
         errors = {e["error"] for e in plan.manifest["tests"].values() if e.get("error")}
         raise FitError(f"no test could be calibrated: {'; '.join(sorted(errors))}")
-    some = next(iter(results.values())).posterior
-    levels = [test.trace.reference_actuation for test in results.values()]
-    pooling = pool(plan.priors, some.names, levels, plan.manifest["settings"]["laws"])
-    summaries = []
-    for test, level in zip(results.values(), levels, strict=True):
-        values = test.stored.values()
-        coordinates = [some.priors[n].coordinate(values[n]) for n in pooling.names]
-        summaries.append(summarize(pooling, level, np.stack(coordinates, axis=1)))
-    population = infer(
-        pooling,
-        summaries,
-        some.priors,
-        plan.campaign.actuation_unit,
-        find_effort(options.effort),
-        np.random.default_rng([options.seed, 0]),
+    return found
+
+
+def _keep_population(plan: Plan, out: Path, before: Mapping[str, Any]) -> bool:
+    """Take over the population of a run that was finished, where it has one."""
+    if before.get("status") != "finished" or not (out / "population.nc").is_file():
+        return False
+    keys = [key for key in (*_POPULATION, "crossvalidation") if key in before]
+    plan.manifest.update({key: before[key] for key in keys})
+    return set(_POPULATION) <= set(keys)
+
+
+def _pool_tests(
+    plan: Plan, out: Path, results: Mapping[str, TestResult], options: Options, observe: Observe
+) -> None:
+    """Infer the population from the stored posteriors."""
+    manifest, began = plan.manifest, time.perf_counter()
+    observe(Step("population", "comparing laws"))
+    pooled = pool_tests(
+        results,
+        plan.priors,
+        manifest["settings"],
+        options.effort,
+        (options.seed, 0),
+        lambda progress: observe(Step("population", "sampling", progress)),
     )
+    inference = pooled.inference
+    population = inference.population
+    for name, draws in zip(results, inference.tests, strict=True):
+        file = out / "tests" / name / "pooled.nc"
+        save_pooled(file, population.pooling, draws, UNITS, name)
     save_population(out / "population.nc", population)
+    manifest["law_scores"] = [asdict(score) for score in pooled.scores]
+    manifest["free_exponents"] = pooled.exponents
+    manifest["dependence_scores"] = [asdict(score) for score in pooled.dependence]
+    manifest["population_sampler"] = {
+        "accepted": inference.accepted,
+        "sweeps": inference.sweeps,
+    }
+    seconds, worst = time.perf_counter() - began, population.convergence
+    manifest["seconds"] += seconds
+    steps = inference.sweeps, inference.sweeps
+    progress = Progress(*steps, worst.worst_r_hat, worst.worst_ess, seconds)
+    observe(Step("population", "done", progress))
+
+
+def _finish(plan: Plan, out: Path, results: Mapping[str, TestResult]) -> Run:
     manifest = plan.manifest
-    manifest["free_exponents"] = free_exponents(
-        pooling,
-        summaries,
-        some.priors,
-        find_effort("quick"),
-        np.random.default_rng([options.seed, 1]),
-    )
     manifest["status"] = "finished"
     manifest["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
     write_json(out / MANIFEST, manifest)
@@ -155,10 +185,15 @@ def _pool_tests(plan: Plan, out: Path, options: Options) -> Run:
 
 
 @contextmanager
-def _alone_in(out: Path) -> Iterator[None]:
-    """Make the folder and keep other processes from calibrating into it until the end.
+def alone_in(out: Path) -> Iterator[None]:
+    """Make the folder and keep other processes from working in it until the end.
 
     The lock is the system's, so that no way to end leaves it behind.
+
+    Raises
+    ------
+    StoreError
+        When the folder cannot be made, or another process works in it.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -180,15 +215,21 @@ def _alone_in(out: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
-    """Check that a folder may be begun, finished or replaced; leave in it what is kept."""
+def _prepare_folder(plan: Plan, out: Path, options: Options) -> dict[str, Any]:
+    """Check that a folder may be begun, finished or replaced; leave in it what is kept.
+
+    Returns
+    -------
+    dict
+        Manifest of the run that is gone on with, or empty.
+    """
     if _is_free(plan, out):
-        return
+        return {}
     if not (options.resume or options.force):
         raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
     if options.force or (out / _DISCARDED).exists():
         discard(out)
-        return
+        return {}
     try:
         before = read_json(out / MANIFEST)
     except StoreError as error:
@@ -203,6 +244,7 @@ def _prepare_folder(plan: Plan, out: Path, options: Options) -> None:
                 "give --force to start again"
             )
     _keep(plan.manifest, before)
+    return before
 
 
 def _keep(manifest: dict[str, Any], before: dict[str, Any]) -> None:
@@ -247,7 +289,7 @@ def discard(out: Path) -> None:
         elif not begun.exists():
             raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
         sweep(out)
-        for name in ("tests", "figures"):
+        for name in _FOLDERS:
             if (out / name).exists():
                 shutil.rmtree(out / name)
         for name in _OUTPUTS:

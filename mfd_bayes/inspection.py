@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.assessment.bands import fan_of
+from mfd_bayes.calibration.derived import cycle_energies
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign import Campaign, Test
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import Fan
-
-Array = NDArray[np.float64]
 
 PRIOR_DRAWS = 400
 
@@ -50,21 +48,13 @@ def inspect_record(name: str, record: Record) -> Inspection:
     if trace.force is not None:
         force = trace.force
         facts["force"] = f"{force.min():.4g} to {force.max():.4g} kip"
-        energy = _loop_energies(trace)
+        energy = cycle_energies(force[None, :], trace)[0]
         if energy.size:
             facts["energy per full loop"] = (
                 f"{np.median(energy):.4g} kip·in (median of {energy.size}, "
                 f"{energy.min():.4g} to {energy.max():.4g})"
             )
     return Inspection(name, facts, trace)
-
-
-def _loop_energies(trace: Trace) -> Array:
-    """Work of the force over each loop from one turning point to the second next, (L,), kip·in."""
-    turns, force = trace.turning_points, np.asarray(trace.force)
-    loops = zip(turns[:-2:2], turns[2::2], strict=False)
-    work = [np.trapezoid(force[a : b + 1], trace.displacement[a : b + 1]) for a, b in loops]
-    return np.array(work, dtype=np.float64)
 
 
 def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:

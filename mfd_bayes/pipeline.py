@@ -2,31 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.assessment import assess, fails, verdicts
+from mfd_bayes.assessment.derived import predicted_rows
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign import load_campaign
+from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
+from mfd_bayes.crossvalidation import folds_of, parts_of, run_folds
 from mfd_bayes.demo import write_campaign
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
-from mfd_bayes.execution import calibrate, discard
+from mfd_bayes.execution import alone_in, calibrate, discard
 from mfd_bayes.inspection import Inspection, inspect_record, inspect_test, prior_fan, share_inside
 from mfd_bayes.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.predict import Band
+from mfd_bayes.population.predict import Band, setting_of
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.tables import checks_csv, laws_csv, parameters_csv, scores_csv
-from mfd_bayes.reporting.views import IDENTIFIABILITY, CampaignView, Check, Fan, Interval
-from mfd_bayes.run import open_run
-from mfd_bayes.store import MANIFEST, write_atomically, write_bytes, write_json, write_text
+from mfd_bayes.reporting.tables import (
+    CROSSVALIDATION,
+    bands_csv,
+    comparison_csv,
+    predicted_csv,
+    report_tables,
+)
+from mfd_bayes.reporting.views import (
+    IDENTIFIABILITY,
+    CampaignView,
+    Check,
+    DerivedRow,
+    Fan,
+    Interval,
+)
+from mfd_bayes.run import Run, open_run
+from mfd_bayes.store import MANIFEST, sweep, write_atomically, write_bytes, write_json, write_text
 from mfd_bayes.task import Step
 from mfd_bayes.units import parse_actuation
 
 __all__ = [
     "CampaignView",
     "Check",
+    "Comparison",
     "Inspection",
     "MfdError",
     "Options",
@@ -35,6 +52,8 @@ __all__ = [
     "Step",
     "calibrate_campaign",
     "check",
+    "compare",
+    "crossvalidate",
     "demo",
     "fails",
     "inspect",
@@ -59,6 +78,85 @@ def calibrate_campaign(
     """
     calibrate(campaign, out, options, observe)
     return report(out, observe)
+
+
+def crossvalidate(
+    campaign: Path, out: Path, by: str, options: Options, observe: Observe
+) -> CampaignView:
+    """Calibrate a campaign, then predict every part of it from all the others.
+
+    Parameters
+    ----------
+    campaign, out : Path
+        As of `calibrate_campaign`; OUT/crossvalidation.csv is written besides.
+    by : {"test", "level", "session"}
+        What a part is.
+    options : Options
+    observe : callable
+
+    Raises
+    ------
+    MfdError
+        When something cannot be used, or there are too few parts; nothing is written then.
+    """
+    plan = plan_campaign(campaign, options)
+    sessions = {test.id: test.session for test in plan.campaign.tests}
+    settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
+    parts_of(settings, by, plan.campaign.actuation_unit, campaign)
+    run = calibrate(campaign, out, options, observe)
+    with alone_in(out):
+        try:
+            found = run_folds(run, folds_of(run, by, options.effort), options.processes, observe)
+            stored = {"by": by, "predictions": [asdict(prediction) for prediction in found]}
+            write_json(out / MANIFEST, run.manifest | {"crossvalidation": stored})
+        finally:
+            sweep(out)
+    return report(out, observe)
+
+
+def compare(
+    campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
+) -> Comparison:
+    """Calibrate a campaign once for each model into OUT/MODEL, and compare what they predict.
+
+    Parameters
+    ----------
+    campaign : Path
+    out : Path
+        OUT/comparison.csv is written last.
+    models : sequence of str
+        Two or more of "three_stage", "lugre" and "bouc_wen".
+    options : Options
+        Its own `model` does not count.
+    observe : callable
+
+    Raises
+    ------
+    MfdError
+        When something cannot be used under one of the models; nothing is written then.
+    """
+    chosen = check_models(models)
+    for model in chosen:
+        plan = plan_campaign(campaign, replace(options, model=model))
+        for task in plan.tasks:
+            check_cycles(task)
+        if (out / model).exists() and not (options.resume or options.force):
+            raise StoreError(
+                f"{out / model} exists: give --resume to finish it or --force to replace it"
+            )
+    runs: dict[str, Run] = {}
+    for model in chosen:
+
+        def tell(step: Step, model: str = model) -> None:
+            observe(replace(step, id=f"{model}/{step.id}"))
+
+        runs[model] = calibrate(campaign, out / model, replace(options, model=model), tell)
+        report(out / model, tell)
+    observe(Step("comparison", "leaving out one cycle after another"))
+    found = compare_runs(runs)
+    write_text(out / "comparison.csv", comparison_csv(found.rows))
+    observe(Step("comparison", "done"))
+    return found
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
@@ -91,10 +189,10 @@ def report(out: Path, observe: Observe = lambda _: None) -> CampaignView:
     run = open_run(out)
     view = assess(run)
     write_json(out / MANIFEST, run.manifest | {"verdicts": verdicts(view)})
-    write_text(out / "parameters.csv", parameters_csv(r for t in view.tests for r in t.rows))
-    write_text(out / "laws.csv", laws_csv(view.law_rows))
-    write_text(out / "checks.csv", checks_csv(view.checks))
-    write_text(out / "scores.csv", scores_csv(view.scores))
+    for name, text in report_tables(view).items():
+        write_text(out / name, text)
+    if view.left_out is None:  # of tests that have changed since
+        (out / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "figures"))
     from mfd_bayes.reporting.figures import draw_all
     from mfd_bayes.reporting.html import render
@@ -128,7 +226,7 @@ class Question:
     kind : {"device", "new_test", "observation"}
     probability : float
     bands : Path
-        CSV to write; a PNG goes beside it.
+        CSV to write; a PNG and the derived quantities go beside it.
     """
 
     motion: Path
@@ -137,9 +235,14 @@ class Question:
     probability: float
     bands: Path
 
+    @property
+    def derived(self) -> Path:
+        """CSV of the derived quantities."""
+        return self.bands.with_name(f"{self.bands.stem}_derived.csv")
 
-def predict(out: Path, question: Question) -> Band:
-    """Force band for a motion and an actuation, written as CSV and PNG.
+
+def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]]:
+    """Force band for a motion and an actuation, and what derives from it, written as files.
 
     Raises
     ------
@@ -161,27 +264,17 @@ def predict(out: Path, question: Question) -> Band:
     motion = record.trace(gap=run.priors.gap)
     trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
     band = run.predict(trace, question.kind, question.probability)
-    write_text(question.bands, _bands_csv(trace, band, question))
+    drawn = replace(trace, force=motion.force)
+    rows = predicted_rows(run, drawn, band)
+    write_text(question.bands, bands_csv(trace, band, question.actuation))
+    write_text(question.derived, predicted_csv(rows, question.actuation, question.probability))
     from mfd_bayes.reporting.figures import draw_loops, to_png
 
     fan = Fan(band.kind, band.median, (Interval(band.probability, band.lower, band.upper),))
     title = f"Predicted force at {question.actuation}"
-    drawn = replace(trace, force=motion.force)
     png = to_png(draw_loops(title, drawn, [fan]))
     write_bytes(question.bands.with_suffix(".png"), png)
-    return band
-
-
-def _bands_csv(trace: Trace, band: Band, question: Question) -> str:
-    head = (
-        f"# {band.interval} {100 * band.probability:g} % band of kind {band.kind}, for each "
-        f"sample by itself; from {band.source}\n"
-        f"# actuation {question.actuation}\n"
-        "time_s,displacement_in,lower_kip,median_kip,upper_kip\n"
-    )
-    columns = (trace.time, trace.displacement, band.lower, band.median, band.upper)
-    rows = zip(*columns, strict=True)
-    return head + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
+    return band, rows
 
 
 def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:

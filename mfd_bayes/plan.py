@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -16,9 +17,10 @@ import numpy as np
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.campaign import Campaign, Test, load_campaign
+from mfd_bayes.campaign import Campaign, ModelName, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.population.hierarchy import pool
+from mfd_bayes.population.pooling import pool
+from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.task import Task
@@ -40,6 +42,8 @@ class Options:
         What to do with a folder that exists: finish it, or replace it.
     command : str
         Kept for the record.
+    model : {"three_stage", "lugre", "bouc_wen"}, optional
+        Instead of the campaign's own.
     """
 
     effort: str = "standard"
@@ -48,6 +52,12 @@ class Options:
     resume: bool = False
     force: bool = False
     command: str = ""
+    model: ModelName | None = None
+
+    @property
+    def processes(self) -> int:
+        """Processes that are used."""
+        return self.jobs or os.cpu_count() or 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +90,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     MfdError
         When the campaign, its priors or one of its records cannot be used.
     """
-    campaign = load_campaign(path)
+    campaign = load_campaign(path, options.model)
     priors = load_priors(campaign.priors, campaign.folder)
     effort = find_effort(options.effort)
     laws = _laws(campaign)
@@ -97,13 +107,16 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         if test.role == "calibrate"
     )
     names = Posterior(tasks[0].trace, priors, campaign.noise, campaign.model).names
-    pool(priors, names, [task.trace.reference_actuation for task in tasks], laws)
+    sessions = {test.id: test.session for test in campaign.tests}
+    under = [setting_of(task.trace, sessions[task.id]) for task in tasks]
+    pool(priors, names, under, laws, campaign.dependence)
     settings = {
         "model": campaign.model,
         "noise": campaign.noise,
         "start": campaign.start,
         "priors": f"{priors.title} ({priors.path.name})",
         "laws": laws,
+        "dependence": campaign.dependence,
         "rate": campaign.rate,
         "area": campaign.area,
         "actuation_unit": campaign.actuation_unit,
@@ -112,6 +125,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
                 "file": test.path.relative_to(campaign.folder).as_posix(),
                 "actuation": test.actuation,
                 "fit": test.window,
+                "session": test.session,
                 "columns": {role: list(column) for role, column in test.columns.items()},
             }
             for test in campaign.tests
@@ -141,6 +155,10 @@ def _laws(campaign: Campaign) -> dict[str, str]:
     """Law of each quantity that is pooled with one; F_s follows F_c's by construction."""
     chosen = dict(campaign.laws.model_dump())
     for side in ("fwd", "bwd"):
+        own = chosen.pop(f"Fy_{side}")
+        if campaign.model == "bouc_wen":
+            chosen[f"Fy_{side}"] = own or chosen[f"Fc_{side}"]
+    for side in ("fwd", "bwd"):
         if chosen[f"Fs_{side}"] != chosen[f"Fc_{side}"]:
             raise CampaignError(
                 f"laws.Fs_{side} in {campaign.path} must be that of Fc_{side} "
@@ -148,12 +166,7 @@ def _laws(campaign: Campaign) -> dict[str, str]:
                 f"got {chosen[f'Fs_{side}']!r}"
             )
     laws = {name: law for name, law in chosen.items() if not name.startswith("Fs")}
-    for name, law in laws.items():
-        if law == "compare":
-            raise CampaignError(
-                f"laws.{name} in {campaign.path}: this version does not compare laws yet; "
-                "expected 'proportional', 'affine', 'power' or 'constant'"
-            )
+    laws |= {name.replace("Fc", "Fy"): law for name, law in laws.items() if "Fc" in name}
     return laws
 
 

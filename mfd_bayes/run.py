@@ -15,6 +15,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.hierarchy import Population
+from mfd_bayes.population.pooling import same_level
 from mfd_bayes.population.predict import Band, Forecast, predict
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store import MANIFEST, StoredTest, load_test, load_trace, read_json
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-
-SAME_LEVEL = 0.01
-"""Tests whose actuation differs by less than this share are at one level."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +87,10 @@ class Run:
         """The unit of actuation, "ksi" or "kip"."""
         return str(self.manifest["settings"]["actuation_unit"])
 
+    def session(self, name: str) -> str:
+        """Session of a test, "" where the campaign declares none."""
+        return str(self.manifest["settings"]["tests"][name].get("session", ""))
+
     def predict(
         self,
         trace: Trace,
@@ -97,6 +99,7 @@ class Run:
         *,
         draws: int = 500,
         seed: int = 0,
+        session: str = "",
     ) -> Band:
         """Band of the force under a motion and an actuation, seen or not.
 
@@ -110,6 +113,8 @@ class Run:
         probability : float
             Of the equal-tailed band at each sample.
         draws, seed : int
+        session : str
+            That of the test, where the campaign declares sessions.
 
         Returns
         -------
@@ -124,7 +129,7 @@ class Run:
         forecast = Forecast(kind=kind, probability=probability, draws=draws, seed=seed)
         some = next(iter(self.tests.values())).posterior
         return predict(
-            self.population, some.model, some.noise, trace, forecast, self._at_level(trace)
+            self.population, some.model, some.noise, trace, forecast, self._at_level(trace), session
         )
 
     def _at_level(self, trace: Trace) -> dict[str, Array] | None:
@@ -134,7 +139,7 @@ class Run:
             test.stored.values()
             for test in self.tests.values()
             if not (trace.varying or test.trace.varying)
-            and abs(test.trace.reference_actuation - level) <= SAME_LEVEL * level
+            and same_level(test.trace.reference_actuation, level)
         ]
         if not near:
             return None

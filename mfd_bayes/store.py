@@ -62,7 +62,8 @@ def is_part(path: Path, name: str) -> bool:
 
 def sweep(out: Path) -> None:
     """Remove from a run folder what a killed process was writing."""
-    for parts in (out.glob, (out / "tests").rglob, (out / "figures").rglob):
+    folders = [out / name for name in ("tests", "figures", "crossvalidation")]
+    for parts in (out.glob, *(folder.rglob for folder in folders)):
         for part in parts(f".*{_PART}"):
             part.unlink(missing_ok=True)
 
@@ -223,14 +224,20 @@ def load_trace(path: Path) -> tuple[Trace, dict[str, Any]]:
         return _trace_of(groups), json.loads(groups["constant_data"].attrs["facts"])
 
 
-def save_arrays(path: Path, arrays: Mapping[str, Array], facts: Mapping[str, Any]) -> None:
-    """Write draws of the population, (chain, draw, …) each, as a posterior group."""
+def save_arrays(
+    path: Path,
+    arrays: Mapping[str, Array],
+    facts: Mapping[str, Any],
+    units: Mapping[str, str] | None = None,
+) -> None:
+    """Write draws, (chain, draw, …) each, as a posterior group."""
     import xarray as xr
 
     data = {}
     for name, values in arrays.items():
         extra = tuple(f"{name}_dim_{i}" for i in range(values.ndim - 2))
-        data[name] = ((*_CHAINS, *extra), values)
+        about = {"units": units[name]} if units and name in units else {}
+        data[name] = ((*_CHAINS, *extra), values, about)
     posterior = xr.Dataset(data, attrs={"facts": json.dumps(_plain(facts), allow_nan=False)})
     write_atomically(path, lambda part: _write_groups(part, {"posterior": posterior}))
 

@@ -40,6 +40,10 @@ class Task:
     effort: str
     seed: tuple[int, ...]
 
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Calibrate the test into a run folder."""
+        return calibrate_test(self, out, observe)
+
 
 @dataclass(frozen=True)
 class Step:

@@ -1,4 +1,4 @@
-"""Processes that calibrate tests: none outlives its parent, and none is lost unnoticed."""
+"""Processes that work on tests: none outlives its parent, and none is lost unnoticed."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import os
 import signal
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.interruption import end_children
-from mfd_bayes.task import Outcome, Step, Task, calibrate_test
+from mfd_bayes.task import Outcome, Step
 
 ATTEMPTS = 3
 """Processes that a test may lose, as where memory is short, before the run gives up."""
@@ -26,8 +26,19 @@ ATTEMPTS = 3
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+class Job(Protocol):
+    """Work for a process, which must be small enough to send."""
+
+    @property
+    def id(self) -> str:
+        """What it is called."""
+
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Do it, and store what comes of it in a run folder."""
+
+
 def run_tasks(
-    tasks: list[Task], out: Path, jobs: int, observe: Callable[[Step], None]
+    tasks: Sequence[Job], out: Path, jobs: int, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
     """Outcomes of tests as they come, so many at a time, each in a process of its own.
 
@@ -62,7 +73,7 @@ class _Member:
     """A process and the test it is at."""
 
     process: SpawnProcess
-    task: Task | None = None
+    task: Job | None = None
 
 
 @dataclass(eq=False)
@@ -70,7 +81,7 @@ class _Crew:
     """The processes by the line to each, the tests that wait, and how often each was lost."""
 
     out: Path
-    waiting: deque[Task]
+    waiting: deque[Job]
     members: dict[Any, _Member] = field(default_factory=dict)
     lost: Counter[str] = field(default_factory=Counter)
 
@@ -129,7 +140,7 @@ class _Crew:
 
 
 def _work(line: Connection, out: Path) -> None:
-    """Calibrate what comes down the line, until nothing more does."""
+    """Do what comes down the line, until nothing more does."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
     def tell(news: Step | Outcome | StoreError | None) -> None:
@@ -143,7 +154,7 @@ def _work(line: Connection, out: Path) -> None:
         while True:
             task = line.recv()
             try:
-                tell(calibrate_test(task, out, tell))
+                tell(task.run(out, tell))
             except StoreError as error:
                 tell(error)
 

@@ -9,5 +9,5 @@ trap 'rm -rf "$work"' EXIT
 cd "$work"
 "$command" demo out | tee "$work/demo.log"
 rm -rf "$here/figures" "$here"/*.csv "$here"/*.html "$here"/*.txt
-cp -r out/figures out/report.html out/parameters.csv out/laws.csv out/checks.csv out/scores.csv "$here/"
+cp -r out/figures out/report.html out/parameters.csv out/derived.csv out/laws.csv out/law_scores.csv out/checks.csv out/scores.csv "$here/"
 sed -n '/Truth against posterior/,$p' demo.log > "$here/truth.txt"

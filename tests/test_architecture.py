@@ -19,9 +19,10 @@ LAYERS = (
     ("mfd_bayes.population", "mfd_bayes.quantities"),
     ("mfd_bayes.reporting",),
     ("mfd_bayes.run", "mfd_bayes.task", "mfd_bayes.demo"),
-    ("mfd_bayes.plan", "mfd_bayes.assessment", "mfd_bayes.workers"),
-    ("mfd_bayes.execution", "mfd_bayes.inspection"),
-    ("mfd_bayes.pipeline",),
+    ("mfd_bayes.plan", "mfd_bayes.assessment", "mfd_bayes.workers", "mfd_bayes.pooled"),
+    ("mfd_bayes.execution", "mfd_bayes.crossvalidation"),
+    ("mfd_bayes.inspection", "mfd_bayes.comparison"),
+    ("mfd_bayes.pipeline", "mfd_bayes.console"),
     ("mfd_bayes.cli",),
 )
 
@@ -39,8 +40,8 @@ HOMES = {
     "h5py": ("mfd_bayes.records.readers",),
     "pymatreader": ("mfd_bayes.records.readers",),
     "scipy.io": ("mfd_bayes.records.readers",),
-    "typer": ("mfd_bayes.cli",),
-    "rich": ("mfd_bayes.cli",),
+    "typer": ("mfd_bayes.cli", "mfd_bayes.console"),
+    "rich": ("mfd_bayes.console",),
 }
 
 FORBIDDEN = ("numba", "jax", "pickle", "dill", "joblib")
@@ -108,7 +109,7 @@ def test_the_command_line_calls_the_pipeline_alone() -> None:
         if name.startswith("mfd_")
         if "." in name
     }
-    assert ours <= {"pipeline", "errors", "interruption", "__version__"}
+    assert ours <= {"pipeline", "console", "errors", "interruption", "__version__"}
 
 
 def test_no_module_is_a_drawer() -> None:

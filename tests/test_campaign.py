@@ -48,6 +48,12 @@ def refused(folder, text):
     return message
 
 
+def test_the_model_may_be_given_instead_of_the_files_own(folder):
+    campaign = load(folder, '[campaign]\nmodel = "bouc_wen"\n' + TEST)
+    assert campaign.model == "bouc_wen"
+    assert load_campaign(campaign.path, "lugre").model == "lugre"
+
+
 def test_the_defaults_are_the_papers(folder):
     campaign = load(folder, TEST)
     assert campaign.title == "c"
@@ -74,15 +80,20 @@ def test_everything_can_be_said(folder):
     area = "645.16 mm^2"
     [laws]
     Fc_fwd = "compare"
+    [dependence]
+    sigma0 = ["velocity", "amplitude"]
     """
-    entry = '\nfit = "1 s to 9 s"\nrole = "validate"\ncolumns.force = { name = "pressure_psi" }\n'
+    entry = '\nfit = "1 s to 9 s"\nrole = "validate"\nsession = "Monday"\n'
+    entry += 'columns.force = { name = "pressure_psi" }\n'
     second = TEST.replace("p500_f0.05", "other").replace("a.csv", "./b.csv") + entry
     campaign = load(folder, text + COLUMNS + TEST + second)
     assert (campaign.title, campaign.rate, campaign.start) == ("Brake", 64, "mask")
     assert campaign.area == pytest.approx(1)
     assert campaign.priors == "my/priors.toml"
     assert campaign.laws.Fc_fwd == "compare"
+    assert campaign.dependence == {"sigma0": ("velocity", "amplitude")}
     first, other = campaign.tests
+    assert (first.session, other.session) == ("", "Monday")
     assert first.columns["force"] == ("force_kip", "kip")
     assert other.columns["force"] == ("pressure_psi", None)
     assert other.columns["time"] == ("time_s", "s")
@@ -140,13 +151,14 @@ def test_unknown_keys_name_the_nearest(folder, text, expected):
         ("[[test]]\nid = 'a'\n", "test 'a'.file is missing"),
         ("[[test]]\nfile = 'a.csv'\n", "test 1.id is missing"),
         ('[campaign]\nmodel = "two"\n' + TEST, "campaign.model in"),
-        ('[campaign]\nmodel = "two"\n' + TEST, "'three_stage' or 'lugre', got 'two'"),
+        ('[campaign]\nmodel = "two"\n' + TEST, "'lugre' or 'bouc_wen', got 'two'"),
         ("[campaign]\ntitle = 7\n" + TEST, "got 7"),
         ('[campaign]\nrate = "64 kip"\n' + TEST, "measures force"),
         ("[campaign]\nrate = 0\n" + TEST, "greater than 0"),
         ("[campaign]\nrate = true\n" + TEST, "got True"),
         ("[campaign]\nrate = nan\n" + TEST, "campaign.rate"),
         ('[campaign]\narea = "3 in"\n' + TEST, "measures length"),
+        ('[campaign]\narea = "3 in^2"\n' + TEST.replace("500 psi", "30 lbf"), "leave it out"),
         ('[laws]\nsigma0 = "cubic"\n' + TEST, "laws.sigma0"),
         (TEST + 'fit = "60 s"\n', "0 s to 60 s"),
         (TEST + "fit = [0, 60]\n", "test 'p500_f0.05'.fit"),

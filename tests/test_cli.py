@@ -13,7 +13,17 @@ import mfd_bayes
 from mfd_bayes.cli import app
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
-COMMANDS = ("demo", "calibrate", "report", "predict", "check", "inspect", "prior-check")
+COMMANDS = (
+    "demo",
+    "calibrate",
+    "crossvalidate",
+    "compare",
+    "report",
+    "predict",
+    "check",
+    "inspect",
+    "prior-check",
+)
 PRIORS = Path(__file__).parents[1] / "priors" / "mfd.toml"
 CAMPAIGN = """\
 [campaign]
@@ -207,7 +217,7 @@ def test_a_validation_test_is_checked_too(folder):
         ('role = "calibrate"', 'role = "validate"', ("no test with role 'calibrate'",)),
         ('priors = "mfd"', 'priors = "mdf"', ("'mdf'", "brfd", "mfd")),
         ('priors = "mfd"', 'noise = "white"', ("noise", "'white'", "'ou'")),
-        ('priors = "mfd"', 'model = "bouc_wen"', ("model", "'bouc_wen'", "'three_stage'")),
+        ('priors = "mfd"', 'model = "maxwell"', ("model", "'maxwell'", "'three_stage'")),
         ('priors = "mfd"', 'rate = "64 s"', ("rate", "measures time", "'Hz'")),
         ('actuation = "500 psi"', 'actuation = "500"', ("p500", "unit")),
         ('actuation = "500 psi"', 'actuation = "500 in"', ("length", "pressure")),
@@ -220,6 +230,8 @@ def test_a_validation_test_is_checked_too(folder):
         ("[laws]", '[laws]\nFs_fwd = "affine"', ("laws.Fs_fwd", "Fc_fwd", "'affine'")),
         ("[laws]", '[laws]\nFc_fwd = "affine"', ("laws.Fs_fwd", "Fc_fwd", "'affine'")),
         ("[laws]", '[laws]\nsigma0 = "cubic"', ("laws.sigma0", "'cubic'", "'affine'")),
+        ("[laws]", '[dependence]\nFc_fwd = ["speed"]', ("dependence.Fc_fwd", "'speed'")),
+        ("[laws]", '[dependence]\nd_2 = ["velocity"]', ("'d_2'", "'d2'", "[dependence]")),
     ],
 )
 def test_a_fault_in_the_campaign_is_named(folder, old, new, words):
@@ -229,6 +241,20 @@ def test_a_fault_in_the_campaign_is_named(folder, old, new, words):
 
 def test_laws_that_follow_each_other_are_accepted(folder):
     change(folder, "[laws]", '[laws]\nFc_fwd = "power"\nFs_fwd = "power"')
+    outcome = here("calibrate", folder / "campaign.toml", "-o", folder / "out", "--dry-run")
+    assert outcome.exit_code == 0, outcome.output
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('role = "calibrate"', 'session = "Monday"'),
+        ("[laws]", '[dependence]\nFc_fwd = ["velocity"]\nd2 = ["velocity", "amplitude"]'),
+        ("[laws]", '[laws]\nsigma0 = "compare"\nFc_bwd = "compare"\nFs_bwd = "compare"'),
+    ],
+)
+def test_sessions_dependences_and_compared_laws_are_accepted(folder, old, new):
+    change(folder, old, new)
     outcome = here("calibrate", folder / "campaign.toml", "-o", folder / "out", "--dry-run")
     assert outcome.exit_code == 0, outcome.output
 
@@ -451,6 +477,91 @@ def test_prior_check_refuses_what_it_cannot_draw(folder, tmp_path, fault):
         own_priors(folder, '"1.5 kip"', '"1e400 kip"')
     sentence_of(here("prior-check", folder / "campaign.toml", "-o", tmp_path / "look"))
     assert not (tmp_path / "look").exists()
+
+
+# --- parts, left out
+
+
+def assert_not_left_out(folder, by, *words):
+    """Refuse to cross-validate with one sentence that has all the words, and write nothing."""
+    before = contents(folder.parent)
+    arguments = ("-o", folder.parent / "out", "--by", by, "--effort", "quick", "--jobs", 1)
+    sentence = sentence_of(here("crossvalidate", folder / "campaign.toml", *arguments))
+    for word in words:
+        assert word in sentence
+    assert contents(folder.parent) == before
+
+
+def add_test(folder, **keys):
+    """Another test of the campaign's own record."""
+    entry = CAMPAIGN[CAMPAIGN.index("[[test]]") :].replace('id = "p500"', f'id = "{keys["id"]}"')
+    entry = entry.replace("500 psi", keys.get("actuation", "500 psi"))
+    with (folder / "campaign.toml").open("a") as file:
+        file.write(entry + "".join(f'{k} = "{keys[k]}"\n' for k in keys if k == "session"))
+
+
+def test_a_part_is_a_test_a_level_or_a_session(folder):
+    assert_not_left_out(folder, "month", "--by", "test, level, session", "'month'")
+
+
+def test_one_test_is_not_left_out(folder):
+    assert_not_left_out(folder, "test", "campaign.toml", "two tests")
+
+
+def test_one_level_is_not_left_out(folder):
+    add_test(folder, id="again", actuation="502 psi")
+    assert_not_left_out(folder, "level", "campaign.toml", "two levels")
+
+
+def test_sessions_that_are_not_declared_are_asked_for(folder):
+    add_test(folder, id="again")
+    assert_not_left_out(folder, "session", "no calibrated test", "session =")
+    change(folder, 'role = "calibrate"', 'role = "calibrate"\nsession = "Monday"')
+    assert_not_left_out(folder, "session", "two sessions")
+
+
+# --- models, compared
+
+
+def assert_not_compared(folder, *words, models="three_stage,lugre,bouc_wen"):
+    """Refuse to compare with one sentence that has all the words, and write nothing."""
+    before = contents(folder.parent)
+    out = folder.parent / "out"
+    arguments = ("--models", models, "--effort", "quick", "--jobs", 1)
+    sentence = sentence_of(here("compare", folder / "campaign.toml", "-o", out, *arguments))
+    for word in words:
+        assert word in sentence
+    assert contents(folder.parent) == before
+
+
+@pytest.mark.parametrize("models", ["three_stage", "lugre,lugre", "lugre,maxwell", ","])
+def test_models_to_compare_are_two_that_are_known(folder, models):
+    assert_not_compared(folder, "--models", "three_stage, lugre, bouc_wen", models=models)
+
+
+def test_a_record_of_too_few_cycles_is_not_compared(folder):
+    assert_not_compared(folder, "'p500'", "3 of them at least, got 2")
+
+
+def test_priors_that_lack_a_model_are_named_only_where_it_is_compared(folder):
+    time = np.arange(401) / 50.0
+    motion = np.sin(np.pi * time)
+    write_csv(folder / "p500.csv", np.column_stack([time, motion, np.cos(np.pi * time)]))
+    own_priors(folder, "[parameters.Fy_fwd]", "[parameters.Fy_fwd]")
+    text = (folder / "own.toml").read_text()
+    entry = text[text.index("[parameters.Fy_fwd]") : text.index("[parameters.Fy_bwd]")]
+    (folder / "own.toml").write_text(text.replace(entry, ""))
+    assert_not_compared(folder, "own.toml", "Fy_fwd")
+    outcome = here("calibrate", folder / "campaign.toml", "-o", folder / "out", "--dry-run")
+    assert outcome.exit_code == 0, outcome.output
+
+
+def test_a_folder_that_exists_is_not_compared_into(folder):
+    time = np.arange(401) / 50.0
+    motion = np.sin(np.pi * time)
+    write_csv(folder / "p500.csv", np.column_stack([time, motion, np.cos(np.pi * time)]))
+    (folder.parent / "out" / "lugre").mkdir(parents=True)
+    assert_not_compared(folder, "lugre", "--resume", "--force")
 
 
 # --- the installed command

@@ -26,6 +26,7 @@ from mfd_bayes.plan import Options, plan_campaign
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
 HELD_OUT = "p1200_f0.5"
+AREA = 1.5  # in²
 TIME = np.arange(201) / 50.0
 MOTION = np.sin(np.pi * TIME)
 
@@ -68,7 +69,7 @@ def campaign(tmp_path_factory):
     )
     known = write_campaign(folder, 1, truth)
     path = folder / "campaign.toml"
-    path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"'))
+    path.write_text(path.read_text().replace('"ou"', f'"ou"\nrate = "50 Hz"\narea = {AREA}'))
     return path, known
 
 
@@ -169,12 +170,39 @@ def test_the_held_out_test_is_covered_and_was_not_fitted(out, run):
     assert not (out / "tests" / HELD_OUT / "posterior.nc").exists()
 
 
+@pytest.mark.parametrize("test", [*TESTS, HELD_OUT])
+@pytest.mark.parametrize("name", ["energy_per_cycle", "c_eq"])
+def test_what_is_dissipated_is_what_was_measured(out, test, name):
+    row = derived(out).loc[(test, name)]
+    spread = 3 * row["sd"] if test == HELD_OUT else 0
+    assert row["q50"] == pytest.approx(row["measured"], rel=0.03, abs=spread)
+    assert row["q2.5"] < row["q50"] < row["q97.5"]
+    assert row["note"] == "over 1 full cycle"
+
+
+@pytest.mark.parametrize("test", TESTS)
+def test_gap_and_self_energizing_factors_find_the_truth(campaign, out, test):
+    known, table = campaign[1]["tests"][test], derived(out)
+    pressure = float(test[1:].split("_")[0]) / 1000
+    truth = {"gap": known["d2"] + known["d3"]}
+    truth |= {f"C_{side}": known[f"Fc_{side}"] / (pressure * AREA) for side in ("fwd", "bwd")}
+    for name, value in truth.items():
+        row = table.loc[(test, name)]
+        assert row["q50"] == pytest.approx(value, abs=4 * row["sd"])
+        assert np.isnan(row["measured"])
+    assert str(table.loc[(test, "C_fwd"), "unit"]) == "1"
+
+
+def derived(out):
+    return pd.read_csv(out / "derived.csv").set_index(["test", "quantity"])
+
+
 # --- the run folder
 
 
 def test_every_file_of_the_contract_is_there(out, campaign):
     names = ("manifest.json", "population.nc", "parameters.csv", "laws.csv", "checks.csv")
-    for name in (*names, "report.html"):
+    for name in (*names, "derived.csv", "scores.csv", "law_scores.csv", "report.html"):
         assert (out / name).stat().st_size > 0
     assert (out / "campaign.toml").read_bytes() == campaign[0].read_bytes()
     assert list((out / "figures").glob("*.png"))
@@ -277,7 +305,7 @@ def test_the_population_holds_laws_and_scatter(run):
     population = run.population
     assert {"K_c_fwd", "K_c_bwd", "K_s_fwd", "K_s_bwd"} <= set(population.slopes)
     assert {"alpha_sigma0", "sigma0_0"} <= set(population.slopes)
-    assert {"friction", "stiffness", "travel"} <= set(population.scatters)
+    assert {"Fc_fwd", "Fc_bwd", "k3", "d2", "d3", "offset"} <= set(population.scatters)
     assert all(np.all(tau > 0) for tau in population.scatters.values())
     assert population.law_weights["Fc_fwd"] == {"proportional": 1.0}
     assert population.law_weights["sigma0"] == {"affine": 1.0}
@@ -376,6 +404,31 @@ def test_predict_writes_a_table_and_a_picture(out, motion, tmp_path):
     assert bands.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_predict_tells_what_derives_from_the_force(out, tmp_path):
+    motion = tmp_path / "motion.csv"
+    table = np.column_stack([TIME, MOTION, np.sign(np.gradient(MOTION))])
+    np.savetxt(motion, table, delimiter=",", header="time_s,displacement_in,force_kip", comments="")
+    tables = {}
+    for kind in ("new_test", "observation"):
+        ask = ("--actuation", "700 psi", "-o", tmp_path / f"{kind}.csv", "--kind", kind)
+        outcome = here("predict", out, "--motion", motion, *ask, "--probability", 0.5)
+        assert outcome.exit_code == 0, outcome.output
+        assert "energy_per_cycle" in outcome.stdout
+        assert "75 %" in outcome.stdout
+        written = tmp_path / f"{kind}_derived.csv"
+        head = written.read_text().splitlines()[0]
+        assert "of kind new_test" in head
+        assert "50 % intervals" in head
+        tables[kind] = pd.read_csv(written, comment="#").set_index("quantity")
+    pd.testing.assert_frame_equal(*tables.values())  # noise is no part of the damper
+    rows = tables["new_test"]
+    assert list(rows.index) == ["energy_per_cycle", "c_eq", "peak_fwd", "peak_bwd"]
+    assert ((rows["lower"] < rows["median"]) & (rows["median"] < rows["upper"])).all()
+    assert rows.loc["energy_per_cycle", "measured"] == pytest.approx(4.0, rel=0.02)
+    energy, damping = rows.loc["energy_per_cycle", "median"], rows.loc["c_eq", "median"]
+    assert damping == pytest.approx(energy / np.pi**2, rel=2e-3)  # ω = π 1/s, X = 1 in
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -438,6 +491,98 @@ def test_check_fails_where_a_limit_is_not_kept(copied):
     outcome = here("check", copied)
     assert outcome.exit_code == 1
     assert "do not use these figures" in outcome.stdout
+
+
+def test_every_law_is_scored_and_friction_is_not_called_constant(out):
+    table = pd.read_csv(out / "law_scores.csv").set_index(["quantity", "law"])
+    laws = ("proportional", "affine", "power", "constant")
+    assert set(table.index) == {(n, law) for n in ("Fc_fwd", "Fc_bwd", "sigma0") for law in laws}
+    assert table.groupby("quantity")["weight"].sum().to_numpy() == pytest.approx(1.0)
+    for name in ("Fc_fwd", "Fc_bwd"):
+        assert table.loc[(name, "proportional"), "chosen"] == "yes"
+        assert table.loc[(name, "constant"), "elpd_difference"] < -1
+    assert "Which law predicts best?" in (out / "report.html").read_text()
+
+
+def test_the_truth_of_the_scatter_is_that_of_its_coordinate(campaign):
+    known = campaign[1]["population"]
+    assert known["scatter_d3"] == pytest.approx(0.05 * np.sqrt(2))
+    assert known["scatter_offset"] == 0.02
+    assert not {"scatter_Fc_fwd", "scatter_d2", "scatter_k3", "scatter_friction"} & set(known)
+
+
+# --- cross-validation
+
+
+@pytest.fixture(scope="module")
+def crossed(campaign, out, tmp_path_factory):
+    """Copy of the run, cross-validated by level, and what was printed."""
+    copy = Path(shutil.copytree(out, tmp_path_factory.mktemp("crossed") / "out"))
+    arguments = ("crossvalidate", campaign[0], "-o", copy, "--by", "level", "--effort", "quick")
+    return copy, mfd(*arguments, "--jobs", 2, "--resume"), arguments
+
+
+def test_every_level_is_predicted_from_the_others_and_nothing_sampled_twice(out, crossed):
+    copy, outcome, _ = crossed
+    assert outcome.returncode == 0, outcome.stderr
+    for level in ("500 psi", "1000 psi", "1500 psi"):
+        assert f"without {level}: done" in outcome.stdout
+    assert "finding modes" not in outcome.stdout
+    assert "population: " not in outcome.stdout
+    assert "Of 3 tests, each predicted from those of the other levels" in outcome.stdout
+    for test in TESTS:
+        name = Path("tests") / test / "posterior.nc"
+        assert (copy / name).read_bytes() == (out / name).read_bytes()
+
+
+def test_predictions_of_levels_left_out_cover_the_force(crossed):
+    table = pd.read_csv(crossed[0] / "crossvalidation.csv").set_index("test")
+    assert list(table.index) == [*TESTS, "mean"]
+    assert list(table["part"][:3]) == ["500 psi", "1000 psi", "1500 psi"]
+    assert table.loc["mean", "coverage_95"] > 0.85
+    assert table.loc["mean", "crps_kip"] == pytest.approx(table["crps_kip"][:3].mean(), rel=1e-4)
+    for column in ("width", "crps"):
+        assert (table[f"{column}_ratio"] > 1).all()
+    assert (table["interval_score_95_kip"] >= table["width_95_kip"] * 0.999).all()
+    assert (table["rrse"] < 0.6).all()
+
+
+def test_the_report_shows_what_was_left_out_beside_the_test_held_out(crossed):
+    page = (crossed[0] / "report.html").read_text()
+    section = page[page.index('id="held-out"') : page.index('id="unknown"')]
+    for words in ("Every level left out in turn", "1500 psi", "Scores of the tests held out"):
+        assert words in section
+    assert HELD_OUT not in pd.read_csv(crossed[0] / "crossvalidation.csv")["test"].to_numpy()
+
+
+def test_parts_that_were_predicted_are_not_predicted_again(crossed, tmp_path):
+    folder, _, arguments = crossed
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    (copy / "crossvalidation" / "level_2.json").unlink()
+    again = [str(copy) if a == folder else a for a in arguments]
+    outcome = mfd(*again, "--jobs", 2, "--resume")
+    assert outcome.returncode == 0, outcome.stderr
+    assert "without 1000 psi: done" in outcome.stdout
+    assert "without 500 psi" not in outcome.stdout
+    name = "crossvalidation.csv"
+    assert (copy / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_resuming_keeps_the_cross_validation_and_replacing_removes_it(campaign, crossed, tmp_path):
+    copy = Path(shutil.copytree(crossed[0], tmp_path / "copy"))
+    execution.calibrate(campaign[0], copy, Options(effort="quick", resume=True), lambda _: None)
+    assert mb.open_run(copy).manifest["crossvalidation"]["by"] == "level"
+    (copy / "crossvalidation" / ".level_1.json.abc.part").write_text("")
+    execution.discard(copy)
+    assert not (copy / "crossvalidation").exists()
+    assert not (copy / "crossvalidation.csv").exists()
+    assert not (copy / "law_scores.csv").exists()
+
+
+def test_an_existing_run_is_not_cross_validated_unasked(crossed):
+    before = (crossed[0] / "manifest.json").read_bytes()
+    refused(here(*crossed[2]), "--resume")
+    assert (crossed[0] / "manifest.json").read_bytes() == before
 
 
 # --- stopping and going on

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.scores import score
+from mfd_bayes.population.scores import Score, score
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import Fan, Interval, ScoreRow
 
@@ -28,5 +28,11 @@ def fan_of(kind: str, draws: Array) -> Fan:
 def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
     """Scores of a record against the draws that predict it, from sample `first` on."""
     found = score(draws[:, first:], np.asarray(trace.force)[first:])
+    return score_row(name, role, found)
+
+
+def score_row(name: str, role: str, found: Score) -> ScoreRow:
+    """A score as it is shown."""
     half, most, nearly = found.coverage
-    return ScoreRow(name, role, half, most, nearly, found.width, found.crps, found.rrse)
+    scale = found.width, found.interval_score, found.crps
+    return ScoreRow(name, role, half, most, nearly, *scale, found.rrse)

@@ -13,7 +13,9 @@ from mfd_bayes.assessment.checks import (
     convergence_checks,
     standing_checks,
 )
+from mfd_bayes.assessment.law_scores import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
+from mfd_bayes.assessment.left_out import left_out_view
 from mfd_bayes.assessment.tests import SCALE_NOTE, calibrated_view, held_out_view
 from mfd_bayes.reporting.views import STANDING, CampaignView, Check, Row, TestView, TruthRow
 from mfd_bayes.run import Run
@@ -49,6 +51,8 @@ def assess(run: Run) -> CampaignView:
         truth=_truth_rows(manifest, tests, table),
         provenance=_provenance(manifest),
         remarks=_remarks(run, tests),
+        law_choices=law_choices(manifest.get("law_scores", ()), manifest["settings"]["laws"]),
+        left_out=left_out_view(manifest.get("crossvalidation")),
     )
 
 
@@ -80,7 +84,8 @@ def _truth_rows(
         filtered = entry["rate"] < 0.999 * entry["record_rate"]
         known[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
         if filtered:
-            known["population"].pop("scatter_noise", None)
+            for noise in ("scatter_noise_sd", "scatter_noise_time"):
+                known["population"].pop(noise, None)
     rows = [row for view in tests for row in view.rows] + list(table)
     found = []
     for row in rows:
@@ -156,12 +161,27 @@ def _remarks(run: Run, tests: list[TestView]) -> tuple[str, ...]:
     remarks += _identifiability_remarks(tests)
     if any("gamma1" in {r.name for r in view.rows} for view in tests):
         remarks.append("gamma1 and gamma2 are " + SCALE_NOTE + "; gamma1 keeps its prior.")
+    remarks += _dependence_remarks(run.manifest)
     levels = {round(t.trace.reference_actuation, 9) for t in run.tests.values()}
     if len(levels) < 2:
         remarks.append(
             "All calibrated tests are at one actuation: the laws beyond it rest on their form."
         )
     return tuple(remarks)
+
+
+def _dependence_remarks(manifest: Mapping[str, Any]) -> list[str]:
+    """Quantities that predict tests left out better if they follow speed or stroke."""
+    asked = manifest["settings"].get("dependence") or {}
+    remarks = []
+    for score in manifest.get("dependence_scores", ()):
+        name, covariate, gain = score["quantity"], score["covariate"], score["difference"]
+        if covariate and covariate not in asked.get(name, ()) and gain > max(score["se"], 1.0):
+            remarks.append(
+                f"Tests that are left out are predicted better if {name} follows the {covariate} "
+                f"(elpd {gain:+.1f} ± {score['se']:.1f} over tests): try it under [dependence]."
+            )
+    return remarks
 
 
 def _identifiability_remarks(tests: list[TestView]) -> list[str]:

@@ -23,6 +23,9 @@ from mfd_bayes.reporting.views import (
 INFORMED = 0.5
 """Share of the prior's variance that the data must remove from a parameter to inform it."""
 
+NOT_INFORMED = "the data do not inform it: the posterior is about the prior"
+"""What is noted of such a parameter."""
+
 EXTREME = 0.005
 """A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
 

@@ -3,29 +3,42 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.assessment.bands import fan_of
-from mfd_bayes.calibration.diagnostics import measure_draws
+from mfd_bayes.assessment.checks import INFORMED, NOT_INFORMED
+from mfd_bayes.assessment.law_scores import weighed
+from mfd_bayes.calibration.diagnostics import contraction, measure_draws
+from mfd_bayes.population.laws import COMPARE, shapes_of
+from mfd_bayes.population.pooling import Setting
 from mfd_bayes.quantities import UNITS, law_unit
 from mfd_bayes.reporting.views import LawView, Row
 from mfd_bayes.run import Run
 
+Array = NDArray[np.float64]
+
 
 def law_rows(run: Run) -> tuple[Row, ...]:
-    """Table II: slopes and intercepts, the laws' shapes, and the scatter of each group."""
+    """Table II: slopes and intercepts, the laws' shapes, and the scatter of each quantity."""
     population = run.population
     unit = run.actuation_unit
     found = dict(population.slopes)
-    for name, shape in population.shapes.items():
-        power = population.pooling.laws[name] == "power"
-        found[f"exponent_{name}" if power else f"share_{name}"] = (
-            shape if power else 1.0 / (1.0 + np.exp(-shape))
-        )
-    found |= {f"scatter_{group}": tau for group, tau in population.scatters.items()}
+    for name, law in population.pooling.laws.items():
+        if law == COMPARE:  # a mixture of laws, of which each has its own or none
+            continue
+        for shape, draws in zip(("share", "exponent"), population.shapes(name), strict=True):
+            if shape in shapes_of(law):
+                found[f"{shape}_{name}"] = draws
+    spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
+    spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
+    scales = dict(zip(spreads, population.pooling.sd_scale.tolist(), strict=True))
+    found |= spreads
+    found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
     rows = []
     for name, draws in found.items():
         converged = measure_draws(draws, population.walkers)
         lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
+        shrunk = _contraction(draws, scales[name]) if name in scales else float("nan")
         rows.append(
             Row(
                 subject="population",
@@ -39,10 +52,17 @@ def law_rows(run: Run) -> tuple[Row, ...]:
                 r_hat=converged.worst_r_hat,
                 ess_bulk=float(converged.ess_bulk[0]),
                 ess_tail=float(converged.ess_tail[0]),
-                contraction=float("nan"),
+                contraction=shrunk,
+                note=NOT_INFORMED if shrunk < INFORMED else "",
             )
         )
     return tuple(rows)
+
+
+def _contraction(draws: Array, scale: float) -> float:
+    """Share of a half-normal prior's variance that the tests removed."""
+    prior_sd = scale * np.sqrt(1.0 - 2.0 / np.pi)
+    return float(contraction(np.array([prior_sd]), draws.reshape(-1, 1))[0])
 
 
 def law_views(run: Run) -> tuple[LawView, ...]:
@@ -52,13 +72,15 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     levels = [test.trace.reference_actuation for test in run.tests.values()]
     grid = np.linspace(0.0, 1.15 * max(levels), 60)
     rng = np.random.default_rng(0)
+    typical = dict(pooling.covariate_reference)
     views = []
     for name, law in pooling.laws.items():
         medians = population.median(name, grid).reshape(-1, grid.size)
-        pick = np.linspace(0, len(medians) - 1, 4000).astype(np.intp)
-        group = pooling.member[pooling.names.index(name)]
-        scatter = population.scatter[..., group].reshape(-1)[pick]
-        swing = np.exp(scatter * rng.standard_normal(pick.size))[:, None]
+        pick = np.linspace(0, len(medians) - 1, 2000).astype(np.intp)
+        scattered = [
+            population.draw_test(Setting(float(p), covariates=typical), pick, rng)[name]
+            for p in np.maximum(grid, 1e-9)
+        ]
         tested = []
         for test in run.tests.values():
             low, mid, high = np.quantile(test.draws[name].to_numpy(), [0.025, 0.5, 0.975])
@@ -68,10 +90,10 @@ def law_views(run: Run) -> tuple[LawView, ...]:
             LawView(
                 name=name,
                 unit=UNITS[name],
-                law=law,
+                law=weighed(law, population.law_weights[name]),
                 actuation=grid,
                 median=fan_of("device", medians[pick]),
-                new_test=fan_of("new_test", medians[pick] * swing),
+                new_test=fan_of("new_test", np.stack(scattered, axis=1)),
                 tested=tuple(tested),
             )
         )

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from mfd_bayes.assessment.bands import fan_of, score_of
 from mfd_bayes.assessment.checks import (
     INFORMED,
+    NOT_INFORMED,
     convergence_checks,
     identifiability_checks,
     length_check,
     notes,
     predictive_check,
 )
+from mfd_bayes.assessment.derived import calibrated_rows, held_out_rows
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.predictive import check_predictive, replicate
@@ -61,12 +63,15 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         checks=tuple(checks),
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
         identifiability=known,
+        derived=calibrated_rows(run, test, replicas),
     )
 
 
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
-    band = run.predict(trace, kind="observation", draws=800)
+    session = run.session(name)
+    band = run.predict(trace, kind="observation", draws=800, session=session)
+    damper = run.predict(trace, kind="new_test", draws=800, session=session)
     return TestView(
         id=name,
         role="validate",
@@ -81,6 +86,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         corner=(),
         checks=(),
         score=score_of(name, "validate", trace, band.draws, 0),
+        derived=held_out_rows(run, name, trace, damper),
     )
 
 
@@ -101,7 +107,7 @@ def _rows(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Arr
             shrunk = float(contraction(np.array([before.std()]), after[:, None])[0])
         note = SCALE_NOTE if name in SCALE_ONLY else ""
         if shrunk < INFORMED:
-            note = "the data do not inform it: the posterior is about the prior"
+            note = NOT_INFORMED
         lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
         r_hat, bulk, tail = facts["convergence"].get(name, (np.nan, np.nan, np.nan))
         if r_hat is None:  # JSON has no infinity: walkers that never moved, or too few draws

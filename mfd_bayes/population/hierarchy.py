@@ -1,24 +1,40 @@
-"""The population of tests: levels, laws and test-to-test scatter, from the tests' stored draws."""
+"""The population of tests: levels, laws and test-to-test scatter, from the tests' likelihoods."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.map_fit import climb
-from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.sampling import sample_density
-from mfd_bayes.errors import FitError, PriorError
-from mfd_bayes.population.laws import LAWS, PAPER
-from mfd_bayes.population.marginal import Marginal, Pooling, TestSummary
+from mfd_bayes.population.evidence import Evidence
+from mfd_bayes.population.joint import Joint
+from mfd_bayes.population.laws import ratio
+from mfd_bayes.population.pooling import Choice, Pooling, Setting
 
 Array = NDArray[np.float64]
+
+WALKERS = 32
+"""Chains of each ensemble."""
+
+WARM_UP = 150
+"""Sweeps with Gaussians in place of the likelihoods, which are cheap."""
+
+KEPT = 1000
+"""Draws of each ensemble that are kept, about, or the effective sample size that is asked for."""
+
+ALONE = 2.0
+"""Tests without any correlation of the scatter that its prior is worth."""
+
+SETTLE = 20
+"""Sweeps after that which are not kept, and as many again as a tenth of those that are."""
+
+SWEEPS = {100.0: 160, 400.0: 600, 2000.0: 4000}
+"""Sweeps at most, by the effective sample size that is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,38 +44,91 @@ class Population:
     Attributes
     ----------
     pooling : Pooling
-    levels : (chain, draw, d)
-        Coordinates of the medians at the reference actuation.
-    shapes : mapping of str to (chain, draw)
-        Coordinates of the laws' shapes, by quantity.
-    scatter : (chain, draw, G)
-        Standard deviation of the coordinates between tests, by group.
+    h : (chain, draw, dim)
+        Scatter, effects' sd and shapes, as in `Pooling`.
+    latent : (chain, draw, 1 + cells, d)
+        Levels at the reference actuation, then the cells' effects, in prior units.
+    choice : (chain, draw, L) int
+        Law of each quantity that follows the actuation.
+    together : (chain, draw, d, d)
+        Cholesky factor of the correlation of the scatter: how quantities differ together.
     priors : mapping of str to Prior
     actuation_unit : str
     walkers : int
         A chain's draws are ordered by walker.
     convergence : Convergence
+        Of scatter, effects' sd, shapes and levels.
     """
 
     pooling: Pooling
-    levels: Array
-    shapes: Mapping[str, Array]
-    scatter: Array
+    h: Array
+    latent: Array
+    choice: Choice
+    together: Array
     priors: Mapping[str, Prior]
     actuation_unit: str
     walkers: int
     convergence: Convergence
 
+    @property
+    def size(self) -> int:
+        """Number of draws of all chains."""
+        return int(self.h.shape[0] * self.h.shape[1])
+
+    @property
+    def levels(self) -> Array:
+        """Pooled coordinates of the medians at the reference actuation, (chain, draw, d)."""
+        return self.pooling.centre + self.pooling.spread * self.latent[:, :, 0]
+
+    @property
+    def scatters(self) -> dict[str, Array]:
+        """Test-to-test scatter of each quantity, (chain, draw); sd of its coordinate.
+
+        That is of the logarithm of what is positive, in kip for the offset.
+        """
+        return {name: np.exp(self.h[..., k]) for k, name in enumerate(self.pooling.names)}
+
+    @property
+    def effect_sds(self) -> dict[str, Array]:
+        """Sd of each effect of cells, by "name_group", (chain, draw)."""
+        begin = len(self.pooling.names)
+        return {
+            f"{effect.name}_{self.pooling.groups[effect.group]}": np.exp(self.h[..., begin + i])
+            for i, effect in enumerate(self.pooling.effects)
+        }
+
+    @property
+    def dependences(self) -> dict[str, Array]:
+        """Change of a quantity's coordinate per e-fold of a covariate, (chain, draw)."""
+        begin = len(self.pooling.names) + len(self.pooling.effects)
+        return {
+            f"{name}_{shape}": self.h[..., begin + i]
+            for i, (name, shape) in enumerate(self.pooling.shapes)
+            if shape in self.pooling.covariate_reference
+        }
+
+    def shapes(self, name: str) -> tuple[Array, Array]:
+        """Share and exponent of a quantity's law, (chain, draw) each."""
+        shape = self.h.shape[:2]
+        flat = self.h.reshape(self.size, -1), self.choice.reshape(self.size, -1)
+        share, exponent = self.pooling.law_shapes(*flat, name)
+        return share.reshape(shape), exponent.reshape(shape)
+
     def ratio(self, name: str, actuation: Array) -> Array:
         """Law's value at each actuation over that at the reference, (chain, draw, m)."""
-        law = LAWS[self.pooling.laws.get(name, "constant")]
-        shape = self.shapes.get(name, np.zeros(self.levels.shape[:2]))
-        return law.ratio(np.asarray(actuation) / self.pooling.reference, shape[..., None])
+        relative = np.asarray(actuation) / self.pooling.reference
+        if name not in self.pooling.laws:
+            return np.ones((*self.h.shape[:2], relative.size))
+        share, exponent = self.shapes(name)
+        return ratio(relative, share[..., None], exponent[..., None])
 
     def median(self, name: str, actuation: Array) -> Array:
-        """Median over tests of a quantity at each actuation, (chain, draw, m)."""
-        level = self.levels[..., self.pooling.names.index(name)]
-        return self.priors[name].value(level)[..., None] * self.ratio(name, actuation)
+        """Median over tests of a quantity that follows a law, at each actuation.
+
+        (chain, draw, m); of others their median at the reference actuation.
+        """
+        level = self.pooling.coordinates.values(self.levels.reshape(self.size, -1))[name]
+        return level.reshape(*self.h.shape[:2], 1) * self.ratio(name, actuation)
 
     @property
     def slopes(self) -> dict[str, Array]:
@@ -76,8 +145,9 @@ class Population:
                 continue
             kinetic = self.median(f"Fc_{side}", one)[..., 0] / p0
             found[f"K_c_{side}"] = kinetic
-            excess = self.median(f"static_excess_{side}", one)[..., 0]
-            found[f"K_s_{side}"] = kinetic * (1.0 + excess)
+            if f"static_excess_{side}" in self.pooling.names:
+                excess = self.median(f"static_excess_{side}", one)[..., 0]
+                found[f"K_s_{side}"] = kinetic * (1.0 + excess)
         if "sigma0" in self.pooling.names:
             stiffness = self.median("sigma0", np.array([0.0, p0]))
             if self.pooling.laws.get("sigma0") in ("affine", "proportional"):
@@ -87,90 +157,208 @@ class Population:
         return found
 
     @property
-    def scatters(self) -> dict[str, Array]:
-        """Test-to-test scatter of each group, (chain, draw); sd of the logarithm, or kip."""
-        return {g: self.scatter[..., i] for i, g in enumerate(self.pooling.groups)}
-
-    @property
     def law_weights(self) -> dict[str, dict[str, float]]:
         """Weight of each law that was considered, by quantity."""
-        return {name: {law: 1.0} for name, law in self.pooling.laws.items()}
+        return {name: dict(weights) for name, weights in self.pooling.weights.items()}
+
+    def draw_test(
+        self,
+        setting: Setting,
+        index: NDArray[np.intp],
+        rng: np.random.Generator,
+        *,
+        scattered: bool = True,
+    ) -> dict[str, Array]:
+        """Quantities of tests under a setting, by name, (n,) each.
+
+        Parameters
+        ----------
+        setting : Setting
+            Of a calibrated test's cell or of a new one.
+        index : (n,) int
+            Draws of the hyperparameters to take.
+        rng : numpy.random.Generator
+        scattered : bool
+            Whether they are tests with their scatter, or the median over tests.
+        """
+        pooling = self.pooling
+        h = self.h.reshape(self.size, -1)[index]
+        latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
+        x = latent[:, 0].copy()
+        choice = self.choice.reshape(self.size, -1)[index]
+        x += pooling.offsets(h, choice, [setting])[:, 0]
+        sd = pooling.effect_sd(h)
+        begin = 0
+        for effect in pooling.effects:
+            row, new = effect.row(pooling.cell_of(effect, setting))
+            parts = latent[:, 1 + begin : 1 + begin + len(row)]
+            for k in effect.members:
+                x[:, k] += parts[:, :, k] @ row
+                if scattered and new > 0:
+                    x[:, k] += new * sd[:, begin, k] * rng.standard_normal(len(x))
+            begin += len(row)
+        if scattered:
+            factor = self.together.reshape(self.size, *self.together.shape[2:])[index]
+            swing = np.einsum("nij,nj->ni", factor, rng.standard_normal(x.shape))
+            x += pooling.scatter(h) * swing
+        return pooling.coordinates.values(pooling.centre + pooling.spread * x)
 
 
-def pool(
-    priors: PriorFile,
-    names: Sequence[str],
-    actuations: Sequence[float],
-    laws: Mapping[str, str] | None = None,
-) -> Pooling:
-    """Layout of the population of tests.
+@dataclass(frozen=True, eq=False)
+class Inference:
+    """A population, and its tests' coordinates after pooling.
 
-    Raises
-    ------
-    PriorError
-        When a quantity to be pooled has no scatter prior.
-    FitError
-        When a law needs what there is not: a positive quantity, or positive actuations.
+    Attributes
+    ----------
+    population : Population
+    tests : tuple of (chain, draw, D)
+        In prior units, as in `Evidence`.
+    accepted : mapping of str to float
+        Share of accepted proposals, by kind.
+    sweeps : int
     """
-    pooled = tuple(n for n in names if n not in ("start", "noise_dof"))
-    chosen = {n: law for n, law in (PAPER | dict(laws or {})).items() if n in pooled}
-    for name in chosen:
-        prior = priors.parameters[name]
-        if prior.lower != 0.0 or np.isfinite(prior.upper):
-            raise FitError(f"a law for {name} needs a prior on the positive half line")
-    levels = np.asarray(actuations, dtype=np.float64)
-    if not np.all(levels > 0):
-        raise FitError("every calibrated test needs an actuation above zero for the pressure laws")
-    groups, member = _group(priors, pooled)
-    rng = np.random.default_rng(0)
-    draws = [priors.parameters[n].coordinate(priors.parameters[n].draw(rng, 4000)) for n in pooled]
-    return Pooling(
-        names=pooled,
-        centre=np.array([d.mean() for d in draws]),
-        spread=np.array([d.std() for d in draws]),
-        laws=chosen,
-        groups=groups,
-        member=member,
-        scatter_sd=np.array([priors.scatter[g].sd for g in groups]),
-        reference=float(np.exp(np.mean(np.log(levels)))),
-    )
 
-
-def _group(priors: PriorFile, names: tuple[str, ...]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-    home = {name: group for group, s in priors.scatter.items() for name in s.parameters}
-    lost = [name for name in names if name not in home]
-    if lost:
-        raise PriorError(f"prior file {priors.path.name} has no [scatter] group with {lost[0]}")
-    groups = tuple(dict.fromkeys(home[name] for name in names))
-    return groups, np.array([groups.index(home[name]) for name in names], dtype=np.intp)
+    population: Population
+    tests: tuple[Array, ...]
+    accepted: Mapping[str, float]
+    sweeps: int
 
 
 def infer(
     pooling: Pooling,
-    tests: Sequence[TestSummary],
+    tests: Sequence[Evidence],
     priors: Mapping[str, Prior],
     actuation_unit: str,
     effort: Effort,
     rng: np.random.Generator,
-) -> Population:
-    """Draws of levels, shapes and scatter, given the tests' summaries."""
-    marginal = Marginal(pooling, tests)
-    groups = len(pooling.groups)
-    begin = np.concatenate([np.log(0.5 * pooling.scatter_sd), np.ones(len(pooling.shaped))])
-    mode = climb(marginal.log_prob, begin, np.ones(len(begin)))
-    chains = sample_density(marginal.log_prob, (mode,), effort, rng)
-    shape = chains.q.shape[:2]
-    flat = chains.q.reshape(-1, len(begin))
-    levels = np.concatenate(
-        [marginal.draw_levels(part, rng) for part in np.array_split(flat, max(1, len(flat) // 500))]
-    )
-    return Population(
+    report: Callable[[int, Convergence], None] = lambda _, __: None,
+) -> Inference:
+    """Draws of the population and of every test given all tests.
+
+    Parameters
+    ----------
+    pooling : Pooling
+        Of these tests.
+    tests : sequence of Evidence
+    priors : mapping of str to Prior
+    actuation_unit : str
+    effort : Effort
+        Its R̂ and effective sample size are asked of everything in h and of the levels.
+    rng : numpy.random.Generator
+    report : callable, optional
+        Called with the sweeps done and the convergence, now and then.
+    """
+    n = effort.ensembles * WALKERS
+    approximate = Joint(pooling, [test.approximated() for test in tests], rng)
+    chains = approximate.begin(n, pooling.draw_choice(n), effort.ensembles)
+    for _ in range(WARM_UP):
+        approximate.sweep(chains)
+    joint = approximate
+    if not all(test.gaussian for test in tests):
+        joint = Joint(pooling, tests, rng)
+        joint.resume(chains)
+        for _ in range(SETTLE):
+            joint.sweep(chains)
+    limit = most_sweeps(effort)
+    hyper: list[Array] = []
+    latent: list[Array] = []
+    x: list[list[Array]] = [[] for _ in tests]
+    places: list[Array] = []
+    wait = 40
+    while True:
+        for _ in range(wait):
+            joint.sweep(chains)
+            hyper.append(chains.h.copy())
+            latent.append(chains.latent.copy())
+            places.append(joint.places(chains))
+            for j in range(len(tests)):
+                x[j].append(chains.x[j].copy())
+        late = len(hyper) // 10
+        found = _measure(pooling, hyper[late:], latent[late:], effort.ensembles)
+        report(len(hyper), found)
+        if found.reached(effort.r_hat, effort.ess) or len(hyper) >= limit:
+            break
+        wait = max(20, len(hyper) // 2)
+    stored = max(KEPT, int(effort.ess))
+    thin = max(1, (len(hyper) - late) * WALKERS // stored)
+
+    def ordered(steps: Sequence[Array]) -> Array:
+        return _by_walker(steps[late + thin - 1 :: thin], effort.ensembles)
+
+    kept = ordered(hyper)
+    choice = np.repeat(chains.choice[:, None], kept.shape[1] // WALKERS, axis=1)
+    population = Population(
         pooling=pooling,
-        levels=(pooling.centre + pooling.spread * levels).reshape(*shape, -1),
-        shapes={n: chains.q[..., groups + i] for i, n in enumerate(pooling.shaped)},
-        scatter=np.exp(chains.q[..., :groups]),
+        h=kept,
+        latent=ordered(latent),
+        choice=choice.reshape(*kept.shape[:2], -1),
+        together=_correlate(ordered(places)),
         priors=priors,
         actuation_unit=actuation_unit,
-        walkers=chains.walkers,
-        convergence=chains.convergence,
+        walkers=WALKERS,
+        convergence=found,
     )
+    accepted = {name: float(np.mean(shares)) for name, shares in joint.accepted.items()}
+    tests_after = tuple(ordered(draws) for draws in x)
+    return Inference(population, tests_after, accepted, len(hyper))
+
+
+def most_sweeps(effort: Effort) -> int:
+    """Sweeps after which an inference stops in any case."""
+    return SWEEPS.get(effort.ess, int(2 * effort.ess))
+
+
+def _correlate(places: Array) -> Array:
+    """Cholesky factors of the correlations of the tests' places in the scatter.
+
+    Tests differ in several quantities together; the scatter's sds are sampled, how it is
+    correlated is read off the tests in each joint draw, as if `ALONE` tests more had shown none.
+
+    Parameters
+    ----------
+    places : (chain, draw, J, d)
+        Standardised: (x − mean)/scatter.
+
+    Returns
+    -------
+    (chain, draw, d, d)
+    """
+    products = np.swapaxes(places, -1, -2) @ places
+    d = places.shape[-1]
+    products[..., range(d), range(d)] += ALONE
+    sd = np.sqrt(np.diagonal(products, axis1=-2, axis2=-1))
+    correlation = products / (sd[..., :, None] * sd[..., None, :])
+    factors = np.linalg.cholesky(correlation)
+    return np.asarray(factors.astype(np.float32), dtype=np.float64)  # as it is stored
+
+
+def _by_walker(steps: Sequence[Array], ensembles: int) -> Array:
+    """Steps of (n, …) as (chain, draw, …), a chain's draws by walker and along it by step."""
+    array = np.stack(steps, axis=1)  # (n, step, …)
+    return array.reshape(ensembles, -1, *array.shape[2:])
+
+
+def _measure(
+    pooling: Pooling, hyper: Sequence[Array], latent: Sequence[Array], ensembles: int
+) -> Convergence:
+    everything = np.concatenate([np.stack(hyper), np.stack(latent)[:, :, 0]], axis=2)
+    active = _active(pooling)
+    shaped = everything.reshape(len(hyper), ensembles, -1, everything.shape[2])
+    return measure(np.swapaxes(shaped, 0, 1)[..., active])
+
+
+def _active(pooling: Pooling) -> NDArray[np.intp]:
+    """Coordinates of h, and levels, that some law of weight depends on."""
+    from mfd_bayes.population.laws import LAWS
+
+    begin = len(pooling.names) + len(pooling.effects)
+    idle = [
+        begin + i
+        for i, (name, shape) in enumerate(pooling.shapes)
+        if shape in ("share", "exponent")
+        and not any(
+            weight > 0 and shape in LAWS[law].shapes
+            for law, weight in pooling.weights[name].items()
+        )
+    ]
+    return np.setdiff1d(np.arange(pooling.dim + len(pooling.names)), idle)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,46 +13,86 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Law:
-    """A law v(p) = v(p0) r(p/p0), with at most one shape besides the level v(p0).
+    """A law v(p) = v(p0) [w (p/p0)^b + 1 − w], with the share w or the exponent b at most free.
 
     Attributes
     ----------
     name : str
-    ratio : callable
-        r of p/p0 and the shape's coordinate, both broadcast.
-    shape : str
-        What the shape is called, "" where there is none.
-    log_prior : callable
-        Log density of the shape's coordinate.
+    share, exponent : float or None
+        The value that the law gives it; None where it is inferred.
     """
 
     name: str
-    ratio: Callable[[Array, Array], Array]
-    shape: str = ""
-    log_prior: Callable[[Array], Array] = np.zeros_like
+    share: float | None
+    exponent: float | None
 
-
-def _affine(ratio: Array, shape: Array) -> Array:
-    share = special.expit(shape)
-    return share * ratio + (1.0 - share)
-
-
-def _power(ratio: Array, shape: Array) -> Array:
-    return np.where(ratio > 0, np.power(np.where(ratio > 0, ratio, 1.0), shape), 0.0)
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """What is inferred besides the level v(p0): "share", "exponent" or nothing."""
+        free = {"share": self.share, "exponent": self.exponent}
+        return tuple(name for name, value in free.items() if value is None)
 
 
 LAWS = {
     law.name: law
     for law in (
-        Law("constant", lambda ratio, shape: np.ones_like(ratio + shape)),
         # F = K p: K = v(p0)/p0
-        Law("proportional", lambda ratio, shape: ratio + 0.0 * shape),
+        Law("proportional", 1.0, 1.0),
         # σ0 = α p + σ0|p=0: of the value at p0 the share w is in proportion, w uniform in (0, 1)
-        Law("affine", _affine, "share", lambda q: special.log_expit(q) + special.log_expit(-q)),
+        Law("affine", None, 1.0),
         # v = v(p0) (p/p0)^b, b ~ N(1, ½²)
-        Law("power", _power, "exponent", lambda q: -0.5 * ((q - 1.0) / 0.5) ** 2),
+        Law("power", 1.0, None),
+        Law("constant", 0.0, 1.0),
     )
 }
 
-PAPER = {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine"}
-"""The paper's choice. Static friction follows kinetic friction's law, F_s = F_c (1 + excess)."""
+COMPARE = "compare"
+"""In place of a law: all of them, weighed by how well they predict levels that were left out."""
+
+PAPER = {
+    "Fc_fwd": "proportional",
+    "Fc_bwd": "proportional",
+    "sigma0": "affine",
+    "Fy_fwd": "proportional",
+    "Fy_bwd": "proportional",
+}
+"""The paper's choice, for Bouc-Wen's yield force as for friction. Static friction follows
+kinetic friction's law, F_s = F_c (1 + excess)."""
+
+
+def shapes_of(law: str) -> tuple[str, ...]:
+    """What is inferred of a law by name besides its level; of "compare", what any law needs."""
+    return ("share", "exponent") if law == COMPARE else LAWS[law].shapes
+
+
+def ratio(relative: Array, share: Array, exponent: Array) -> Array:
+    """v(p)/v(p0) at p/p0, all broadcast; 0 at p = 0 of what is in proportion."""
+    positive = relative > 0
+    power = np.where(positive, np.power(np.where(positive, relative, 1.0), exponent), 0.0)
+    followed: Array = share * power + (1.0 - share)
+    return followed
+
+
+def value_of(shape: str, q: Array) -> Array:
+    """A shape at its coordinate q: a share is the logistic function of it, others q itself."""
+    return np.asarray(special.expit(q)) if shape == "share" else q
+
+
+def log_prior(shape: str, q: Array) -> Array:
+    """Log density of a shape's coordinate, without its constant."""
+    if shape == "share":
+        return np.asarray(special.log_expit(q) + special.log_expit(-q))
+    centre, sd = (1.0, 0.5) if shape == "exponent" else (0.0, SENSITIVITY)
+    return np.asarray(-0.5 * ((q - centre) / sd) ** 2)
+
+
+def draw_shape(shape: str, uniform: Array) -> Array:
+    """Coordinates of a shape under its prior, of uniform numbers in (0, 1)."""
+    if shape == "share":
+        return np.asarray(special.logit(uniform))
+    centre, sd = (1.0, 0.5) if shape == "exponent" else (0.0, SENSITIVITY)
+    return np.asarray(centre + sd * special.ndtri(uniform))
+
+
+SENSITIVITY = 0.3
+"""Prior sd of a dependence: change of a parameter's coordinate per e-fold of what it follows."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from mfd_bayes.calibration.posterior import theta_of
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.hierarchy import Population
+from mfd_bayes.population.pooling import Setting
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -58,6 +59,8 @@ class Band:
     probability : float
     source : str
         Where the parameters are from.
+    values : mapping of str to (n,)
+        Quantities of each draw, by name.
     """
 
     time: Array
@@ -68,14 +71,22 @@ class Band:
     kind: str
     probability: float
     source: str
+    values: Mapping[str, Array] = field(default_factory=dict)
     interval: str = "equal-tailed"
 
 
-def band_of(time: Array, draws: Array, kind: str, probability: float, source: str) -> Band:
+def band_of(
+    time: Array,
+    draws: Array,
+    kind: str,
+    probability: float,
+    source: str,
+    values: Mapping[str, Array] | None = None,
+) -> Band:
     """Band of force draws (n, T), kip."""
     tail = 0.5 * (1.0 - probability)
     lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
-    return Band(time, lower, median, upper, draws, kind, probability, source)
+    return Band(time, lower, median, upper, draws, kind, probability, source, values or {})
 
 
 def predict(
@@ -85,6 +96,7 @@ def predict(
     trace: Trace,
     forecast: Forecast,
     tested: Mapping[str, Array] | None = None,
+    session: str = "",
 ) -> Band:
     """Band of the force under a motion and an actuation, seen or not.
 
@@ -99,6 +111,41 @@ def predict(
     tested : mapping of str to (m,), optional
         Posterior draws of the tests at this very level, for the kind `device`. Without
         them `device` is the laws' own uncertainty.
+    session : str, optional
+        That of the test that is predicted, where the campaign declares sessions.
+
+    Raises
+    ------
+    FitError
+        When the trace has no actuation.
+    """
+    rng = np.random.default_rng(forecast.seed)
+    index = rng.choice(population.size, size=forecast.draws)
+    if forecast.kind == "device" and tested is not None:
+        pick = rng.choice(len(next(iter(tested.values()))), size=forecast.draws)
+        values = {name: column[pick] for name, column in tested.items()}
+        source = "posterior draws of the tests at this actuation"
+    else:
+        scattered = forecast.kind != "device"
+        setting = setting_of(trace, session)
+        values = population.draw_test(setting, index, rng, scattered=scattered)
+        source = "population laws" + (" with scatter" if scattered else "")
+    values |= _unknown(population, forecast.draws, rng)
+    theta = theta_of(model, values)
+    force = model.force(
+        theta,
+        trace,
+        values.get("start"),
+        scales=_scales(population, trace, index) if trace.varying else None,
+    )
+    if forecast.kind == "observation":
+        travel = model.travel(theta, trace, values.get("start")) if noise.staged else None
+        force = force + values["offset"][:, None] + noise.draw(rng, trace.time, values, travel)
+    return band_of(trace.time, force, forecast.kind, forecast.probability, source, values)
+
+
+def setting_of(trace: Trace, session: str = "") -> Setting:
+    """Setting under which a trace was made, or is to be predicted.
 
     Raises
     ------
@@ -107,48 +154,11 @@ def predict(
     """
     if not np.isfinite(trace.reference_actuation):
         raise FitError("a prediction needs the trace's actuation, in ksi (pressure) or kip (force)")
-    rng = np.random.default_rng(forecast.seed)
-    index = rng.choice(population.levels[..., 0].size, size=forecast.draws)
-    if forecast.kind == "device" and tested is not None:
-        pick = rng.choice(len(next(iter(tested.values()))), size=forecast.draws)
-        values = {name: column[pick] for name, column in tested.items()}
-        source = "posterior draws of the tests at this actuation"
-    else:
-        values = _new_test(population, trace, index, rng, scattered=forecast.kind != "device")
-        source = "population laws" + ("" if forecast.kind == "device" else " with scatter")
-    values |= _unknown(population, forecast.draws, rng)
-    force = model.force(
-        theta_of(model, values),
-        trace,
-        values.get("start"),
-        scales=_scales(population, trace, index) if trace.varying else None,
-    )
-    if forecast.kind == "observation":
-        force = force + values["offset"][:, None] + noise.draw(rng, trace.time, values)
-    return band_of(trace.time, force, forecast.kind, forecast.probability, source)
-
-
-def _new_test(
-    population: Population,
-    trace: Trace,
-    index: NDArray[np.intp],
-    rng: np.random.Generator,
-    *,
-    scattered: bool,
-) -> dict[str, Array]:
-    """Quantities of tests at the trace's actuation, by name, (n,) each."""
-    pooling = population.pooling
-    q = population.levels.reshape(-1, len(pooling.names))[index]
-    if scattered:
-        sd = population.scatter.reshape(-1, len(pooling.groups))[index][:, pooling.member]
-        q = q + sd * rng.standard_normal(q.shape)
-    level = np.array([trace.reference_actuation])
-    values = {}
-    for k, name in enumerate(pooling.names):
-        values[name] = population.priors[name].value(q[:, k])
-        if name in pooling.laws:
-            values[name] = values[name] * population.ratio(name, level).reshape(-1)[index]
-    return values
+    covariates = {
+        "velocity": float(np.quantile(np.abs(trace.velocity), 0.98)),
+        "amplitude": 0.5 * float(np.ptp(trace.displacement)),
+    }
+    return Setting(trace.reference_actuation, session, covariates)
 
 
 def _unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,9 @@ class Score:
         Share of samples inside the equal-tailed bands of `COVERAGES`.
     width : float, kip
         Mean width of the 95 % band.
+    interval_score : float, kip
+        Mean interval score of the 95 % band (Gneiting and Raftery, 2007): its width, and 40
+        times how far the force lies outside.
     crps : float, kip
         Mean continuous ranked probability score.
     rrse : float
@@ -30,22 +35,31 @@ class Score:
 
     coverage: tuple[float, ...]
     width: float
+    interval_score: float
     crps: float
     rrse: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Score:
+        """Score of the values of its fields."""
+        return cls(**{**values, "coverage": tuple(values["coverage"])})
 
 
 def score(draws: Array, observed: Array) -> Score:
     """Scores of draws (n, T) against an observed force (T,), kip."""
     coverage = []
-    width = np.nan
+    width = interval = np.nan
     for probability in COVERAGES:
         tail = 0.5 * (1.0 - probability)
         lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
         coverage.append(float(np.mean((observed >= lower) & (observed <= upper))))
         width = float(np.mean(upper - lower))
+        beyond = np.maximum(lower - observed, 0.0) + np.maximum(observed - upper, 0.0)
+        interval = width + float(np.mean(beyond)) / tail
     return Score(
         coverage=tuple(coverage),
         width=width,
+        interval_score=interval,
         crps=float(np.mean(crps(draws, observed))),
         rrse=rrse(np.median(draws, axis=0), observed),
     )

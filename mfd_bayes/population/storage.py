@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.errors import StoreError
+from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.hierarchy import Population
-from mfd_bayes.population.marginal import Pooling
+from mfd_bayes.population.pooling import Effect, Pooling, Setting
 from mfd_bayes.store import load_arrays, save_arrays
+
+Array = NDArray[np.float64]
 
 
 def save_population(path: Path, population: Population) -> None:
     """Write the draws of a population: slopes and intercepts, levels, shapes and scatter."""
-    pooling, convergence = population.pooling, population.convergence
-    arrays = {
+    convergence = population.convergence
+    arrays: dict[str, Array] = {
         **population.slopes,
-        **{f"scatter_{group}": tau for group, tau in population.scatters.items()},
-        **{f"shape_{name}": shape for name, shape in population.shapes.items()},
-        "levels": population.levels,
+        **{f"scatter_{name}": tau for name, tau in population.scatters.items()},
+        **{f"deviation_{name}": omega for name, omega in population.effect_sds.items()},
+        "hyperparameters": population.h,
+        "latent": population.latent,
+        "law": population.choice.astype(np.float64),
+        "together": np.asarray(population.together, dtype=np.float32),  # many, and only drawn from
     }
     facts = {
-        "names": pooling.names,
-        "centre": pooling.centre.tolist(),
-        "spread": pooling.spread.tolist(),
-        "laws": pooling.laws,
-        "groups": pooling.groups,
-        "member": pooling.member.tolist(),
-        "scatter_sd": pooling.scatter_sd.tolist(),
-        "reference": pooling.reference,
+        **_facts(population.pooling),
         "actuation_unit": population.actuation_unit,
         "walkers": population.walkers,
         "r_hat": convergence.r_hat.tolist(),
@@ -49,25 +52,108 @@ def load_population(path: Path, priors: PriorFile) -> Population:
         When the file is missing or is no such file.
     """
     arrays, facts = load_arrays(path)
-    pooling = Pooling(
-        names=tuple(facts["names"]),
-        centre=np.array(facts["centre"]),
-        spread=np.array(facts["spread"]),
-        laws=facts["laws"],
-        groups=tuple(facts["groups"]),
-        member=np.array(facts["member"], dtype=np.intp),
-        scatter_sd=np.array(facts["scatter_sd"]),
-        reference=facts["reference"],
-    )
+    try:
+        return _population(arrays, facts, priors)
+    except (KeyError, ValueError, TypeError) as error:
+        raise StoreError(
+            f"{path} is damaged or of another version of this program: {error}"
+        ) from error
+
+
+def _population(
+    arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile
+) -> Population:
     return Population(
-        pooling=pooling,
-        levels=arrays["levels"],
-        shapes={name: arrays[f"shape_{name}"] for name in pooling.shaped},
-        scatter=np.stack([arrays[f"scatter_{group}"] for group in pooling.groups], axis=-1),
+        pooling=_pooling(facts, priors),
+        h=arrays["hyperparameters"],
+        latent=arrays["latent"],
+        choice=arrays["law"].astype(np.intp),
+        together=arrays["together"].astype(np.float64),
         priors=priors.parameters,
         actuation_unit=facts["actuation_unit"],
         walkers=facts["walkers"],
         convergence=Convergence(
             np.array(facts["r_hat"]), np.array(facts["ess_bulk"]), np.array(facts["ess_tail"])
         ),
+    )
+
+
+def save_pooled(
+    path: Path, pooling: Pooling, draws: Array, units: Mapping[str, str], test: str
+) -> None:
+    """Write a test's posterior after pooling: named variables (chain, draw) with units.
+
+    Parameters
+    ----------
+    path : Path
+    pooling : Pooling
+    draws : (chain, draw, D)
+        In prior units, pooled coordinates first.
+    units : mapping of str to str
+    test : str
+    """
+    d = len(pooling.names)
+    q = pooling.centre + pooling.spread * draws.reshape(-1, draws.shape[2])[:, :d]
+    values = pooling.coordinates.values(q)
+    arrays = {name: value.reshape(draws.shape[:2]) for name, value in values.items()}
+    save_arrays(path, arrays, {"test": test}, units)
+
+
+def _facts(pooling: Pooling) -> dict[str, Any]:
+    return {
+        "names": pooling.names,
+        "speed": pooling.coordinates.speed,
+        "centre": pooling.centre.tolist(),
+        "spread": pooling.spread.tolist(),
+        "laws": pooling.laws,
+        "weights": pooling.weights,
+        "groups": pooling.groups,
+        "member": pooling.member.tolist(),
+        "scatter_sd": pooling.scatter_sd.tolist(),
+        "reference": pooling.reference,
+        "settings": [
+            {"actuation": s.actuation, "session": s.session, "covariates": s.covariates}
+            for s in pooling.settings
+        ],
+        "effects": [
+            {
+                "name": e.name,
+                "group": e.group,
+                "members": e.members,
+                "cells": e.cells,
+                "home": e.home,
+            }
+            for e in pooling.effects
+        ],
+        "dependence": pooling.dependence,
+        "covariate_reference": pooling.covariate_reference,
+    }
+
+
+def _pooling(facts: Mapping[str, Any], priors: PriorFile) -> Pooling:
+    names = tuple(facts["names"])
+    effects = tuple(
+        Effect(
+            name=e["name"],
+            group=e["group"],
+            members=tuple(e["members"]),
+            cells=tuple((str(session), float(at)) for session, at in e["cells"]),
+            home=tuple(e["home"]),
+        )
+        for e in facts["effects"]
+    )
+    return Pooling(
+        coordinates=Coordinates(names, {n: priors.parameters[n] for n in names}, facts["speed"]),
+        centre=np.array(facts["centre"]),
+        spread=np.array(facts["spread"]),
+        laws=facts["laws"],
+        weights=facts["weights"],
+        groups=tuple(facts["groups"]),
+        member=np.array(facts["member"], dtype=np.intp),
+        scatter_sd=np.array(facts["scatter_sd"]),
+        reference=facts["reference"],
+        settings=tuple(Setting(**s) for s in facts["settings"]),
+        effects=effects,
+        dependence={name: tuple(those) for name, those in facts["dependence"].items()},
+        covariate_reference=facts["covariate_reference"],
     )

@@ -11,7 +11,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.views import IDENTIFIABILITY, STANDING, CampaignView, Check, Row
+from mfd_bayes.reporting.views import (
+    IDENTIFIABILITY,
+    STANDING,
+    CampaignView,
+    Check,
+    DerivedRow,
+    Row,
+)
 
 UNINFORMED = 0.5
 """Below this contraction the page says that the data do not inform a parameter."""
@@ -61,6 +68,7 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> str:
         held_out=[test for test in view.tests if test.role == "validate"],
         anchors={test.id: f"test-{at}" for at, test in enumerate(view.tests, start=1)},
         names=list(dict.fromkeys(row.name for test in view.tests for row in test.rows)),
+        derived=_derived(view),
         cells={(row.subject, row.name): row for test in view.tests for row in test.rows},
         convergence=_convergence(view),
         judged=[check for check in view.checks if _is_judged(check)],
@@ -96,6 +104,7 @@ def _environment() -> Environment:
         "unit": symbols.unit_text,
     }
     environment.tests["weak"] = _is_weak
+    environment.tests["known"] = math.isfinite
     return environment
 
 
@@ -152,6 +161,14 @@ def _grid(checks: Iterable[Check]) -> Grid:
         targets = grid.setdefault((check.name, check.limit), {})
         targets.setdefault(target, {})[check.subject] = (check, detail)
     return grid
+
+
+def _derived(view: CampaignView) -> dict[str, dict[str, DerivedRow]]:
+    """Derived quantities by name, and in each by test."""
+    found: dict[str, dict[str, DerivedRow]] = {}
+    for row in (row for test in view.tests for row in test.derived):
+        found.setdefault(row.name, {})[row.subject] = row
+    return found
 
 
 def _uninformed(view: CampaignView) -> dict[str, list[Row]]:

@@ -85,7 +85,6 @@ _POOLED = {
     "Fc_bwd": "slip force at a common speed, backward",
     "d2": "width of the gap, d2 + d3",
     "d3": "ratio d3/d2",
-    "k3": "ratio of k3 d3 to the mean slip force",
 }
 
 
@@ -125,7 +124,7 @@ def _of_population(name: str) -> tuple[str, str, str]:
     if not prefix:
         return "", "", ""
     if prefix == "scatter" and of in _POOLED:
-        short = {"d2": "gap", "d3": "d3/d2", "k3": "k3 d3/slip force"}
+        short = {"d2": "gap", "d3": "d3/d2"}
         of = short.get(of, f"slip force {of.removeprefix('Fc_')}")
     return _PREFIXES[prefix][0], of, more
 

@@ -3,16 +3,46 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import math
 from collections.abc import Iterable, Sequence
 
-from mfd_bayes.reporting.views import Check, Row, ScoreRow
+from mfd_bayes.population.predict import Band
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.views import (
+    CampaignView,
+    Check,
+    ComparisonRow,
+    DerivedRow,
+    LawChoice,
+    LeftOutView,
+    Row,
+    ScoreRow,
+)
 
 _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@")
 
 _QUANTILES = ("mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat", "contraction")
+
+
+CROSSVALIDATION = "crossvalidation.csv"
+
+
+def report_tables(view: CampaignView) -> dict[str, str]:
+    """Every table that stands beside the report, by the name of its file."""
+    found = {
+        "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
+        "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
+        "laws.csv": laws_csv(view.law_rows),
+        "law_scores.csv": law_scores_csv(view.law_choices),
+        "checks.csv": checks_csv(view.checks),
+        "scores.csv": scores_csv(view.scores),
+    }
+    if view.left_out is not None:
+        found[CROSSVALIDATION] = crossvalidation_csv(view.left_out)
+    return found
 
 
 def parameters_csv(rows: Iterable[Row]) -> str:
@@ -25,7 +55,7 @@ def parameters_csv(rows: Iterable[Row]) -> str:
 
 
 def laws_csv(rows: Iterable[Row]) -> str:
-    """Table II of the paper with uncertainty: slopes, shapes and the scatter of each group."""
+    """Table II of the paper with uncertainty: slopes, shapes and scatter."""
     return _csv(("group", "constant", "unit", *_QUANTILES, "note"), map(_cells, rows))
 
 
@@ -39,13 +69,81 @@ def scores_csv(scores: Iterable[ScoreRow]) -> str:
     """How each record's observation bands met its force."""
     head = (
         *("test", "role", "coverage_50", "coverage_90", "coverage_95"),
-        *("width_95_kip", "crps_kip", "rrse"),
+        *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
     )
+    return _csv(head, (dataclasses.astuple(score) for score in scores))
+
+
+def crossvalidation_csv(found: LeftOutView) -> str:
+    """How each test was predicted without its part, and the mean over the tests."""
+    head = (
+        *("part", "test", "coverage_50", "coverage_90", "coverage_95"),
+        *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
+        *("fitted_width_95_kip", "fitted_crps_kip", "width_ratio", "crps_ratio"),
+    )
+    return _csv(head, (dataclasses.astuple(row) for row in (*found.rows, found.mean)))
+
+
+def law_scores_csv(choices: Iterable[LawChoice]) -> str:
+    """How well each law predicts each quantity at levels that were left out, best first."""
+    head = ("quantity", "law", "chosen", "elpd", "elpd_se", "elpd_difference")
     lines = (
-        (s.subject, s.role, s.coverage_50, s.coverage_90, s.coverage_95, s.width_95, s.crps, s.rrse)
-        for s in scores
+        (
+            *(r.quantity, r.law, "yes" if r.chosen else "no", r.elpd, r.elpd_se),
+            *(r.difference, r.difference_se, r.weight),
+        )
+        for choice in choices
+        for r in choice.rows
     )
-    return _csv(head, lines)
+    return _csv((*head, "elpd_difference_se", "weight"), lines)
+
+
+def derived_csv(rows: Iterable[DerivedRow]) -> str:
+    """Derived quantities of every test, with equal-tailed 95 % intervals.
+
+    Empty cells are values that the record does not say, or does not have.
+    """
+    head = ("test", "role", "quantity", "unit", *_QUANTILES[:5], "measured", "note")
+    return _csv(head, ((r.subject, r.role, *_derived_cells(r)) for r in rows))
+
+
+def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float) -> str:
+    """Derived quantities of a prediction, with the interval that was asked for."""
+    head = ("quantity", "unit", "mean", "sd", "lower", "median", "upper", "measured", "note")
+    shown = tuple(rows)
+    about = (
+        f"# derived quantities of the damper, without offset and noise, of kind {shown[0].role}: "
+        f"equal-tailed {100 * probability:g} % intervals\n"
+        f"# actuation {actuation}; measured: of the force in the motion's file, as it is\n"
+    )
+    return about + _csv(head, map(_derived_cells, shown))
+
+
+def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
+    """Band of a prediction at every sample, in s, in and kip."""
+    about = (
+        f"# {band.interval} {100 * band.probability:g} % band of kind {band.kind}, for each "
+        f"sample by itself; from {band.source}\n"
+        f"# actuation {actuation}\n"
+        "time_s,displacement_in,lower_kip,median_kip,upper_kip\n"
+    )
+    columns = (trace.time, trace.displacement, band.lower, band.median, band.upper)
+    rows = zip(*columns, strict=True)
+    return about + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
+
+
+def _derived_cells(row: DerivedRow) -> tuple[str | float, ...]:
+    spread = (row.mean, row.sd, row.lower, row.median, row.upper)
+    return (row.name, row.unit, *spread, row.measured, row.note)
+
+
+def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
+    """How well each model predicts cycles that it has not seen, per test and in all."""
+    head = (
+        *("test", "model", "cycles", "elpd", "elpd_se", "p_loo", "worst_pareto_k", "share_bad_k"),
+        *("share_unsettled", "elpd_difference", "elpd_difference_se", "rrse_in_sample"),
+    )
+    return _csv(head, (dataclasses.astuple(row) for row in rows))
 
 
 def _cells(row: Row) -> tuple[str | float, ...]:

@@ -75,6 +75,29 @@ class Row:
     note: str = ""
 
 
+@dataclass(frozen=True)
+class DerivedRow:
+    """A derived quantity: draws of the damper's force, without offset and noise, in `unit`.
+
+    `role` is that of the test, or the kind of a prediction.
+    `lower` and `upper` bound an equal-tailed interval; `measured` is what the record says of
+    it, NaN where it says nothing. `note` says over how many full cycles it is; where there
+    is none, all figures are NaN.
+    """
+
+    subject: str
+    role: str
+    name: str
+    unit: str
+    mean: float
+    sd: float
+    lower: float
+    median: float
+    upper: float
+    measured: float
+    note: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class Interval:
     """Equal-tailed band of one probability, (T,) each, kip."""
@@ -102,7 +125,7 @@ class Fan:
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """How a record's observation bands met its force; width and CRPS in kip."""
+    """How a record's observation bands met its force; width and scores in kip."""
 
     subject: str
     role: str
@@ -110,8 +133,58 @@ class ScoreRow:
     coverage_90: float
     coverage_95: float
     width_95: float
+    interval_score: float
     crps: float
     rrse: float
+
+
+@dataclass(frozen=True)
+class LeftOutRow:
+    """How a test was predicted without its part of the campaign; width and scores in kip.
+
+    Attributes
+    ----------
+    part, subject : str
+    coverage_50, coverage_90, coverage_95, width_95, interval_score, crps, rrse : float
+    fitted_width, fitted_crps : float, kip
+        Of the same test's own posterior, which has seen its force.
+    width_ratio, crps_ratio : float
+        What is predicted over what is fitted.
+    """
+
+    part: str
+    subject: str
+    coverage_50: float
+    coverage_90: float
+    coverage_95: float
+    width_95: float
+    interval_score: float
+    crps: float
+    rrse: float
+    fitted_width: float
+    fitted_crps: float
+    width_ratio: float
+    crps_ratio: float
+
+
+@dataclass(frozen=True)
+class LeftOutView:
+    """A campaign cross-validated: every part in turn predicted from all the others.
+
+    Attributes
+    ----------
+    by : {"test", "level", "session"}
+    rows : tuple of LeftOutRow
+    mean : LeftOutRow
+        Of each column over the tests.
+    sentence : str
+        What that comes to.
+    """
+
+    by: str
+    rows: tuple[LeftOutRow, ...]
+    mean: LeftOutRow
+    sentence: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +233,8 @@ class TestView:
     score : ScoreRow
     identifiability : Identifiability or None
         What the data tell about the sampled quantities; None where the test was predicted.
+    derived : tuple of DerivedRow
+        With 95 % intervals.
     """
 
     __test__ = False
@@ -178,6 +253,43 @@ class TestView:
     checks: tuple[Check, ...]
     score: ScoreRow
     identifiability: Identifiability | None = None
+    derived: tuple[DerivedRow, ...] = ()
+
+
+@dataclass(frozen=True)
+class ComparisonRow:
+    """How well a model predicts the cycles of a test, or of all tests, that it has not seen.
+
+    Attributes
+    ----------
+    subject, model : str
+    cycles : int
+    elpd, elpd_se : float
+        Expected log predictive density of all cycles, and its standard error over them.
+    p_loo : float
+        Effective number of parameters.
+    worst_k, bad : float
+        Largest Pareto k of PSIS, and the share of cycles in which it is too large for it.
+    unsettled : float
+        Share of cycles in which k is too large also after they were computed anew.
+    difference, difference_se : float
+        Elpd less that of the best model, and its standard error, paired over cycles.
+    rrse : float
+        Root relative squared error of the posterior median, of the record that it has seen.
+    """
+
+    subject: str
+    model: str
+    cycles: int
+    elpd: float
+    elpd_se: float
+    p_loo: float
+    worst_k: float
+    bad: float
+    unsettled: float
+    difference: float
+    difference_se: float
+    rrse: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +298,9 @@ class LawView:
 
     Attributes
     ----------
-    name, unit, law : str
+    name, unit : str
+    law : str
+        Its name, or the weights of those that were compared.
     actuation : (m,), ksi or kip
     median : Fan
         Uncertainty of the median over tests.
@@ -203,6 +317,42 @@ class LawView:
     median: Fan
     new_test: Fan
     tested: tuple[tuple[str, float, float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class LawScoreRow:
+    """How one law predicts a quantity at levels that were left out.
+
+    Attributes
+    ----------
+    quantity, law : str
+    chosen : bool
+        Whether it is the campaign's law.
+    elpd, elpd_se : float
+        Log predictive density of all levels, and its standard error over them.
+    difference, difference_se : float
+        Elpd less that of the best law, and its standard error, paired over levels.
+    weight : float
+        Stacking weight among the laws.
+    """
+
+    quantity: str
+    law: str
+    chosen: bool
+    elpd: float
+    elpd_se: float
+    difference: float
+    difference_se: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class LawChoice:
+    """The laws of one quantity, best first, and which of them predicts best in a sentence."""
+
+    quantity: str
+    rows: tuple[LawScoreRow, ...]
+    sentence: str
 
 
 @dataclass(frozen=True)
@@ -236,7 +386,7 @@ class CampaignView:
         Tests without a posterior, and why.
     laws : tuple of LawView
     law_rows : tuple of Row
-        Table II: slopes, intercepts, shapes, and the scatter of each group.
+        Table II: slopes, intercepts, shapes, and the scatter of each quantity.
     checks : tuple of Check
     scores : tuple of ScoreRow
     truth : tuple of TruthRow
@@ -244,6 +394,10 @@ class CampaignView:
     provenance : mapping of str to str
     remarks : tuple of str
         What a reader must know, in sentences.
+    law_choices : tuple of LawChoice
+        Of each quantity that follows the actuation; empty where levels are too few.
+    left_out : LeftOutView or None
+        None where the campaign was not cross-validated.
     """
 
     title: str
@@ -259,3 +413,5 @@ class CampaignView:
     truth: tuple[TruthRow, ...]
     provenance: Mapping[str, str]
     remarks: tuple[str, ...]
+    law_choices: tuple[LawChoice, ...] = ()
+    left_out: LeftOutView | None = None

@@ -1,267 +1,237 @@
-"""The population layer against brute force, closed forms, and data of a known truth."""
+"""The population by `infer` against brute force, and what a population says of itself."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
 
+from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.errors import FitError, PriorError
-from mfd_bayes.population.hierarchy import infer, pool
-from mfd_bayes.population.laws import LAWS
-from mfd_bayes.population.marginal import Marginal, Pooling, TestSummary, summarize
+from mfd_bayes.population.hierarchy import WALKERS, Population, _correlate, infer
+from mfd_bayes.population.pooling import Setting, pool
 
-NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
-EFFORT = Effort(ess=200, limit=3000, length=2.0, kept=2000)
+EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
+MEAN, SPREAD = 0.1, 0.1
 
 
-@pytest.fixture(scope="module")
-def priors():
-    return load_priors("mfd")
+def run(linear, priors, tests=None, pooling=None, effort=EFFORT, seed=5):
+    tests = linear.evidence(np.random.default_rng(6)) if tests is None else tests
+    chosen = linear.pooling if pooling is None else pooling
+    return infer(chosen, tests, priors.parameters, "ksi", effort, np.random.default_rng(seed))
 
 
-@pytest.fixture(scope="module")
-def pooling(priors):
-    laws = {"Fc_fwd": "power", "sigma0": "affine"}
-    return pool(priors, NAMES, [0.5, 0.8, 1.2, 1.5], laws)
+def deviations(linear, inference):
+    """Largest deviation of a mean, in sds, and of an sd, from brute force."""
+    pooling, population = linear.pooling, inference.population
+    exact = linear.solve(np.random.default_rng(7), n=1)
+    d, effects = len(pooling.names), len(pooling.effects)
+    h = population.h.reshape(population.size, -1)
+    latent = population.latent.reshape(population.size, -1, d)
+    found = {"sd": np.exp(h[:, : d + effects])}
+    u = [latent[:, 0]]
+    if effects:
+        u.append(latent[:, 1:, 0] / (np.exp(h[:, d : d + 1]) / pooling.spread[0]))
+    if pooling.laws:
+        u.append((h[:, -1:] - 1.0) / 0.5)
+    found["u"] = np.concatenate(u, axis=1)
+    found["x"] = np.stack([x.reshape(population.size, -1) for x in inference.tests], axis=1)
+    means = [np.abs(v.mean(axis=0) - exact.mean[k]) / exact.sd[k] for k, v in found.items()]
+    sds = [np.abs(v.std(axis=0) / exact.sd[k] - 1.0) for k, v in found.items()]
+    return max(float(np.max(m)) for m in means), max(float(np.max(s)) for s in sds)
 
 
-def random_tests(pooling, rng, actuations=(0.5, 0.8, 1.5)):
-    d = len(pooling.names)
-    tests = []
-    for actuation in actuations:
-        root = rng.normal(size=(d, d))
-        spread = 0.01 * root @ root.T + 0.02 * np.eye(d)
-        tests.append(TestSummary(actuation, 0.5 * rng.normal(size=d), spread))
-    return tests
+CASES = {
+    "one quantity": ((0.5, 0.5, 0.9, 0.9), ("offset",)),
+    "with a power law": ((0.5, 0.5, 0.9, 0.9, 0.9), ("Fc_fwd",)),
+    "with an effect of the level": ((0.5, 0.5, 0.9, 1.6), ("Fc_fwd",)),
+    "two quantities, known together": ((0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "offset")),
+}
 
 
-def random_points(pooling, rng, n=6):
-    groups = len(pooling.groups)
-    scatter = np.log(0.3) + 0.8 * rng.normal(size=(n, groups))
-    return np.concatenate([scatter, rng.normal(1, 0.5, size=(n, len(pooling.shaped)))], axis=1)
+@pytest.mark.parametrize("case", CASES)
+def test_inference_is_brute_force_where_everything_is_gaussian(make_linear, priors, case):
+    linear = make_linear(*CASES[case], seed=4)
+    assert bool(linear.pooling.effects) == (case == "with an effect of the level")
+    mean, sd = deviations(linear, run(linear, priors))
+    assert mean < MEAN
+    assert sd < SPREAD
 
 
-def brute_force(pooling, tests, h):
-    """Mean and covariance of all tests stacked, with N(0, 1) levels integrated out."""
-    groups, d = len(pooling.groups), len(pooling.names)
-    tau = np.exp(h[:groups])
-    offset = []
-    for test in tests:
-        row = np.zeros(d)
-        for name, law in pooling.laws.items():
-            k = pooling.names.index(name)
-            shape = h[groups + pooling.shaped.index(name)] if name in pooling.shaped else 0.0
-            ratio = LAWS[law].ratio(np.array([test.actuation / pooling.reference]), np.array(shape))
-            row[k] = np.log(ratio[0]) / pooling.spread[k]
-        offset.append(row)
-    own = np.diag((tau[pooling.member] / pooling.spread) ** 2)
-    covariance = np.tile(np.eye(d), (len(tests), len(tests)))
-    for j, test in enumerate(tests):
-        block = slice(j * d, (j + 1) * d)
-        covariance[block, block] += test.covariance + own
-    return np.concatenate(offset), covariance
+FEWER = Effort(ess=100, limit=200, r_hat=1.1, kept=3000)
 
 
-def brute_force_density(pooling, tests, h):
-    mean, covariance = brute_force(pooling, tests, h)
-    data = np.concatenate([test.mean for test in tests])
-    density = stats.multivariate_normal(mean, covariance).logpdf(data)
-    groups = len(pooling.groups)
-    tau = np.exp(h[:groups])
-    density += np.sum(stats.halfnorm(scale=pooling.scatter_sd).logpdf(tau) + h[:groups])
-    for name, shape in zip(pooling.shaped, h[groups:], strict=True):
-        if pooling.laws[name] == "power":
-            density += stats.norm(1, 0.5).logpdf(shape)
-        else:
-            density += stats.logistic.logpdf(shape)
-    return density
+def test_a_wrong_prior_of_scatter_is_told_apart(make_linear, priors):
+    linear = make_linear(*CASES["with a power law"], seed=4)
+    narrow = replace(linear.pooling, scatter_sd=linear.pooling.scatter_sd / 3.0)
+    mean, sd = deviations(linear, run(linear, priors, pooling=narrow, effort=FEWER))
+    assert mean > 3 * MEAN or sd > 3 * SPREAD
 
 
-def test_the_marginal_is_the_joint_density_with_levels_integrated(pooling):
+def test_a_posterior_that_is_taken_for_a_likelihood_is_told_apart(make_linear, priors):
+    """The prior of a test by itself then counts again."""
+    linear = make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd",), level=1.5, noise=6.0, seed=3)
+    tests = linear.evidence(np.random.default_rng(6))
+    right = deviations(linear, run(linear, priors, tests, effort=FEWER))
+    wrong = [replace(t, log_likelihood=_with_prior(t)) for t in tests]
+    mean, _ = deviations(linear, run(linear, priors, wrong, effort=FEWER))
+    assert mean > 3 * right[0]
+    assert mean > 3 * MEAN
+
+
+def _with_prior(test):
+    return lambda x: test.log_likelihood(x) + test.log_interim_prior(x)
+
+
+QUICK = Effort(ess=20, limit=100, r_hat=1.2, ensembles=2, kept=300)
+
+
+def test_the_same_seed_gives_the_same_bits(make_linear, priors):
+    linear = make_linear(*CASES["with an effect of the level"])
+    first, again, other = (run(linear, priors, effort=QUICK, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(first.population.h, again.population.h)
+    np.testing.assert_array_equal(first.population.latent, again.population.latent)
+    for x, same in zip(first.tests, again.tests, strict=True):
+        np.testing.assert_array_equal(x, same)
+    assert np.any(first.population.h != other.population.h)
+
+
+def test_draws_are_laid_out_by_chain_and_walker(make_linear, priors):
+    linear = make_linear(*CASES["two quantities, known together"])
+    found = run(linear, priors, effort=QUICK)
+    population = found.population
+    chains, draws, dim = population.h.shape
+    assert (chains, dim) == (QUICK.ensembles, linear.pooling.dim)
+    assert draws % WALKERS == 0
+    assert population.latent.shape == (chains, draws, 1, 2)
+    assert population.choice.shape == (chains, draws, 1)
+    assert population.levels.shape == (chains, draws, 2)
+    assert [x.shape for x in found.tests] == [(chains, draws, 2)] * 4
+    assert found.sweeps >= 40
+    assert all(0.0 <= share <= 1.0 for share in found.accepted.values())
+
+
+def test_chains_keep_their_laws(make_linear, priors):
+    linear = make_linear(*CASES["with a power law"])
+    weights = {"Fc_fwd": {"power": 0.5, "constant": 0.5}}
+    found = run(linear, priors, pooling=replace(linear.pooling, weights=weights), effort=QUICK)
+    choice = found.population.choice.reshape(QUICK.ensembles, WALKERS, -1)
+    assert np.all(choice == choice[:, :, :1])
+    exponents = found.population.shapes("Fc_fwd")[1].reshape(choice.shape)
+    shares = found.population.shapes("Fc_fwd")[0].reshape(choice.shape)
+    np.testing.assert_array_equal(shares == 0.0, choice == 3)
+    assert np.all(exponents[choice == 3] == 1.0)
+    assert np.mean(choice == 3) == pytest.approx(0.5, abs=0.05)
+
+
+# what a population says, written down
+
+
+def written(priors, laws=None, n=50, actuations=(0.5, 1.0, 2.0)):
+    """A population of two chains whose draws are from nowhere, with laws' effects."""
+    names = ("sigma0", "Fc_fwd", "Fc_bwd", "static_excess_fwd", "static_excess_bwd", "offset")
+    pooling = pool(priors, names, [Setting(p) for p in actuations], laws)
     rng = np.random.default_rng(1)
-    tests, h = random_tests(pooling, rng), random_points(pooling, rng)
-    found = Marginal(pooling, tests).log_prob(h)
-    expected = np.array([brute_force_density(pooling, tests, row) for row in h])
-    left = found - expected  # constants are left out
-    np.testing.assert_allclose(left, left[0], atol=1e-8)
-    assert np.ptp(expected) > 1
+    cells = sum(len(e.cells) for e in pooling.effects)
+    h = rng.normal(-2.0, 0.2, size=(2, n, pooling.dim))
+    together = _correlate(rng.normal(size=(2, n, 3, len(names))))
+    return Population(
+        pooling=pooling,
+        h=h,
+        latent=0.1 * rng.normal(size=(2, n, 1 + cells, len(names))),
+        choice=pooling.draw_choice(2 * n).reshape(2, n, -1),
+        together=together,
+        priors={name: priors.parameters[name] for name in names},
+        actuation_unit="ksi",
+        walkers=10,
+        convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
+    )
 
 
-def test_the_marginal_is_not_that_of_another_actuation(pooling):
+def test_medians_follow_the_laws(priors):
+    population = written(priors)
+    at = population.median("Fc_fwd", np.array([0.5, 1.0, 2.0]))
+    assert at.shape == (2, 50, 3)
+    np.testing.assert_allclose(at[..., 0] * 4, at[..., 2], rtol=1e-12)
+    stiffness = population.median("sigma0", np.array([0.0, 1.0, 2.0]))
+    np.testing.assert_allclose(np.diff(stiffness, n=2), 0.0, atol=1e-9)
+    level = population.levels[..., 1]
+    np.testing.assert_allclose(at[..., 1], np.exp(level), rtol=1e-12)
+    np.testing.assert_array_equal(
+        population.median("offset", np.array([0.3]))[..., 0], population.levels[..., 5]
+    )
+
+
+def test_slopes_are_the_papers_constants(priors):
+    population = written(priors)
+    slopes, p = population.slopes, np.array([1.7])
+    np.testing.assert_allclose(slopes["K_c_fwd"] * p, population.median("Fc_fwd", p)[..., 0])
+    excess = population.median("static_excess_bwd", p)[..., 0]
+    static = population.median("Fc_bwd", p)[..., 0] * (1.0 + excess)
+    np.testing.assert_allclose(slopes["K_s_bwd"] * p, static)
+    stiffness = population.median("sigma0", p)[..., 0]
+    np.testing.assert_allclose(slopes["alpha_sigma0"] * p + slopes["sigma0_0"], stiffness)
+    power = written(priors, {"Fc_fwd": "power", "sigma0": "power"}).slopes
+    assert set(power) == {"K_c_bwd", "K_s_bwd"}
+
+
+def test_a_drawn_test_has_scatter_about_the_median(priors):
+    population = written(priors, n=1)
+    n, rng = 40_000, np.random.default_rng(2)
+    index = np.zeros(n, dtype=np.intp)
+    drawn = population.draw_test(Setting(1.0), index, rng)
+    middle = population.draw_test(Setting(1.0), index[:1], rng, scattered=False)
+    q = population.pooling.coordinates.of(drawn) - population.pooling.coordinates.of(middle)
+    scatter = [float(tau[0, 0]) for tau in population.scatters.values()]
+    np.testing.assert_allclose(q.mean(axis=0) / scatter, 0.0, atol=0.03)
+    np.testing.assert_allclose(q.std(axis=0), scatter, rtol=0.02)
+    factor = population.together[0, 0]
+    np.testing.assert_allclose(np.corrcoef(q.T), factor @ factor.T, atol=0.03)
+
+
+def test_a_drawn_test_at_a_new_level_has_the_effects_that_are_new_besides(priors):
+    population = written(priors, n=1)
+    pooling, n = population.pooling, 40_000
+    index = np.zeros(n, dtype=np.intp)
+    k = pooling.names.index("Fc_fwd")
+    drawn = population.draw_test(Setting(6.0), index, np.random.default_rng(2))
+    i = next(i for i, e in enumerate(pooling.effects) if k in e.members)
+    row, new = pooling.effects[i].row(("", 6.0))
+    omega = np.exp(population.h[0, 0, len(pooling.names) + i])
+    tau = population.scatters["Fc_fwd"][0, 0]
+    q = pooling.coordinates.of(drawn)[:, k]
+    assert q.std() == pytest.approx(np.hypot(tau, new * omega), rel=0.02)
+    begin = 1 + sum(len(e.cells) for e in pooling.effects[:i])
+    parts = population.latent[0, 0, begin : begin + len(row), k] @ row
+    expected = population.levels[0, 0, k] + np.log(6.0 / pooling.reference)
+    expected += pooling.spread[k] * parts
+    assert q.mean() == pytest.approx(expected, abs=0.02)
+
+
+def test_a_drawn_test_at_a_tested_level_has_that_levels_effect(priors):
+    population = written(priors, n=1)
+    pooling = population.pooling
+    middle = population.draw_test(
+        Setting(2.0), np.zeros(1, dtype=np.intp), np.random.default_rng(2), scattered=False
+    )
+    k = pooling.names.index("Fc_bwd")
+    i = next(i for i, e in enumerate(pooling.effects) if k in e.members)
+    begin = 1 + sum(len(e.cells) for e in pooling.effects[:i])
+    parts = population.latent[0, 0, begin : begin + 3, k]
+    effect = pooling.spread[k] * pooling.effects[i].root[2] @ parts
+    law = np.log(2.0 / pooling.reference)
+    found = np.log(middle["Fc_bwd"][0])
+    assert found == pytest.approx(population.levels[0, 0, k] + law + effect)
+
+
+def test_correlations_are_those_of_the_places_less_than_they_show(priors):
     rng = np.random.default_rng(1)
-    tests, h = random_tests(pooling, rng), random_points(pooling, rng)
-    moved = [replace(tests[0], actuation=0.6), *tests[1:]]
-    left = Marginal(pooling, moved).log_prob(h)
-    left -= [brute_force_density(pooling, tests, row) for row in h]
-    assert np.ptp(left) > 1e-3
-
-
-def test_a_batch_is_its_rows(pooling):
-    rng = np.random.default_rng(2)
-    marginal, h = Marginal(pooling, random_tests(pooling, rng)), random_points(pooling, rng)
-    one_by_one = [marginal.log_prob(row[None])[0] for row in h]
-    np.testing.assert_allclose(marginal.log_prob(h), one_by_one, rtol=1e-12)
-
-
-def test_points_far_out_have_no_density_and_no_nan(pooling):
-    rng = np.random.default_rng(3)
-    marginal, h = Marginal(pooling, random_tests(pooling, rng)), random_points(pooling, rng, 3)
-    h[0, 0], h[1, -1] = 40.0, -1e6
-    found = marginal.log_prob(h)
-    assert np.all(found[:2] == -np.inf)
-    assert np.isfinite(found[2])
-
-
-def test_levels_are_drawn_with_the_moments_of_their_closed_form(pooling):
-    rng = np.random.default_rng(4)
-    tests, h = random_tests(pooling, rng), random_points(pooling, rng, 1)[0]
-    n, d = 40000, len(pooling.names)
-    drawn = Marginal(pooling, tests).draw_levels(np.tile(h, (n, 1)), rng)
-    # conditioning the stacked Gaussian: the covariance of a level with every test is that of itself
-    mean, covariance = brute_force(pooling, tests, h)
-    gain = np.linalg.solve(covariance, np.tile(np.eye(d), (len(tests), 1))).T
-    expected = gain @ (np.concatenate([test.mean for test in tests]) - mean)
-    spread = np.eye(d) - gain @ np.tile(np.eye(d), (len(tests), 1))
-    standard = (drawn.mean(axis=0) - expected) / np.sqrt(np.diag(spread) / n)
-    assert np.max(np.abs(standard)) < 4
-    scale = np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
-    np.testing.assert_allclose(np.cov(drawn, rowvar=False) / scale, spread / scale, atol=0.03)
-    assert np.any(np.abs(expected) > 10 * np.sqrt(np.diag(spread) / n))  # zero would be told apart
-
-
-def exact_posterior(pooling, mean, covariance, rng, n):
-    """Draws of a test's posterior under the N(0, 1) interim prior, in the priors' coordinates."""
-    precision = np.linalg.inv(covariance)
-    spread = np.linalg.inv(precision + np.eye(len(mean)))
-    draws = rng.multivariate_normal(spread @ precision @ mean, spread, size=n)
-    return pooling.centre + pooling.spread * draws
-
-
-def test_a_summary_is_the_likelihood_without_the_interim_prior(pooling):
-    rng = np.random.default_rng(5)
-    mean = np.array([1.5, -2.0, 0.8, 0.3])
-    root = rng.normal(size=(4, 4))
-    covariance = 0.05 * root @ root.T + 0.05 * np.eye(4)
-    found = summarize(pooling, 0.8, exact_posterior(pooling, mean, covariance, rng, 200_000))
-    assert found.actuation == 0.8
-    np.testing.assert_allclose(found.mean, mean, atol=0.03)
-    np.testing.assert_allclose(found.covariance, covariance, rtol=0.05, atol=0.01)
-    # the control: the posterior's own mean is pulled to the prior
-    pulled = np.linalg.solve(np.eye(4) + covariance, mean)
-    assert np.max(np.abs(found.mean - pulled)) > 0.1
-
-
-def test_a_posterior_that_is_its_prior_says_next_to_nothing(pooling):
-    rng = np.random.default_rng(6)
-    draws = pooling.centre + pooling.spread * rng.normal(size=(50_000, 4))
-    found = summarize(pooling, 1.0, draws)
-    assert np.all(np.isfinite(found.mean))
-    assert np.linalg.eigvalsh(np.linalg.inv(found.covariance)).max() < 0.05
-    # it moves a level, whose own prior has precision 1, by next to nothing
-    pull = np.linalg.solve(found.covariance, found.mean)
-    assert np.max(np.abs(pull)) < 0.05
-
-
-def test_a_posterior_wider_than_its_prior_still_has_a_covariance(pooling):
-    draws = pooling.centre + 1.5 * pooling.spread * np.random.default_rng(7).normal(size=(5000, 4))
-    found = summarize(pooling, 1.0, draws)
-    assert np.all(np.linalg.eigvalsh(found.covariance) > 0)
-
-
-FRICTION = 1.3  # kip per ksi
-TRUE_SCATTER = 0.1
-
-
-def friction_campaign(laws, rng, count=24):
-    """Layout, and summaries of tests whose F_c is proportional to pressure with scatter."""
-    priors = load_priors("mfd")
-    actuations = np.tile([0.5, 0.8, 1.2, 1.5], count // 4)
-    pooling = pool(priors, ("Fc_fwd", "offset"), actuations, laws)
-    tests = []
-    for actuation in actuations:
-        log_friction = np.log(FRICTION * actuation) + TRUE_SCATTER * rng.normal()
-        offset = 0.05 + 0.02 * rng.normal()
-        error = np.array([0.02, 0.005])
-        q = np.array([log_friction, offset]) + error * rng.normal(size=2)
-        mean, sd = (q - pooling.centre) / pooling.spread, error / pooling.spread
-        tests.append(TestSummary(float(actuation), mean, np.diag(sd**2)))
-    parameters = {name: priors.parameters[name] for name in pooling.names}
-    return infer(pooling, tests, parameters, "ksi", EFFORT, np.random.default_rng(8))
-
-
-@pytest.fixture(scope="module")
-def proportional():
-    return friction_campaign({"Fc_fwd": "proportional"}, np.random.default_rng(9))
-
-
-def test_inference_recovers_level_and_scatter(proportional):
-    level = proportional.median("Fc_fwd", np.array([1.0]))
-    assert level.shape == (*proportional.levels.shape[:2], 1)
-    # 24 tests of 10 %: the level is known to 2 %, the scatter to 15 %
-    assert np.median(level) == pytest.approx(FRICTION, rel=0.06)
-    assert np.std(level) / FRICTION == pytest.approx(TRUE_SCATTER / np.sqrt(24), rel=0.5)
-    scatter = proportional.scatters["friction"]
-    assert np.median(scatter) == pytest.approx(TRUE_SCATTER, rel=0.4)
-    low, high = np.quantile(scatter, [0.005, 0.995])
-    assert low < TRUE_SCATTER < high
-    assert np.median(proportional.scatters["offset"]) == pytest.approx(0.02, rel=0.5)
-    assert proportional.convergence.reached(1.05, 100)
-
-
-def test_the_wrong_law_misses_by_far():
-    wrong = friction_campaign({"Fc_fwd": "constant"}, np.random.default_rng(9))
-    # the laws' spread, the sd of the actuations' logarithms (0.42), goes into the scatter
-    assert np.quantile(wrong.scatters["friction"], 0.005) > 2.5 * TRUE_SCATTER
-    low_pressure = wrong.median("Fc_fwd", np.array([0.5]))
-    assert np.quantile(low_pressure, 0.005) > 1.3 * FRICTION * 0.5
-
-
-def test_the_exponent_of_a_power_law_is_found():
-    found = friction_campaign({"Fc_fwd": "power"}, np.random.default_rng(9))
-    exponent = found.shapes["Fc_fwd"]
-    assert np.mean(exponent) == pytest.approx(1.0, abs=4 * 0.1 / (0.42 * np.sqrt(24)))
-    assert np.std(exponent) < 0.15
-
-
-def test_the_same_generator_gives_the_same_population(proportional):
-    again = friction_campaign({"Fc_fwd": "proportional"}, np.random.default_rng(9))
-    np.testing.assert_array_equal(again.levels, proportional.levels)
-    np.testing.assert_array_equal(again.scatter, proportional.scatter)
-
-
-def test_slopes_are_the_papers_constants(proportional):
-    pooled = proportional.pooling
-    assert isinstance(pooled, Pooling)
-    one = proportional.median("Fc_fwd", np.array([0.5, 1.0, 2.0]))
-    np.testing.assert_allclose(one[..., 0] * 4, one[..., 2], rtol=1e-12)
-    assert proportional.law_weights == {"Fc_fwd": {"proportional": 1.0}}
-
-
-def test_levels_belong_to_the_geometric_mean_of_the_actuations(pooling):
-    assert pooling.reference == pytest.approx((0.5 * 0.8 * 1.2 * 1.5) ** 0.25)
-
-
-def test_what_no_test_shares_is_not_pooled(priors):
-    pooled = pool(priors, ("Fc_fwd", "start", "noise_dof"), [0.5, 1.0])
-    assert pooled.names == ("Fc_fwd",)
-
-
-def test_a_level_without_actuation_cannot_be_pooled(priors):
-    with pytest.raises(FitError, match="actuation above zero"):
-        pool(priors, ("Fc_fwd",), [0.0, 1.0])
-    with pytest.raises(FitError, match="actuation above zero"):
-        pool(priors, ("Fc_fwd",), [float("nan"), 1.0])
-
-
-def test_a_law_needs_a_positive_quantity(priors):
-    with pytest.raises(FitError, match="offset"):
-        pool(priors, ("offset",), [1.0], {"offset": "proportional"})
-
-
-def test_a_pooled_quantity_needs_a_scatter_prior(priors):
-    bare = replace(priors, scatter={"friction": priors.scatter["friction"]})
-    with pytest.raises(PriorError, match="k3"):
-        pool(bare, ("Fc_fwd", "k3"), [1.0])
+    places = rng.normal(size=(1, 1, 400, 3))
+    places[..., 1] = 0.8 * places[..., 0] + 0.6 * places[..., 1]
+    factor = _correlate(places)[0, 0]
+    correlation = factor @ factor.T
+    np.testing.assert_allclose(np.diag(correlation), 1.0)
+    assert correlation[0, 1] == pytest.approx(0.8, abs=0.06)
+    assert correlation[0, 2] == pytest.approx(0.0, abs=0.12)
+    alone = _correlate(places[:, :, :1])[0, 0]
+    assert np.max(np.abs((alone @ alone.T)[np.triu_indices(3, 1)])) < 0.75
+    np.testing.assert_allclose(_correlate(np.zeros((1, 1, 2, 3)))[0, 0], np.eye(3))

@@ -10,8 +10,9 @@ from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.hierarchy import Population, pool
-from mfd_bayes.population.predict import KINDS, Forecast, band_of, predict
+from mfd_bayes.population.hierarchy import Population
+from mfd_bayes.population.pooling import Setting, pool
+from mfd_bayes.population.predict import KINDS, Forecast, band_of, predict, setting_of
 from mfd_bayes.records.trace import Trace
 
 MEDIANS = {
@@ -39,20 +40,34 @@ SLIDING = (np.abs(MOTION) < 0.3) & (TIME > 0.5)
 NOISE = find_noise("ou")
 
 
-def make_population(laws=None, *, level_sd=0.01, scatter=0.1):
+def make_population(laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessions=None):
     """Medians known to 1 %, at 1 ksi, with 10 % of scatter."""
     priors = load_priors("mfd")
-    pooling = replace(pool(priors, tuple(MEDIANS), [0.5, 1.0, 2.0], laws), reference=1.0)
+    settings = [
+        Setting(p, session, {"velocity": 3.1})
+        for p, session in zip((0.5, 1.0, 2.0), sessions or [""] * 3, strict=True)
+    ]
+    pooling = replace(pool(priors, tuple(MEDIANS), settings, laws), reference=1.0)
     rng = np.random.default_rng(1)
-    centre = np.array([priors.parameters[n].coordinate(np.array(v)) for n, v in MEDIANS.items()])
-    spread = np.where(np.array(pooling.names) == "offset", 0.02, scatter)
-    groups = [spread[pooling.member == g][0] for g in range(len(pooling.groups))]
+    d, shape = len(MEDIANS), (4, 100)
+    cells = sum(len(e.cells) for e in pooling.effects)
+    level = pooling.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
+    spread = np.where(np.array(pooling.names) == "offset", min(scatter, 0.02), scatter)
+    h = np.zeros((*shape, pooling.dim))
+    h[..., :d] = np.log(np.maximum(spread, 1e-9))
+    h[..., d : d + len(pooling.effects)] = np.log(effect)
+    h[..., d + len(pooling.effects) :] = 1.0  # shapes
+    latent = np.zeros((*shape, 1 + cells, d))
+    latent[:, :, 0] = level + level_sd * rng.normal(size=(*shape, d)) - pooling.centre
+    latent[:, :, 0] /= pooling.spread
+    priors_of = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
     return Population(
         pooling=pooling,
-        levels=centre + level_sd * rng.normal(size=(4, 100, len(MEDIANS))),
-        shapes={name: np.ones((4, 100)) for name in pooling.shaped},
-        scatter=np.broadcast_to(groups, (4, 100, len(groups))),
-        priors={name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")},
+        h=h,
+        latent=latent,
+        choice=pooling.draw_choice(400).reshape(*shape, -1),
+        together=np.broadcast_to(np.eye(d), (*shape, d, d)),
+        priors=priors_of,
         actuation_unit="ksi",
         walkers=10,
         convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
@@ -64,27 +79,45 @@ def population():
     return make_population()
 
 
-def ask(population, actuation, tested=None, **forecast):
+def ask(population, actuation, tested=None, session="", **forecast):
     trace = Trace.from_arrays(TIME, MOTION, actuation)
-    return predict(population, ThreeStage(), NOISE, trace, Forecast(**forecast), tested)
+    return predict(population, ThreeStage(), NOISE, trace, Forecast(**forecast), tested, session)
 
 
-def widths(population, actuation=1.0, **forecast):
-    bands = [ask(population, actuation, kind=kind, draws=400, **forecast) for kind in KINDS]
-    return [float(np.mean(band.upper - band.lower)) for band in bands]
+def width(population, actuation=1.0, **forecast):
+    band = ask(population, actuation, draws=400, **forecast)
+    return float(np.mean((band.upper - band.lower)[SLIDING]))
 
 
-def test_the_three_kinds_are_nested(population):
-    device, new_test, observation = widths(population)
+def test_bands_are_nested_by_kind(population):
+    device, new_test, observation = (width(population, kind=kind) for kind in KINDS)
     assert 1.2 * device < new_test
     assert 1.02 * new_test < observation
 
 
 def test_without_scatter_a_new_test_is_the_device():
     same = make_population(scatter=0.0)
-    device = ask(same, 1.0, kind="device")
-    new_test = ask(same, 1.0, kind="new_test")
-    np.testing.assert_allclose(np.mean(device.upper), np.mean(new_test.upper), rtol=0.02)
+    device, new_test = (ask(same, 1.0, kind=kind, draws=400) for kind in ("device", "new_test"))
+    np.testing.assert_allclose(
+        np.mean(device.upper[SLIDING]), np.mean(new_test.upper[SLIDING]), rtol=0.02
+    )
+
+
+def test_a_tested_level_is_known_better_than_one_that_is_not():
+    """Where levels deviate from the law, and the tested ones' deviation is known."""
+    known = make_population(effect=0.15, scatter=0.05)
+    tested, near, far = (width(known, p, kind="new_test") / p for p in (1.0, 1.3, 8.0))
+    assert 1.1 * tested < near
+    assert 1.1 * near < far
+    none = make_population(effect=1e-6, scatter=0.05)  # the control
+    tested, near = (width(none, p, kind="new_test") / p for p in (1.0, 1.3))
+    assert near < 1.05 * tested
+
+
+def test_a_new_session_is_known_less_than_one_that_was_seen():
+    known = make_population(effect=0.1, scatter=0.05, sessions=["a", "a", "b"])
+    seen, new = (width(known, 1.0, kind="new_test", session=s) for s in ("a", "c"))
+    assert 1.2 * seen < new
 
 
 def test_a_band_says_what_it_is(population):
@@ -92,8 +125,6 @@ def test_a_band_says_what_it_is(population):
     assert (band.kind, band.probability, band.interval) == ("observation", 0.5, "equal-tailed")
     assert "population" in band.source
     assert band.draws.shape == (60, TIME.size)
-    for line in (band.time, band.lower, band.median, band.upper):
-        assert line.shape == TIME.shape
     np.testing.assert_array_equal(band.time, TIME)
     assert np.all(band.lower <= band.median)
     assert np.all(band.median <= band.upper)
@@ -151,8 +182,8 @@ def test_a_history_of_two_levels_follows_either_of_them(law):
     before, after = (ask(population, p, kind="device", draws=20).median for p in (0.5, 1.5))
     early = (TIME > 0.8) & (TIME < 1.95)
     late = TIME > 2.6  # the first reversal after the step at 2.5 s, and the gap, are over
-    np.testing.assert_allclose(history[early], before[early], atol=0.01)
-    np.testing.assert_allclose(history[late], after[late], atol=0.03)
+    np.testing.assert_allclose(history[early & SLIDING], before[early & SLIDING], atol=0.01)
+    np.testing.assert_allclose(history[late & SLIDING], after[late & SLIDING], atol=0.03)
     assert np.mean(np.abs(before[late] - after[late])) > 0.3  # the control
 
 
@@ -176,6 +207,13 @@ def test_tested_draws_are_the_device_at_that_level(population):
     new = ask(population, 1.0, tested, kind="new_test")
     plain = ask(population, 1.0, kind="new_test")
     np.testing.assert_array_equal(new.draws, plain.draws)
+
+
+def test_a_setting_is_what_the_trace_shows():
+    setting = setting_of(Trace.from_arrays(TIME, MOTION, 0.8), "a")
+    assert (setting.actuation, setting.session) == (0.8, "a")
+    assert setting.covariates["velocity"] == pytest.approx(np.pi, rel=0.02)
+    assert setting.covariates["amplitude"] == pytest.approx(1.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(

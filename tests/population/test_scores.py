@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.population.scores import COVERAGES, crps, rrse, score
+from mfd_bayes.population.scores import COVERAGES, Score, crps, rrse, score
 
 
 def normal_crps(mean, sd, y):
@@ -50,6 +50,38 @@ def test_calibrated_draws_cover_as_often_as_they_say():
     narrow = score(centre + 0.1 * rng.normal(size=(1000, 4000)), observed)  # the control
     assert narrow.coverage[-1] < 0.6
     assert narrow.crps > right.crps
+
+
+def test_the_interval_score_is_its_formula():
+    rng = np.random.default_rng(7)
+    draws, observed = rng.normal(size=(4000, 6)), np.array([-5.0, -1.0, 0.0, 1.0, 3.0, 2.5])
+    lower, upper = np.quantile(draws, [0.025, 0.975], axis=0)
+    found = score(draws, observed)
+    beyond = np.where(observed < lower, lower - observed, 0.0)
+    beyond += np.where(observed > upper, observed - upper, 0.0)
+    assert found.interval_score == pytest.approx(np.mean(upper - lower + 40.0 * beyond))
+    assert found.interval_score > found.width
+    inside = score(draws, 0.1 * np.arange(6))
+    assert inside.interval_score == pytest.approx(inside.width)
+
+
+def test_the_interval_score_is_least_for_the_true_spread():
+    rng = np.random.default_rng(8)
+    observed = rng.normal(size=3000)
+    found = [
+        score(sd * rng.normal(size=(800, 3000)), observed).interval_score for sd in (0.6, 1.0, 1.7)
+    ]
+    assert min(found) == found[1]
+    # of a normal, 2 z + 2 [φ(z) − z (1 − Φ(z))]/0.025 at z = 1.96
+    z = stats.norm.ppf(0.975)
+    expected = 2 * z + 80 * (stats.norm.pdf(z) - z * 0.025)
+    assert found[1] == pytest.approx(expected, rel=0.05)
+
+
+def test_a_score_comes_back_from_its_fields():
+    found = score(np.random.default_rng(9).normal(size=(50, 4)), np.arange(4.0))
+    stored = {**vars(found), "coverage": list(found.coverage)}
+    assert Score.of(stored) == found
 
 
 def test_an_exact_prediction_has_no_error():

@@ -1,68 +1,127 @@
+"""A population comes back from its file with all that it says."""
+
+import json
 import warnings
 
 import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.errors import StoreError
-from mfd_bayes.population.hierarchy import Population, pool
-from mfd_bayes.population.marginal import Pooling
-from mfd_bayes.population.storage import load_population, save_population
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.population.hierarchy import Population
+from mfd_bayes.population.laws import COMPARE
+from mfd_bayes.population.pooling import Pooling, Setting, pool
+from mfd_bayes.population.predict import Forecast, predict
+from mfd_bayes.population.storage import load_population, save_pooled, save_population
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store import load_arrays
 
-
-@pytest.fixture(scope="module")
-def priors():
-    return load_priors("mfd")
+NAMES = (
+    "sigma0",
+    "sigma1",
+    "sigma2",
+    "Fc_fwd",
+    "Fc_bwd",
+    "static_excess_fwd",
+    "static_excess_bwd",
+    "k2",
+    "k3",
+    "d2",
+    "d3",
+    "ell",
+    "v_s",
+    "offset",
+    "noise_sd",
+    "noise_time",
+)
 
 
 @pytest.fixture(scope="module")
 def population(priors):
-    names = ("sigma0", "Fc_fwd", "Fc_bwd", "static_excess_fwd", "static_excess_bwd", "offset")
-    laws = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
-    pooling = pool(priors, names, [0.5, 0.8, 1.5], laws)
+    laws = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": COMPARE}
+    settings = [
+        Setting(p, s, {"velocity": v, "amplitude": 1.0})
+        for p, s, v in ((0.5, "a", 1.0), (0.8, "b", 2.0), (1.5, "b", 3.0))
+    ]
+    pooling = pool(priors, NAMES, settings, laws, {"k3": ("velocity",)})
     rng = np.random.default_rng(1)
+    d, cells = len(NAMES), sum(len(e.cells) for e in pooling.effects)
+    factors = np.tril(rng.normal(size=(4, 60, d, d)))
+    factors /= np.linalg.norm(factors, axis=-1, keepdims=True)
     return Population(
         pooling=pooling,
-        levels=pooling.centre + 0.1 * rng.normal(size=(4, 60, 6)),
-        shapes={name: rng.normal(1, 0.3, size=(4, 60)) for name in pooling.shaped},
-        scatter=np.abs(rng.normal(0.1, 0.02, size=(4, 60, len(pooling.groups)))),
-        priors={name: priors.parameters[name] for name in names},
+        h=rng.normal(-2.0, 0.2, size=(4, 60, pooling.dim)),
+        latent=0.1 * rng.normal(size=(4, 60, 1 + cells, d)),
+        choice=pooling.draw_choice(240).reshape(4, 60, -1),
+        together=factors.astype(np.float32).astype(np.float64),  # they are stored in single
+        priors=priors.parameters,
         actuation_unit="ksi",
         walkers=6,
         convergence=Convergence(np.array([1.001, 1.0]), np.array([500.0, 6e3]), np.ones(2)),
     )
 
 
-def test_a_population_comes_back_bit_by_bit(tmp_path, priors, population):
-    save_population(tmp_path / "population.nc", population)
-    back = load_population(tmp_path / "population.nc", priors)
-    np.testing.assert_array_equal(back.levels, population.levels)
-    np.testing.assert_array_equal(back.scatter, population.scatter)
-    assert back.shapes.keys() == population.shapes.keys() == {"Fc_fwd", "sigma0"}
-    for name, shape in population.shapes.items():
-        np.testing.assert_array_equal(back.shapes[name], shape)
-    for name in Pooling.__dataclass_fields__:
-        np.testing.assert_array_equal(
-            getattr(back.pooling, name), getattr(population.pooling, name)
-        )
+@pytest.fixture(scope="module")
+def back(tmp_path_factory, priors, population):
+    path = tmp_path_factory.mktemp("stored") / "population.nc"
+    save_population(path, population)
+    return load_population(path, priors)
+
+
+def test_a_population_comes_back_bit_by_bit(population, back):
+    for name in ("h", "latent", "choice", "together"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(population, name))
     for name in Convergence.__dataclass_fields__:
         expected = getattr(population.convergence, name)
         np.testing.assert_array_equal(getattr(back.convergence, name), expected)
     assert (back.actuation_unit, back.walkers) == ("ksi", 6)
 
 
-def test_what_is_derived_is_the_same_after_the_round_trip(tmp_path, priors, population):
-    save_population(tmp_path / "population.nc", population)
-    back = load_population(tmp_path / "population.nc", priors)
+def test_its_layout_comes_back(population, back):
+    assert len(population.pooling.effects) > 2
+    for name in Pooling.__dataclass_fields__:
+        stored, expected = getattr(back.pooling, name), getattr(population.pooling, name)
+        if name == "effects":
+            stored, expected = ([vars_of(e) for e in both] for both in (stored, expected))
+        if isinstance(expected, np.ndarray):
+            np.testing.assert_array_equal(stored, expected)
+        else:
+            assert stored == expected, name
+    assert list(back.pooling.laws) == list(population.pooling.laws)
+
+
+def vars_of(effect):
+    return {name: getattr(effect, name) for name in effect.__dataclass_fields__}
+
+
+def test_what_is_derived_is_the_same(population, back):
     assert back.slopes.keys() == population.slopes.keys()
     assert "K_c_bwd" in back.slopes
     assert "K_c_fwd" not in back.slopes  # its law has no slope
-    for name, slope in population.slopes.items():
-        np.testing.assert_array_equal(back.slopes[name], slope)
+    for what in ("slopes", "scatters", "effect_sds", "dependences"):
+        for name, values in getattr(population, what).items():
+            np.testing.assert_array_equal(getattr(back, what)[name], values)
+    assert back.law_weights == population.law_weights
     grid = np.array([0.0, 0.3, 2.0])
     for name in ("Fc_fwd", "sigma0", "offset"):
         np.testing.assert_array_equal(back.median(name, grid), population.median(name, grid))
+
+
+@pytest.mark.parametrize("actuation", [0.8, 1.1, "history"])
+@pytest.mark.parametrize("kind", ["device", "observation"])
+def test_predictions_are_the_same(population, back, kind, actuation):
+    time = np.arange(120) / 40
+    level = np.linspace(0.5, 1.5, 120) if actuation == "history" else actuation
+    trace = Trace.from_arrays(time, np.sin(np.pi * time), level)
+    forecast = Forecast(kind, draws=20, seed=3)
+    first, again = (
+        predict(p, ThreeStage(), find_noise("ou"), trace, forecast, session="b")
+        for p in (population, back)
+    )
+    np.testing.assert_array_equal(first.draws, again.draws)
+    assert np.all(np.isfinite(first.draws))
 
 
 def test_arviz_reads_the_file_by_the_papers_names(tmp_path, population):
@@ -75,7 +134,22 @@ def test_arviz_reads_the_file_by_the_papers_names(tmp_path, population):
     slope = data.posterior["K_c_bwd"]
     assert slope.dims == ("chain", "draw")
     np.testing.assert_array_equal(slope, population.slopes["K_c_bwd"])
-    assert "scatter_friction" in data.posterior
+    for name in ("scatter_Fc_fwd", "deviation_level_friction", "deviation_session_friction"):
+        assert data.posterior[name].dims == ("chain", "draw")
+    assert json.loads(data.posterior.attrs["facts"])["names"] == list(NAMES)
+
+
+def test_a_pooled_test_is_written_by_its_quantities(tmp_path, population):
+    pooling = population.pooling
+    draws = np.random.default_rng(2).normal(size=(4, 10, len(NAMES) + 1))
+    save_pooled(tmp_path / "test.nc", pooling, draws, {"k3": "kip/in"}, "first")
+    arrays, facts = load_arrays(tmp_path / "test.nc")
+    assert facts == {"test": "first"}
+    assert set(arrays) == set(NAMES)
+    q = pooling.centre + pooling.spread * draws[2, 7, :-1]
+    expected = pooling.coordinates.values(q[None])
+    for name in NAMES:
+        assert arrays[name][2, 7] == pytest.approx(expected[name][0], rel=1e-12)
 
 
 def test_a_missing_file_is_said_to_be_missing(tmp_path, priors):

@@ -17,9 +17,14 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import (
     CampaignView,
     Check,
+    DerivedRow,
     Fan,
     Interval,
+    LawChoice,
+    LawScoreRow,
     LawView,
+    LeftOutRow,
+    LeftOutView,
     Marginal,
     Row,
     ScoreRow,
@@ -46,7 +51,7 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
     force = ThreeStage().force(theta, quiet)
     noisy = force + 0.05 * rng.normal(size=force.shape)
     trace = Trace.from_arrays(time, motion, 0.8, force=noisy[0])
-    score = ScoreRow(identity, role, 0.5, 0.9, 0.95, 0.2, 0.03, 0.09)
+    score = ScoreRow(identity, role, 0.5, 0.9, 0.95, 0.2, 0.25, 0.03, 0.09)
     draws = {name: np.exp(0.1 * rng.normal(size=60)) for name in UNITS}
     told = {"Fc_fwd": 0.99, "k3": 0.95, "gamma1": 0.0}
     view = TestView(
@@ -72,10 +77,25 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
             Check(identity, "posterior predictive p-value", "energy", 0.4, "0.01 to 0.99", "pass"),
         ),
         score=score,
+        derived=make_derived(identity, role),
     )
     if role == "validate":
         return replace(view, device=None, rows=(), marginals=(), chains={}, corner=(), checks=())
     return replace(view, identifiability=make_identifiability())
+
+
+def make_derived(identity: str, role: str) -> tuple[DerivedRow, ...]:
+    nan = float("nan")
+    energy = DerivedRow(
+        *(identity, role, "energy_per_cycle", "kip*in"),
+        *(3.2, 0.1, 3.0, 3.21, 3.4, 3.3, "over 2 full cycles"),
+    )
+    none = replace(energy, mean=nan, sd=nan, lower=nan, median=nan, upper=nan, measured=nan)
+    peak = DerivedRow(identity, role, "peak_fwd", "kip", 1.1, 0.01, 1.0, 1.123, 1.2, 1.4)
+    gap = DerivedRow(identity, role, "gap", "in", 0.2, 0.01, 0.18, 0.2, 0.22, nan)
+    if role == "validate":
+        return (replace(none, note="the motion has no full cycle"), peak)
+    return (energy, peak, gap)
 
 
 def make_identifiability() -> Identifiability:
@@ -99,6 +119,18 @@ def make_law() -> LawView:
     return LawView("Fc_fwd", "kip", "proportional", level, *fans, tested)
 
 
+def make_choice() -> LawChoice:
+    best = LawScoreRow("Fc_fwd", "power", False, 3.2, 0.9, 0.0, 0.0, 0.7)
+    own = LawScoreRow("Fc_fwd", "proportional", True, 2.9, 1.1, -0.3, 0.8, 0.3)
+    return LawChoice("Fc_fwd", (best, own), "the power law predicts best, but only just.")
+
+
+def make_left_out() -> LeftOutView:
+    row = LeftOutRow("800 psi", "p800_f0.25", 0.5, 0.9, 0.95, 0.4, 0.45, 0.06, 0.2, 0.2, 0.03, 2, 2)
+    mean = replace(row, part="", subject="mean")
+    return LeftOutView("level", (row,), mean, "Of 1 tests the bands hold 95 %.")
+
+
 def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     row = Row("population", "K_c_fwd", "in**2", 1.2, 0.1, 1.0, 1.2, 1.4, 1.001, 900.0, 800.0, 0.98)
     return CampaignView(
@@ -119,6 +151,8 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         ),
         provenance={"seed": "1"},
         remarks=("The data are synthetic.",),
+        law_choices=(make_choice(),),
+        left_out=make_left_out(),
     )
 
 

@@ -110,6 +110,18 @@ def test_what_the_data_do_not_tell_is_told(text):
     assert re.search(r"hold <strong>2</strong>", text)  # of the informed truths
 
 
+def test_derived_quantities_stand_beside_what_was_measured(campaign, images, text):
+    section = text[text.index('<h2 id="derived">') : text.index('<h2 id="laws">')]
+    assert "3.210<small>[3.00, 3.40]</small><small>measured 3.300</small>" in section
+    assert "0.2000<small>[0.180, 0.220]</small></td>" in section  # no record shows the gap
+    assert '<td title="the motion has no full cycle">–</td>' in section
+    assert "nan" not in section
+    assert "kip·in" in section
+    assert "held out" in section
+    bare = tuple(replace(test, derived=()) for test in campaign.tests)
+    assert 'id="derived"' not in render(replace(campaign, tests=bare), images)
+
+
 def test_values_that_are_about_their_prior_are_set_apart(campaign, images):
     test = campaign.tests[0]
     rows = [replace(row, contraction=float("nan"), note="") for row in test.rows]
@@ -238,3 +250,25 @@ def test_checks_of_identifiability_cannot_fail_and_are_not_counted(campaign, ima
 
 def test_the_page_is_the_same_each_time(campaign, images, text):
     assert render(campaign, images) == text
+
+
+def test_laws_are_scored_and_the_best_is_named(text):
+    section = text[text.index('id="laws"') : text.index('id="held-out"')]
+    assert "Which law predicts best?" in section
+    assert "F<sub>c,fwd</sub>: the power law predicts best, but only just." in section
+    assert "the campaign&#39;s" in section or "the campaign's" in section
+    assert "−0.3 ± 0.8" in section
+
+
+def test_what_was_left_out_stands_with_the_tests_held_out(text, campaign, images):
+    section = text[text.index('id="held-out"') : text.index('id="unknown"')]
+    for words in ("Every level left out in turn", "Of 1 tests", "800 psi", "0.450"):
+        assert words in section
+    plain = render(replace(campaign, left_out=None, law_choices=()), images)
+    assert "left out in turn" not in plain
+    assert "Which law predicts best?" not in plain
+
+
+def test_the_interval_score_stands_between_width_and_crps(text):
+    heads = re.findall(r"<th scope=\"col\">([^<]*), kip</th>", text[: text.index('id="laws"')])
+    assert heads[:3] == ["Width of 95\N{NO-BREAK SPACE}%", "Interval score", "CRPS"]

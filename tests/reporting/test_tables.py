@@ -4,7 +4,17 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.reporting.tables import checks_csv, laws_csv, parameters_csv, scores_csv
+from mfd_bayes.reporting.tables import (
+    checks_csv,
+    crossvalidation_csv,
+    derived_csv,
+    law_scores_csv,
+    laws_csv,
+    parameters_csv,
+    predicted_csv,
+    report_tables,
+    scores_csv,
+)
 from mfd_bayes.reporting.views import Check
 
 
@@ -41,6 +51,47 @@ def test_scores_of_every_test(campaign):
     lines = read(scores_csv(campaign.scores))
     assert [line["role"] for line in lines] == ["calibrate", "validate"]
     assert lines[0]["coverage_95"] == "0.95"
+    assert lines[0]["interval_score_95_kip"]
+
+
+def test_derived_quantities_of_every_test(campaign):
+    rows = [row for test in campaign.tests for row in test.derived]
+    lines = read(derived_csv(rows))
+    head = "test role quantity unit mean sd q2.5 q50 q97.5 measured note"
+    assert list(lines[0]) == head.split()
+    assert [line["role"] for line in lines] == ["calibrate"] * 3 + ["validate"] * 2
+    assert (lines[0]["quantity"], lines[0]["measured"]) == ("energy_per_cycle", "3.3")
+    assert (lines[2]["quantity"], lines[2]["measured"]) == ("gap", "")
+    assert lines[3]["q50"] == ""  # no full cycle
+    head = "quantity unit mean sd lower median upper measured note"
+    about, other, *table = predicted_csv(rows, "800 psi", 0.9).splitlines()
+    assert "90 % intervals" in about
+    assert other.startswith("# actuation 800 psi")
+    assert list(read("\n".join(table))[0]) == head.split()
+
+
+def test_what_was_left_out_ends_in_its_mean(campaign):
+    lines = read(crossvalidation_csv(campaign.left_out))
+    assert [(line["part"], line["test"]) for line in lines] == [
+        ("800 psi", "p800_f0.25"),
+        ("", "mean"),
+    ]
+    assert (lines[0]["width_95_kip"], lines[0]["interval_score_95_kip"]) == ("0.4", "0.45")
+    assert (lines[0]["fitted_width_95_kip"], lines[0]["crps_ratio"]) == ("0.2", "2")
+
+
+def test_laws_are_scored_best_first(campaign):
+    lines = read(law_scores_csv(campaign.law_choices))
+    assert [(line["law"], line["chosen"]) for line in lines] == [
+        ("power", "no"),
+        ("proportional", "yes"),
+    ]
+    assert (lines[1]["elpd_difference"], lines[1]["weight"]) == ("-0.3", "0.3")
+
+
+def test_a_campaign_that_was_not_cross_validated_has_no_table_of_it(campaign):
+    assert "crossvalidation.csv" in report_tables(campaign)
+    assert "crossvalidation.csv" not in report_tables(replace(campaign, left_out=None))
 
 
 def test_nothing_to_write_leaves_the_header():

@@ -1,0 +1,82 @@
+"""Which law predicts best, in the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.population.laws import COMPARE
+from mfd_bayes.reporting.views import LawChoice, LawScoreRow
+
+
+def law_choices(
+    scores: Sequence[Mapping[str, Any]], laws: Mapping[str, str]
+) -> tuple[LawChoice, ...]:
+    """The laws of each quantity, best first, with the best one named.
+
+    Parameters
+    ----------
+    scores : sequence of mapping
+        Every `LawScore` of the manifest, as a dict.
+    laws : mapping of str to str
+        The campaign's.
+    """
+    found = []
+    for name in dict.fromkeys(score["quantity"] for score in scores):
+        own = [score for score in scores if score["quantity"] == name]
+        rows = _rows(own, laws.get(name, ""))
+        found.append(LawChoice(name, rows, _sentence(rows, len(own[0]["levels"]), laws.get(name))))
+    return tuple(found)
+
+
+def _rows(scores: Sequence[Mapping[str, Any]], chosen: str) -> tuple[LawScoreRow, ...]:
+    ordered = sorted(scores, key=lambda score: -score["elpd"])
+    best = np.array(ordered[0]["levels"])
+    rows = []
+    for score in ordered:
+        apart = np.array(score["levels"]) - best
+        rows.append(
+            LawScoreRow(
+                quantity=score["quantity"],
+                law=score["law"],
+                chosen=score["law"] == chosen,
+                elpd=score["elpd"],
+                elpd_se=score["se"],
+                difference=float(apart.sum()),
+                difference_se=float(np.sqrt(apart.size) * apart.std(ddof=1)),
+                weight=score["weight"],
+            )
+        )
+    return tuple(rows)
+
+
+def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> str:
+    """Which law predicts best, with a caution where others are about as good."""
+    best, *others = rows
+    text = f"the {best.law} law predicts levels that were left out best"
+    near = [row.law for row in others if -row.difference <= row.difference_se]
+    if near:
+        text += (
+            f", but the {levels} levels do not tell it from {' or '.join(near)}: the difference "
+            "is within its standard error"
+        )
+    own = next((row for row in others if row.chosen and row.law not in near), None)
+    if own:
+        text += (
+            f"; the campaign's own, {own.law}, is worse by {-own.difference:.1f} ± "
+            f"{own.difference_se:.1f}"
+        )
+    elif chosen == COMPARE:
+        held = weighed(COMPARE, {row.law: row.weight for row in rows})
+        text += f"; predictions mix them ({held})"
+    return text + "."
+
+
+def weighed(law: str, weights: Mapping[str, float]) -> str:
+    """A law's name, or the weights of those that were compared."""
+    if law != COMPARE:
+        return law
+    held = sorted(((name, w) for name, w in weights.items() if w > 0), key=lambda it: -it[1])
+    return "compared: " + ", ".join(f"{name} {weight:.2g}" for name, weight in held)

@@ -1,0 +1,239 @@
+"""Which model the records favour: runs of one campaign under several models, compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.cross_validation import (
+    LARGEST_K,
+    CrossValidation,
+    cross_validate,
+    difference,
+    join,
+)
+from mfd_bayes.calibration.cycles import find_cycles
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.campaign import ModelName
+from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.reporting.views import ComparisonRow
+from mfd_bayes.run import Run, TestResult
+from mfd_bayes.task import Task
+
+Array = NDArray[np.float64]
+
+CLEAR = 2.0
+"""Standard errors from which one model is called better than another."""
+
+FEW = 10
+"""Cycles below which a standard error over cycles is itself rough."""
+
+ALL = "all"
+_DRAWS = 400  # for the median of the force
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Models of one campaign, compared.
+
+    Attributes
+    ----------
+    rows : tuple of ComparisonRow
+        Of every test, then of all; best model first.
+    sentence : str
+        Which model the records favour, and whether the diagnostics allow trusting it.
+    """
+
+    rows: tuple[ComparisonRow, ...]
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Score:
+    """A model on one test, or on several."""
+
+    validation: CrossValidation
+    squares: float  # of what the median of the force leaves over, kip²
+    spread: float  # of the measured force about its mean, kip²
+
+
+def check_models(names: Sequence[str]) -> tuple[ModelName, ...]:
+    """Names of two models or more, in their own order.
+
+    Raises
+    ------
+    CampaignError
+        When one is unknown or named twice, or there are fewer than two.
+    """
+    known = get_args(ModelName)
+    wrong = [name for name in names if name not in known]
+    if wrong or len(set(names)) < max(len(names), 2):
+        got = ", ".join(map(repr, names)) or "nothing"
+        raise CampaignError(f"--models must name two or more of {', '.join(known)}, got {got}")
+    return tuple(name for name in known if name in names)
+
+
+def check_cycles(task: Task) -> None:
+    """Refuse a test of which no cycle can be left out.
+
+    Raises
+    ------
+    FitError
+        When its record has too few cycles.
+    """
+    posterior = Posterior(task.trace, task.priors, task.noise, task.model, start=task.start)
+    try:
+        find_cycles(task.trace, posterior.first)
+    except FitError as error:
+        raise FitError(f"test {task.id!r} cannot be compared: {error}") from error
+
+
+def compare_runs(runs: Mapping[str, Run]) -> Comparison:
+    """Comparison of runs of one campaign, by model.
+
+    Only tests that every model was calibrated to are compared.
+
+    Raises
+    ------
+    FitError
+        When no test was calibrated under every model, or a record has too few cycles.
+    """
+    some = next(iter(runs.values()))
+    shared = [name for name in some.tests if all(name in run.tests for run in runs.values())]
+    if not shared:
+        raise FitError("there is nothing to compare: no test could be calibrated under every model")
+    scores = {
+        model: {name: _score(run.tests[name]) for name in shared} for model, run in runs.items()
+    }
+    rows: list[ComparisonRow] = []
+    for name in shared:
+        rows += _rows(name, {model: found[name] for model, found in scores.items()})
+    total = {model: _together(list(found.values())) for model, found in scores.items()}
+    overall = _rows(ALL, total)
+    pair = overall[0].model, overall[1].model
+    parts = [_favour(total, pair, len(shared)), _trust(runs, total, pair, shared)]
+    lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
+    if lost:
+        parts.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
+    return Comparison((*rows, *overall), " ".join(parts))
+
+
+def _score(test: TestResult) -> _Score:
+    rng = np.random.default_rng(test.stored.facts["seed"])
+    values, trace = test.stored.values(), test.trace
+    sizes = test.draws.sizes
+    validation = cross_validate(
+        test.posterior, values, sizes["chain"], test.stored.facts["walkers"], rng
+    )
+    pick = np.linspace(0, values["offset"].size - 1, _DRAWS).astype(np.intp)
+    taken = {name: column[pick] for name, column in values.items()}
+    force = test.posterior.force(taken) + taken["offset"][:, None]
+    kept = slice(test.posterior.first, None)
+    observed = np.asarray(trace.force)[kept]
+    missed = observed - np.median(force, axis=0)[kept]
+    return _Score(validation, float(missed @ missed), float(observed.size * observed.var()))
+
+
+def _together(scores: list[_Score]) -> _Score:
+    return _Score(
+        join(score.validation for score in scores),
+        sum(score.squares for score in scores),
+        sum(score.spread for score in scores),
+    )
+
+
+def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
+    """Row of every model, best first."""
+    order = sorted(scores, key=lambda model: -scores[model].validation.total)
+    best = scores[order[0]].validation
+    rows = []
+    for model in order:
+        found = scores[model].validation
+        apart, error = difference(found, best)
+        rows.append(
+            ComparisonRow(
+                subject=subject,
+                model=model,
+                cycles=found.cycles,
+                elpd=found.total,
+                elpd_se=found.error,
+                p_loo=found.p_loo,
+                worst_k=float(found.psis_k.max()),
+                bad=float(found.redone.mean()),
+                unsettled=float(found.bad.mean()),
+                difference=apart,
+                difference_se=error,
+                rrse=float(np.sqrt(scores[model].squares / scores[model].spread)),
+            )
+        )
+    return rows
+
+
+def _favour(total: Mapping[str, _Score], pair: tuple[str, str], tests: int) -> str:
+    """Which of the best two models the records favour, if any."""
+    best, second = pair
+    one, other = total[best].validation, total[second].validation
+    apart, error = difference(one, other)
+    errors = apart / error if error > 0 else np.inf
+    where = f"{one.cycles} cycles of {tests} test{'s' if tests > 1 else ''}"
+    by = f"elpd higher by {apart:.4g}, {errors:.1f} standard errors over {where}"
+    if errors >= CLEAR:
+        text = f"The records favour {best} over {second}: {by}"
+    else:
+        text = f"The records do not tell {best} from {second}: {by}"
+    return text + (" (a rough error, of so few)." if one.cycles < FEW else ".")
+
+
+def _trust(
+    runs: Mapping[str, Run],
+    total: Mapping[str, _Score],
+    pair: tuple[str, str],
+    tests: list[str],
+) -> str:
+    """Whether the diagnostics of the best two models allow trusting their difference."""
+    redone, doubts = [], []
+    for model in pair:
+        found = total[model].validation
+        if np.any(found.redone):
+            redone.append(
+                f"{found.redone.sum()} of {found.cycles} cycles of {model} "
+                f"(worst {found.psis_k.max():.2f})"
+            )
+        if np.any(found.bad):
+            doubts.append(f"k stays above {LARGEST_K:g} in {found.bad.sum()} cycles of {model}")
+        short = [name for name in tests if not _converged(runs[model], name)]
+        if short:
+            doubts.append(f"the sampling of {model} fell short in {', '.join(short)}")
+    text = ""
+    if redone:
+        text = (
+            f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(redone)}; these were "
+            "computed anew from the evidence with and without the cycle. "
+        )
+    if not doubts:
+        return text + "The diagnostics allow trusting it."
+    text += f"The diagnostics do not allow trusting it as it is: {'; '.join(doubts)}"
+    one, other = (total[model].validation for model in pair)
+    good = ~(one.bad | other.bad)
+    if 1 < good.sum() < good.size:
+        apart, error = difference(one.part(good), other.part(good))
+        text += (
+            f"; over the other {good.sum()} cycles elpd differs by {apart:.4g}, "
+            f"{apart / error if error > 0 else np.inf:.1f} standard errors"
+        )
+    return text + "."
+
+
+def _converged(run: Run, test: str) -> bool:
+    """Whether what was sampled of a test reached the targets of the run's effort."""
+    effort = run.manifest["effort"]
+    posterior, facts = run.tests[test].posterior, run.tests[test].stored.facts
+    for name in posterior.names:
+        r_hat, bulk, tail = facts["convergence"].get(name) or (None, None, None)
+        if r_hat is None or r_hat > effort["r_hat"] or min(bulk or 0, tail or 0) < effort["ess"]:
+            return False
+    return True

@@ -1,0 +1,253 @@
+"""Cross-validation of a calibrated campaign: every part in turn predicted from all the others.
+
+Nothing is sampled twice: the tests' posteriors are those that are stored, and only the
+population is inferred anew without the part that is left out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.errors import CampaignError, MfdError, StoreError
+from mfd_bayes.pooled import pool_tests
+from mfd_bayes.population.pooling import Setting, levels_of
+from mfd_bayes.population.predict import Forecast, predict, setting_of
+from mfd_bayes.population.scores import Score, score
+from mfd_bayes.run import Run, TestResult, open_run
+from mfd_bayes.store import read_json, write_json
+from mfd_bayes.task import Outcome, Step
+from mfd_bayes.workers import run_tasks
+
+DRAWS = 800
+"""Draws of a band that is scored."""
+
+FOLDER = "crossvalidation"
+PARTS = ("test", "level", "session")
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """How a test was predicted from a campaign without its part.
+
+    Attributes
+    ----------
+    part, test : str
+    score : Score
+        Of bands of kind "observation".
+    fitted : Score
+        Of the test's own posterior.
+    """
+
+    part: str
+    test: str
+    score: Score
+    fitted: Score
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One part to be left out: what a process needs for it.
+
+    Attributes
+    ----------
+    part : str
+    file : str
+        Where its scores are stored, under OUT/crossvalidation.
+    left_out, kept : tuple of str
+        Tests.
+    effort : str
+    seed : int
+    """
+
+    part: str
+    file: str
+    left_out: tuple[str, ...]
+    kept: tuple[str, ...]
+    effort: str
+    seed: int
+
+    @property
+    def id(self) -> str:
+        """What it is called."""
+        return f"without {self.part}"
+
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Predict the part, and store its scores.
+
+        Raises
+        ------
+        StoreError
+            When they cannot be written.
+        """
+        began = time.perf_counter()
+        observe(Step(self.id, "gathering the others"))
+        try:
+            found = leave_out(open_run(out), self, observe)
+        except StoreError:
+            raise
+        except MfdError as error:
+            observe(Step(self.id, "failed", message=str(error)))
+            return Outcome(self.id, "failed", time.perf_counter() - began, str(error))
+        predictions = [asdict(prediction) for prediction in found]
+        write_json(out / FOLDER / self.file, {"key": asdict(self), "predictions": predictions})
+        observe(Step(self.id, "done"))
+        return Outcome(self.id, "done", time.perf_counter() - began)
+
+    def stored(self, out: Path) -> bool:
+        """Whether its scores are there, and are of this very fold."""
+        file = out / FOLDER / self.file
+        key = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return file.is_file() and read_json(file).get("key") == key  # as JSON gives it back
+
+
+def parts_of(
+    settings: Mapping[str, Setting], by: str, actuation_unit: str, where: Path
+) -> dict[str, tuple[str, ...]]:
+    """Calibrated tests of each part, by the part's name.
+
+    Parameters
+    ----------
+    settings : mapping of str to Setting
+        Of every calibrated test, by its id.
+    by : {"test", "level", "session"}
+    actuation_unit : {"ksi", "kip"}
+    where : Path
+        Campaign or run, named where there are too few parts.
+
+    Raises
+    ------
+    CampaignError
+        When `by` is unknown, or there are fewer than two parts.
+    """
+    names = list(settings)
+    parts: dict[str, tuple[str, ...]] = {}
+    if by not in PARTS:
+        raise CampaignError(f"--by must be one of {', '.join(PARTS)}, got {by!r}")
+    if by == "test":
+        parts = {name: (name,) for name in names}
+    elif by == "level":
+        for fold in levels_of(list(settings.values())):
+            level = 1000.0 * settings[names[fold[0]]].actuation
+            unit = "psi" if actuation_unit == "ksi" else "lbf"
+            parts[f"{level:.4g} {unit}"] = tuple(names[j] for j in fold)
+    else:
+        sessions = dict.fromkeys(setting.session for setting in settings.values())
+        if not any(sessions):
+            raise CampaignError(
+                f"cross-validation by session needs sessions: no calibrated test of {where} has "
+                'one, such as session = "Monday" in its [[test]]'
+            )
+        parts = {
+            f"session {session}" if session else "no session": tuple(
+                name for name in names if settings[name].session == session
+            )
+            for session in sessions
+        }
+    if len(parts) < 2:
+        raise CampaignError(
+            f"cross-validation by {by} needs two {by}s at least; the calibrated tests of {where} "
+            "make up one"
+        )
+    return parts
+
+
+def folds_of(run: Run, by: str, effort: str) -> tuple[Fold, ...]:
+    """Every part of a run that is to be left out.
+
+    Raises
+    ------
+    CampaignError
+        When there are fewer than two.
+    """
+    settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
+    parts = parts_of(settings, by, run.actuation_unit, run.folder)
+    seed = int(run.manifest["seed"])
+    return tuple(
+        Fold(
+            part=part,
+            file=f"{by}_{number}.json",
+            left_out=tests,
+            kept=tuple(name for name in run.tests if name not in tests),
+            effort=effort,
+            seed=seed,
+        )
+        for number, (part, tests) in enumerate(parts.items(), start=1)
+    )
+
+
+def leave_out(
+    run: Run, fold: Fold, observe: Callable[[Step], Any] = lambda _: None
+) -> tuple[Prediction, ...]:
+    """Predictions of the tests of one part from all the others.
+
+    Raises
+    ------
+    MfdError
+        When the others do not make a population.
+    """
+    others = {name: run.tests[name] for name in fold.kept}
+    settings = run.manifest["settings"]
+    pooled = pool_tests(
+        others,
+        run.priors,
+        settings,
+        fold.effort,
+        (fold.seed, 2),
+        lambda progress: observe(Step(fold.id, "sampling", progress)),
+    )
+    found = []
+    for name in fold.left_out:
+        test = run.tests[name]
+        posterior = test.posterior
+        band = predict(
+            pooled.inference.population,
+            posterior.model,
+            posterior.noise,
+            test.trace,
+            Forecast("observation", draws=DRAWS, seed=fold.seed),
+            session=run.session(name),
+        )
+        force = np.asarray(test.trace.force)
+        found.append(Prediction(fold.part, name, score(band.draws, force), _fitted(test)))
+    return tuple(found)
+
+
+def _fitted(test: TestResult) -> Score:
+    """Score of a test's own posterior predictive."""
+    replicas = replicate(test.posterior, test.stored.values(), np.random.default_rng(0), DRAWS)
+    return score(replicas.observed, np.asarray(test.trace.force))
+
+
+def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
+    """Predictions of folds that were stored."""
+    for fold in folds:
+        for entry in read_json(out / FOLDER / fold.file)["predictions"]:
+            scores = {key: Score.of(entry[key]) for key in ("score", "fitted")}
+            yield Prediction(entry["part"], entry["test"], **scores)
+
+
+def run_folds(
+    run: Run, folds: Sequence[Fold], jobs: int, observe: Callable[[Step], None]
+) -> tuple[Prediction, ...]:
+    """Predictions of every part, so many at a time; those that are stored are not done again.
+
+    Raises
+    ------
+    MfdError
+        When a part cannot be predicted from the others.
+    """
+    out = run.folder
+    todo = [fold for fold in folds if not fold.stored(out)]
+    with closing(run_tasks(todo, out, jobs, observe)) as outcomes:
+        for outcome in outcomes:
+            if outcome.error:
+                raise CampaignError(f"cannot predict {outcome.id}: {outcome.error}")
+    return tuple(read_predictions(out, folds))

@@ -1,0 +1,124 @@
+"""What one test tells of the population: its likelihood, and a Gaussian that is close to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.population.pooling import Pooling
+
+Array = NDArray[np.float64]
+
+LEAST_INFORMATION = 1e-3
+"""Precision, in prior units, below which a test is taken to say nothing about a direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One test, in prior units: its pooled coordinates first, then those of its own.
+
+    Attributes
+    ----------
+    log_likelihood : callable
+        Of (n, D) coordinates, (n,).
+    log_interim_prior : callable
+        Log density of (n, d) pooled coordinates under the prior of the test by itself, (n,).
+    log_own_prior : callable
+        Log prior density of the D − d coordinates of its own, (n, D − d) -> (n,).
+    draws : (S, D)
+        Draws of the test's posterior under the interim prior.
+    draws_log_prior : (S,)
+        Log density of their pooled coordinates under the interim prior.
+    mean, covariance : (D,), (D, D)
+        Gaussian close to the likelihood: the draws' moments without the interim prior.
+    gaussian : bool
+        Whether the likelihood is this Gaussian.
+    """
+
+    log_likelihood: Callable[[Array], Array]
+    log_interim_prior: Callable[[Array], Array]
+    log_own_prior: Callable[[Array], Array]
+    draws: Array
+    draws_log_prior: Array
+    mean: Array
+    covariance: Array
+    gaussian: bool = False
+
+    def approximated(self) -> Evidence:
+        """The same with the Gaussian in place of the likelihood."""
+        precision = np.linalg.inv(self.covariance)
+
+        def log_likelihood(x: Array) -> Array:
+            away = x - self.mean
+            density: Array = -0.5 * np.einsum("ni,ij,nj->n", away, precision, away)
+            return density
+
+        return replace(self, log_likelihood=log_likelihood, gaussian=True)
+
+
+def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Array]) -> Evidence:
+    """What a calibrated test tells, from its stored draws by name, (S,) each."""
+    own = [name for name in posterior.names if name not in pooling.names]
+    order = [*pooling.names, *own]
+    back = [order.index(name) for name in posterior.names]
+    d = len(pooling.names)
+    centre, spread = [*pooling.centre], [*pooling.spread]
+    for name in own:
+        prior = posterior.priors[name]
+        drawn = prior.coordinate(prior.draw(np.random.default_rng(0), 4000))
+        centre.append(float(drawn.mean()))
+        spread.append(float(drawn.std()))
+    middle, scale = np.array(centre), np.array(spread)
+
+    def log_likelihood(x: Array) -> Array:
+        q = middle + scale * x
+        q[:, :d] = pooling.coordinates.to_own(q[:, :d])
+        q = q[:, back]
+        density = np.full(len(q), -np.inf)
+        inside = np.all(np.isfinite(q), axis=1)
+        inside[inside] = np.isfinite(posterior.log_prior_own(q[inside]))
+        if np.any(inside):
+            density[inside] = posterior.log_likelihood(posterior.from_own(q[inside]))
+        return density
+
+    def log_own_prior(x: Array) -> Array:
+        total = np.zeros(len(x))
+        for i, name in enumerate(own):
+            total += posterior.priors[name].log_density(middle[d + i] + scale[d + i] * x[:, i])
+        return total
+
+    def log_interim_prior(x: Array) -> Array:
+        return pooling.coordinates.log_prior(pooling.centre + pooling.spread * x)
+
+    coordinates = [pooling.coordinates.of(values)]
+    coordinates += [posterior.priors[name].coordinate(values[name])[:, None] for name in own]
+    draws = (np.concatenate(coordinates, axis=1) - middle) / scale
+    mean, covariance = without_prior(draws)
+    return Evidence(
+        log_likelihood,
+        log_interim_prior,
+        log_own_prior,
+        draws,
+        log_interim_prior(draws[:, :d]),
+        mean,
+        covariance,
+    )
+
+
+def without_prior(draws: Array) -> tuple[Array, Array]:
+    """Mean (D,) and covariance (D, D) of the likelihood behind draws (S, D) in prior units.
+
+    The interim prior, of mean 0 and precision 1, is divided out of the draws' moments.
+    """
+    mean = draws.mean(axis=0)
+    variances, axes = np.linalg.eigh(np.atleast_2d(np.cov(draws, rowvar=False)))
+    information = 1.0 / variances - 1.0
+    informed = information > LEAST_INFORMATION
+    precision = np.where(informed, information, LEAST_INFORMATION)
+    along = axes.T @ mean
+    centre = np.where(informed, along / variances / precision, along)
+    return axes @ centre, (axes / precision) @ axes.T

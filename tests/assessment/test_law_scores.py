@@ -1,0 +1,55 @@
+import pytest
+
+from mfd_bayes.assessment.law_scores import law_choices, weighed
+
+
+def scores(**levels):
+    """Scores of the laws of one quantity, from their terms at three levels."""
+    return [
+        {
+            "quantity": "Fc_fwd",
+            "law": law,
+            "elpd": sum(terms),
+            "se": 0.5,
+            "weight": 1.0 / len(levels),
+            "levels": terms,
+        }
+        for law, terms in levels.items()
+    ]
+
+
+def test_the_best_law_stands_first_and_others_are_measured_by_it():
+    (choice,) = law_choices(
+        scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5]), {"Fc_fwd": "proportional"}
+    )
+    best, other = choice.rows
+    assert (best.law, best.difference, best.difference_se) == ("power", 0.0, 0.0)
+    assert other.difference == pytest.approx(-3.5)
+    assert other.difference_se == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
+    assert (best.chosen, other.chosen) == (False, True)
+    assert "the campaign's own, proportional, is worse by 3.5 ± 0.5" in choice.sentence
+    assert "do not tell" not in choice.sentence
+
+
+def test_a_difference_within_its_standard_error_is_cautioned():
+    found = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 1.0, 0.5], constant=[-9.0, -8.0, -9.0])
+    (choice,) = law_choices(found, {"Fc_fwd": "proportional"})
+    assert choice.sentence.startswith("the power law predicts levels that were left out best, but")
+    assert "the 3 levels do not tell it from proportional:" in choice.sentence
+    assert "constant" not in choice.sentence
+    assert "is worse" not in choice.sentence
+
+
+def test_compared_laws_are_named_with_their_weights():
+    (choice,) = law_choices(
+        scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5]), {"Fc_fwd": "compare"}
+    )
+    assert choice.sentence.endswith("mix them (compared: power 0.5, proportional 0.5).")
+    assert not any(row.chosen for row in choice.rows)
+    weights = {"proportional": 0.3, "affine": 0.0, "power": 0.7}
+    assert weighed("compare", weights) == "compared: power 0.7, proportional 0.3"
+    assert weighed("power", {"power": 1.0}) == "power"
+
+
+def test_without_scores_there_is_no_choice():
+    assert law_choices((), {"Fc_fwd": "power"}) == ()

@@ -1,0 +1,47 @@
+import pytest
+
+from mfd_bayes.assessment.left_out import left_out_view
+
+
+def scored(width, crps):
+    return {
+        "coverage": [0.5, 0.8, 0.9],
+        "width": width,
+        "interval_score": 1.5 * width,
+        "crps": crps,
+        "rrse": 0.3,
+    }
+
+
+def prediction(test, part, width):
+    return {"part": part, "test": test, "score": scored(width, 0.2), "fitted": scored(0.5, 0.1)}
+
+
+STORED = {
+    "by": "level",
+    "predictions": [prediction("a", "500 psi", 1.0), prediction("b", "1000 psi", 2.0)],
+}
+
+
+def test_predictions_stand_beside_fitted_tests_and_are_averaged():
+    found = left_out_view(STORED)
+    first, second = found.rows
+    assert (first.subject, first.part, first.coverage_95) == ("a", "500 psi", 0.9)
+    assert (first.fitted_width, first.width_ratio, second.width_ratio) == (0.5, 2.0, 4.0)
+    assert first.crps_ratio == pytest.approx(2.0)
+    assert (found.mean.subject, found.mean.part) == ("mean", "")
+    assert found.mean.width_95 == pytest.approx(1.5)
+    assert found.mean.interval_score == pytest.approx(2.25)
+    assert found.sentence == (
+        "Of 2 tests, each predicted from those of the other levels, the 95 % bands hold 90.0 % of "
+        "the force, the 50 % bands 50.0 %; they are on average 3.0 times as wide as those of the "
+        "fitted tests."
+    )
+
+
+def test_a_test_left_out_is_predicted_from_the_others():
+    assert "each predicted from the others" in left_out_view(STORED | {"by": "test"}).sentence
+
+
+def test_nothing_is_said_of_a_campaign_that_was_not_cross_validated():
+    assert left_out_view(None) is None

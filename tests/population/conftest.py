@@ -1,0 +1,196 @@
+"""Linear-Gaussian populations, with their answers by brute force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import special, stats
+
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.population.evidence import Evidence, without_prior
+from mfd_bayes.population.pooling import Pooling, Setting, pool
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="session")
+def priors() -> PriorFile:
+    return load_priors("mfd")
+
+
+def gaussian_evidence(
+    mean: Array, covariance: Array, rng: np.random.Generator, draws: int = 4000
+) -> Evidence:
+    """A test with a Gaussian likelihood that does not say so, after a N(0, 1) interim prior."""
+    d = len(mean)
+    precision = np.linalg.inv(covariance)
+    spread = np.linalg.inv(precision + np.eye(d))
+    drawn = rng.multivariate_normal(spread @ precision @ mean, spread, size=draws)
+
+    def log_likelihood(x: Array) -> Array:
+        away = x - mean
+        return np.asarray(-0.5 * np.einsum("ni,ij,nj->n", away, precision, away))
+
+    def log_prior(x: Array) -> Array:
+        return np.asarray(-0.5 * np.sum(x**2, axis=1))
+
+    return Evidence(
+        log_likelihood,
+        log_prior,
+        lambda own: np.zeros(len(own)),
+        drawn,
+        log_prior(drawn),
+        *without_prior(drawn),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Means and sds of everything, and exact draws of (log scatter, log effect sd), u and x."""
+
+    mean: dict[str, Array]
+    sd: dict[str, Array]
+    h: Array
+    u: Array
+    x: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Tests with data y_j = x_j + e_j, x_j as `Pooling` says, power laws, Gaussian scatter.
+
+    u are the N(0, 1) levels (d), then parts of the effects of the first quantity (its levels of
+    actuation), then its standardised exponent.
+    """
+
+    pooling: Pooling
+    y: Array
+    covariances: Array
+
+    @property
+    def actuations(self) -> Array:
+        return np.array([s.actuation for s in self.pooling.settings])
+
+    def evidence(self, rng: np.random.Generator) -> list[Evidence]:
+        return [
+            gaussian_evidence(*told, rng) for told in zip(self.y, self.covariances, strict=True)
+        ]
+
+    def _design(self, omega: float | None) -> tuple[Array, Array]:
+        """Offsets (J, d), and what each test has of u, (J, d, u)."""
+        count, d = self.y.shape
+        follows = bool(self.pooling.laws)
+        cells, home = np.unique(self.actuations, return_inverse=True)
+        parts = 0 if omega is None else cells.size
+        design = np.zeros((count, d, d + parts + follows))
+        design[:, range(d), range(d)] = 1.0
+        offsets = np.zeros((count, d))
+        if follows:
+            folds = np.log(self.actuations / self.pooling.reference) / self.pooling.spread[0]
+            offsets[:, 0] = folds  # exponent 1 + u/2
+            design[:, 0, -1] = 0.5 * folds
+        if omega is not None:
+            distance = np.abs(np.log(cells[:, None] / cells))
+            root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)))
+            design[:, 0, d : d + parts] = omega / self.pooling.spread[0] * root[home]
+        return offsets, design
+
+    def conditional(self, tau: Array, omega: float | None) -> tuple[float, Array, Array]:
+        """Log density of y, and moments of u and x (flat) together, given scatter and effects."""
+        count, d = self.y.shape
+        offsets, design = self._design(omega)
+        a = design.reshape(count * d, -1)
+        scatter = np.diag(np.tile((tau / self.pooling.spread) ** 2, count))
+        noise = np.zeros((count * d, count * d))
+        for j in range(count):
+            noise[j * d : (j + 1) * d, j * d : (j + 1) * d] = self.covariances[j]
+        prior = a @ a.T + scatter
+        everything = np.block([[np.eye(a.shape[1]), a.T], [a, prior]])
+        with_y = np.concatenate([a.T, prior])
+        away = (self.y - offsets).reshape(-1)
+        covariance = prior + noise
+        gain = np.linalg.solve(covariance, with_y.T).T
+        mean = gain @ away
+        mean[a.shape[1] :] += offsets.reshape(-1)
+        density = stats.multivariate_normal(cov=covariance).logpdf(away)
+        return float(density), mean, everything - gain @ with_y.T
+
+    def solve(self, rng: np.random.Generator, n: int = 4096, points: int = 40) -> Moments:
+        """Everything by a grid over log scatter and log effect sd, and n exact draws."""
+        d = self.y.shape[1]
+        effects = len(self.pooling.effects)
+        scales = np.append(self.pooling.scatter_sd, self.pooling.scatter_sd[:1].repeat(effects))
+        axis = np.linspace(-6.0, 1.5, points)  # of the log of an sd over its prior's scale
+        grid = np.array(list(product(axis, repeat=d + effects))) + np.log(scales)
+        results = [
+            self.conditional(np.exp(h[:d]), float(np.exp(h[d])) if effects else None) for h in grid
+        ]
+        weight = np.array([density for density, _, _ in results])
+        weight += np.sum(grid - 0.5 * (np.exp(grid) / scales) ** 2, axis=1)
+        weight = special.softmax(weight)
+        means = np.array([mean for _, mean, _ in results])
+        variances = np.array([np.diag(c) for _, _, c in results])
+        mean = weight @ means
+        var = weight @ (variances + means**2) - mean**2
+        u = means.shape[1] - self.y.size
+        sds = np.exp(grid)
+        h_mean, u_mean, x_mean = weight @ sds, mean[:u], mean[u:].reshape(self.y.shape)
+        h_sd = np.sqrt(weight @ sds**2 - h_mean**2)
+        u_sd, x_sd = np.sqrt(var[:u]), np.sqrt(var[u:]).reshape(self.y.shape)
+        picks = rng.choice(len(grid), size=n, p=weight)
+        step = axis[1] - axis[0]
+        h = grid[picks] + step * (rng.random((n, d + effects)) - 0.5)
+        drawn = np.empty((n, means.shape[1]))
+        for i, row in enumerate(h):
+            _, middle, spread = self.conditional(
+                np.exp(row[:d]), float(np.exp(row[d])) if effects else None
+            )
+            drawn[i] = rng.multivariate_normal(middle, spread, method="eigh")
+        return Moments(
+            {"sd": h_mean, "u": u_mean, "x": x_mean},
+            {"sd": h_sd, "u": u_sd, "x": x_sd},
+            h,
+            drawn[:, :u],
+            drawn[:, u:].reshape(n, *self.y.shape),
+        )
+
+
+@pytest.fixture(scope="session", name="gaussian_evidence")
+def _gaussian_evidence() -> Callable[..., Evidence]:
+    return gaussian_evidence
+
+
+@pytest.fixture(scope="session")
+def make_linear(priors: PriorFile) -> Callable[..., Linear]:
+    def make(
+        actuations: Sequence[float],
+        names: Sequence[str],
+        *,
+        level: float = 0.4,
+        noise: float = 0.5,
+        seed: int = 1,
+    ) -> Linear:
+        """A campaign with noise in every test, in units of its scatter, that is not small."""
+        laws = {"Fc_fwd": "power"} if "Fc_fwd" in names else {}
+        settings = [Setting(p) for p in actuations]
+        pooling = pool(priors, names, settings, laws)
+        rng = np.random.default_rng(seed)
+        d, count = len(names), len(actuations)
+        tau = 0.5 * pooling.scatter_sd / pooling.spread
+        x = level * rng.choice([-1.0, 1.0], d) + tau * rng.standard_normal((count, d))
+        if laws:
+            x[:, 0] += 0.8 * np.log(np.array(actuations) / pooling.reference) / pooling.spread[0]
+        covariances = []
+        for _ in range(count):
+            root = rng.standard_normal((d, d + 2))
+            told = noise**2 * np.outer(tau, tau)
+            covariances.append(told * (root @ root.T) / (d + 2))
+        errors = [rng.multivariate_normal(np.zeros(d), c) for c in covariances]
+        return Linear(pooling, x + errors, np.array(covariances))
+
+    return make

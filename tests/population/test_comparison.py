@@ -1,0 +1,216 @@
+"""Laws compared by levels left out, against brute force; and exponents that are free."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from mfd_bayes.population.comparison import compare_dependence, compare_laws, free_exponents, stack
+from mfd_bayes.population.pooling import Setting, pool
+
+LEVELS = (0.5, 0.5, 0.8, 1.5)
+MANY = tuple(np.repeat([0.4, 0.6, 0.9, 1.4, 2.0], 2))
+
+
+@pytest.fixture
+def campaign(priors, gaussian_evidence):
+    return partial(make_campaign, priors, gaussian_evidence)
+
+
+def make_campaign(
+    priors,
+    told,
+    exponent=1.0,
+    levels=LEVELS,
+    *,
+    laws=None,
+    error=0.02,
+    sessions=None,
+    velocities=None,
+    sensitivity=0.0,
+):
+    """Tests whose friction follows a power of the actuation, with 4 % scatter."""
+    rng = np.random.default_rng(4)
+    sessions = sessions or [""] * len(levels)
+    velocities = velocities or [2.0] * len(levels)
+    settings = [
+        Setting(p, s, {"velocity": v, "amplitude": 1.0})
+        for p, s, v in zip(levels, sessions, velocities, strict=True)
+    ]
+    pooling = pool(priors, ("Fc_fwd", "offset"), settings, laws)
+    tests = []
+    for level, velocity in zip(levels, velocities, strict=True):
+        q = pooling.centre + np.array([0.3, 0.02])
+        q[0] += exponent * np.log(level / pooling.reference) + 0.04 * rng.standard_normal()
+        q[0] += error * rng.standard_normal() + sensitivity * np.log(velocity)
+        sd = np.array([error, 0.02]) / pooling.spread
+        mean = (q - pooling.centre) / pooling.spread
+        evidence = told(mean, np.diag(sd**2), rng, draws=200)
+        tests.append(replace(evidence, mean=mean, covariance=np.diag(sd**2)))
+    return pooling, tests
+
+
+def grid_of(law):
+    """Shares and exponents of a law on a grid, and their log weights."""
+    q = (np.arange(200) + 0.5) / 200
+    if law == "affine":
+        return q, np.ones(200), np.zeros(200)
+    if law == "power":
+        exponents = stats.norm(1.0, 0.5).ppf(q)
+        return np.ones(200), exponents, np.zeros(200)
+    return np.array([float(law == "proportional")]), np.ones(1), np.zeros(1)
+
+
+def brute_force(pooling, tests, law, session_effect=False):
+    """Log density of all tests and of those outside each fold, by grids and scipy."""
+    k, scale = 0, pooling.scatter_sd[0] / pooling.spread[0]
+    data = np.array([t.mean[k] for t in tests])
+    noise = np.diag([t.covariance[k, k] for t in tests])
+    relative = np.array([s.actuation for s in pooling.settings]) / pooling.reference
+    taus = stats.halfnorm(scale=scale).ppf((np.arange(120) + 0.5) / 120)
+    omegas = taus[::6] if session_effect else np.zeros(1)
+    sessions = [s.session for s in pooling.settings]
+    alike = np.array([[float(a == b) for a in sessions] for b in sessions])
+    share, exponent, _ = grid_of(law)
+    means = np.log(share[:, None] * relative ** exponent[:, None] + 1.0 - share[:, None])
+    means /= pooling.spread[k]
+
+    def density(kept):
+        terms = []
+        for tau in taus:
+            for omega in omegas:
+                c = noise + tau**2 * np.eye(len(data)) + 1.0 + omega**2 * alike
+                normal = stats.multivariate_normal(cov=c[np.ix_(kept, kept)])
+                terms.append(np.atleast_1d(normal.logpdf((data - means)[:, kept])))
+        return special.logsumexp(terms) - np.log(np.size(terms))
+
+    return density
+
+
+@pytest.mark.parametrize("law", ["proportional", "affine", "power", "constant"])
+def test_scores_are_brute_force(campaign, law):
+    pooling, tests = campaign(0.8)
+    density = brute_force(pooling, tests, law)
+    everything = density([0, 1, 2, 3])
+    expected = [everything - density(kept) for kept in ([2, 3], [0, 1, 3], [0, 1, 2])]
+    found = next(s for s in compare_laws(pooling, tests) if s.law == law)
+    np.testing.assert_allclose(found.levels, expected, atol=0.03)
+    assert found.elpd == pytest.approx(sum(found.levels))
+    assert found.se == pytest.approx(np.sqrt(3) * np.std(found.levels, ddof=1))
+    other = brute_force(pooling, [*tests[:3], replace(tests[3], mean=0.9 * tests[3].mean)], law)
+    assert abs(other([0, 1, 2, 3]) - other([0, 1, 2]) - found.levels[2]) > 0.03  # the control
+
+
+def test_scores_know_of_sessions(campaign):
+    pooling, tests = campaign(0.8, sessions=["a", "b", "a", "b"])
+    density = brute_force(pooling, tests, "proportional", session_effect=True)
+    everything = density([0, 1, 2, 3])
+    expected = [everything - density(kept) for kept in ([2, 3], [0, 1, 3], [0, 1, 2])]
+    found = next(s for s in compare_laws(pooling, tests) if s.law == "proportional")
+    np.testing.assert_allclose(found.levels, expected, atol=0.05)
+
+
+def test_scores_are_always_the_same(campaign):
+    pooling, tests = campaign()
+    assert compare_laws(pooling, tests) == compare_laws(pooling, tests)
+
+
+@pytest.mark.parametrize(
+    ("exponent", "right", "wrong"),
+    [
+        (1.0, {"proportional", "power"}, {"constant"}),
+        (0.0, {"constant", "power"}, {"proportional"}),
+        (0.5, {"power"}, {"constant", "proportional"}),
+    ],
+)
+def test_laws_that_tests_obey_score_better_than_others(campaign, exponent, right, wrong):
+    found = {s.law: s for s in compare_laws(*campaign(exponent, MANY))}
+    assert {s.quantity for s in found.values()} == {"Fc_fwd"}
+    assert max(found[law].elpd for law in wrong) < min(found[law].elpd for law in right) - 4.0
+    assert sum(s.weight for s in found.values()) == pytest.approx(1.0)
+    assert max(found[law].weight for law in wrong) < 0.05
+
+
+@pytest.mark.parametrize("levels", [(0.5, 0.5), (0.5, 0.8, 0.8), (0.5, 0.503, 0.8)])
+def test_two_levels_say_nothing(campaign, levels):
+    pooling, tests = campaign(levels=levels)
+    assert compare_laws(pooling, tests) == ()
+    assert free_exponents(pooling, tests) == {}
+
+
+@pytest.mark.parametrize("exponent", [1.0, 0.5])
+def test_the_exponent_of_the_tests_is_inside_its_interval(campaign, exponent):
+    low, middle, high = free_exponents(*campaign(exponent, MANY))["Fc_fwd"]
+    assert low < exponent < high
+    assert middle == pytest.approx(exponent, abs=0.1)
+    assert (low < 1.0 < high) == (exponent == 1.0)
+
+
+def test_the_exponents_interval_is_brute_force(campaign):
+    pooling, tests = campaign(0.8)
+    data = np.array([t.mean[0] for t in tests])
+    noise = np.diag([t.covariance[0, 0] for t in tests])
+    folds = np.log(np.array(LEVELS) / pooling.reference) / pooling.spread[0]
+    exponents = np.linspace(0.0, 2.0, 801)
+    scale = pooling.scatter_sd[0] / pooling.spread[0]
+    density = np.zeros(exponents.size)
+    for tau in stats.halfnorm(scale=scale).ppf((np.arange(200) + 0.5) / 200):
+        normal = stats.multivariate_normal(cov=noise + tau**2 * np.eye(4) + 1.0)
+        density += normal.pdf(data - exponents[:, None] * folds)
+    density *= stats.norm(1.0, 0.5).pdf(exponents)
+    mass = np.cumsum(density) / density.sum()
+    expected = np.interp([0.025, 0.5, 0.975], mass, exponents)
+    np.testing.assert_allclose(free_exponents(pooling, tests)["Fc_fwd"], expected, atol=0.02)
+
+
+def test_only_proportional_laws_are_freed(campaign):
+    assert free_exponents(*campaign(laws={"Fc_fwd": "power"})) == {}
+
+
+SPEEDS = [1.0, 8.0, 4.0, 2.0, 1.0, 8.0, 4.0, 2.0, 1.0, 8.0]
+
+
+def test_a_dependence_on_speed_is_found_where_there_is_one(campaign):
+    found = compare_dependence(*campaign(levels=MANY, velocities=SPEEDS, sensitivity=0.3))
+    assert [(s.quantity, s.covariate) for s in found] == [("Fc_fwd", ""), ("Fc_fwd", "velocity")]
+    assert found[1].difference > 2 * found[1].se > 0
+    assert found[1].difference == pytest.approx(found[1].elpd - found[0].elpd)
+    none = compare_dependence(*campaign(levels=MANY, velocities=SPEEDS))
+    assert none[1].difference < 2 * none[1].se  # the control
+
+
+def test_a_dependence_needs_tests_and_speeds_that_differ(campaign):
+    assert compare_dependence(*campaign(levels=(0.5, 0.8, 1.5), velocities=[1.0, 2.0, 4.0])) == ()
+    assert compare_dependence(*campaign(levels=MANY)) == ()
+
+
+# stacking
+
+
+def test_the_only_law_that_predicts_has_all_weight():
+    scores = np.array([[0.0, -20.0, -30.0]] * 5)
+    np.testing.assert_allclose(stack(scores), [1.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_laws_that_predict_different_levels_share_the_weight():
+    scores = np.log(np.array([[0.9, 0.1], [0.1, 0.9]] * 3))
+    np.testing.assert_allclose(stack(scores), [0.5, 0.5], atol=1e-3)
+
+
+def test_weights_are_the_best_ones():
+    scores = np.random.default_rng(1).normal(size=(7, 2))
+    share = np.linspace(0, 1, 2001)
+    density = np.exp(scores)
+    total = np.log(density @ np.stack([share, 1.0 - share])).sum(axis=0)
+    best = share[np.argmax(total)]
+    assert 0.02 < best < 0.98
+    np.testing.assert_allclose(stack(scores), [best, 1.0 - best], atol=2e-3)
+
+
+def test_a_law_that_is_never_best_has_no_weight():
+    scores = np.log(np.array([[0.5, 0.4, 0.3], [0.4, 0.5, 0.3], [0.5, 0.4, 0.3]]))
+    weights = stack(scores)
+    assert weights[2] == 0.0
+    assert weights.sum() == pytest.approx(1.0)

@@ -1,0 +1,247 @@
+"""Every kernel of a sweep leaves a linear-Gaussian joint posterior as it is; broken ones do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.population.evidence import Evidence
+from mfd_bayes.population.joint import Chains, Joint
+from mfd_bayes.population.pooling import Pooling
+
+CHAINS = 4096
+LEVELS = (0.5, 0.5, 0.9, 1.6)
+FAR = 5.0
+"""Standard errors; some 20 moments are looked at in each test."""
+
+
+class Case:
+    """Exact draws of a campaign's joint posterior, and the density that has to keep them."""
+
+    def __init__(self, linear, seed=3):
+        rng = np.random.default_rng(seed)
+        self.linear, self.exact = linear, linear.solve(rng, CHAINS)
+        self.tests, self.rng = linear.evidence(rng), rng
+
+    def chains(self) -> Chains:
+        """Chains at the exact draws."""
+        pooling, exact = self.linear.pooling, self.exact
+        cells = sum(len(e.cells) for e in pooling.effects)
+        d = len(pooling.names)
+        latent = np.zeros((CHAINS, 1 + cells, d))
+        latent[:, 0] = exact.u[:, :d]
+        sds = d + len(pooling.effects)
+        h = np.zeros((CHAINS, pooling.dim))
+        h[:, :sds] = exact.h
+        for i, _ in enumerate(pooling.effects):
+            sd = np.exp(exact.h[:, d + i, None]) / pooling.spread[0]
+            latent[:, 1:, 0] = sd * exact.u[:, d : d + cells]
+        if pooling.laws:
+            h[:, -1] = 1.0 + 0.5 * exact.u[:, -1]
+        x = [exact.x[:, j].copy() for j in range(len(self.tests))]
+        likelihoods = [t.log_likelihood(v) for t, v in zip(self.tests, x, strict=True)]
+        ensemble = np.repeat(np.arange(4), CHAINS // 4)
+        return Chains(h, latent, x, likelihoods, pooling.draw_choice(CHAINS), ensemble)
+
+
+@pytest.fixture(scope="module")
+def case(make_linear):
+    """Friction at three levels: scatter, an effect of the level, a power law."""
+    return Case(make_linear(LEVELS, ("Fc_fwd",), seed=2))
+
+
+@pytest.fixture(scope="module")
+def pair(make_linear):
+    """Two quantities whose likelihoods are correlated, without laws' effects."""
+    return Case(make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "offset"), seed=3))
+
+
+@pytest.fixture(scope="module")
+def vague(make_linear):
+    """Friction that each test tells less of than its prior, and far from its prior's middle."""
+    return Case(make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd",), level=2.5, noise=6.0, seed=3))
+
+
+def features(chains: Chains) -> np.ndarray:
+    """What must not change, (n, features): everything, and some products."""
+    x = np.concatenate(chains.x, axis=1)
+    first = np.concatenate([chains.h, chains.latent.reshape(len(x), -1), x], axis=1)
+    first = first[:, first.std(axis=0) > 0]
+    centred = first - first.mean(axis=0)
+    return np.concatenate([first, centred**2, centred[:, :1] * centred[:, 1:]], axis=1)
+
+
+def shift(case: Case, kernel, times: int = 30, joint: Joint | None = None) -> float:
+    """Largest change of a moment by a kernel, in standard errors."""
+    chains = case.chains()
+    before = features(chains)
+    told = joint or Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    for _ in range(times):
+        kernel(told, chains)
+    after = features(chains)
+    assert np.any(after != before)
+    # both are of the same n chains, and independent of each other at the most
+    error = np.sqrt((before.var(axis=0) + after.var(axis=0)) / CHAINS)
+    return float(np.max(np.abs(after.mean(axis=0) - before.mean(axis=0)) / error))
+
+
+def near_and_evolve(part: str):
+    """Update of all tests' coordinates by one kind of proposal."""
+
+    def kernel(joint: Joint, chains: Chains) -> None:
+        pooling = joint.pooling
+        means = pooling.offsets(chains.h, chains.choice)
+        means = means + np.einsum("jm,nmk->njk", pooling.design(), chains.latent)
+        for j in range(len(joint.tests)):
+            getattr(joint, part)(chains, j, means[:, j], pooling.scatter(chains.h))
+
+    return kernel
+
+
+def hyper(joint: Joint, chains: Chains) -> None:
+    """Scatter and shapes, and levels, which are integrated out meanwhile."""
+    joint._evolve_hyper(chains)
+    joint._draw_latent(chains)
+
+
+KERNELS = {
+    "hyper": hyper,
+    "latent": lambda joint, chains: joint._draw_latent(chains),
+    "stored": near_and_evolve("_try_stored"),
+    "near": near_and_evolve("_step_near"),
+    "evolution": near_and_evolve("_evolve_test"),
+    "together": lambda joint, chains: joint._move_together(chains),
+    "sweep": lambda joint, chains: joint.sweep(chains),
+}
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_kernel_leaves_the_posterior_as_it_is(case, name):
+    assert shift(case, KERNELS[name]) < FAR
+
+
+@pytest.mark.parametrize("name", ["hyper", "stored", "near", "together", "sweep"])
+def test_a_kernel_keeps_quantities_that_are_known_together(pair, name):
+    assert shift(pair, KERNELS[name], 20) < FAR
+
+
+@pytest.mark.parametrize("name", ["stored", "near", "sweep"])
+def test_a_kernel_keeps_tests_that_tell_little(vague, name):
+    assert shift(vague, KERNELS[name], 20) < FAR
+
+
+def broken_prior(case: Case) -> Joint:
+    """With the Jacobian of the logarithms of sds three times."""
+
+    class Wrong(Pooling):
+        def log_prior(self, h):
+            density = super().log_prior(h)
+            for i in range(len(self.sd_scale)):
+                density[:, self.block[i]] += 2.0 * h[:, i]
+            return density
+
+    pooling = object.__new__(Wrong)
+    vars(pooling).update(vars(case.linear.pooling))
+    return Joint(pooling, case.tests, np.random.default_rng(4))
+
+
+def broken_weights(case: Case) -> Joint:
+    """Stored draws that are not weighed by the prior they were drawn under."""
+    tests = [replace(t, draws_log_prior=np.zeros(len(t.draws))) for t in case.tests]
+    tests = [replace(t, log_interim_prior=lambda x: np.zeros(len(x))) for t in tests]
+    return Joint(case.linear.pooling, tests, np.random.default_rng(4))
+
+
+def broken_correction(case: Case) -> Joint:
+    """Proposals near a Gaussian of which the density is forgotten."""
+
+    class Wrong(Joint):
+        def _near(self, *given):
+            proposed, correction = super()._near(*given)
+            return proposed, 0.0 * correction
+
+    return Wrong(case.linear.pooling, case.tests, np.random.default_rng(4))
+
+
+def broken_scatter(case: Case) -> Joint:
+    """Scatter half of what it is."""
+
+    class Wrong(Pooling):
+        def scatter(self, h):
+            return 0.5 * super().scatter(h)
+
+    pooling = object.__new__(Wrong)
+    vars(pooling).update(vars(case.linear.pooling))
+    return Joint(pooling, case.tests, np.random.default_rng(4))
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("hyper", broken_prior),
+        ("hyper", broken_scatter),
+        ("latent", broken_scatter),
+        ("near", broken_correction),
+        ("together", broken_prior),
+    ],
+)
+def test_a_broken_kernel_does_not(case, name, wrong):
+    assert shift(case, KERNELS[name], 100, joint=wrong(case)) > 1.5 * FAR
+
+
+def test_stored_draws_with_wrong_weights_do_not(vague):
+    assert shift(vague, KERNELS["stored"], joint=broken_weights(vague)) > 2 * FAR
+
+
+def test_proposals_near_a_gaussian_likelihood_are_all_taken(case):
+    tests = [test.approximated() for test in case.tests]
+    joint = Joint(case.linear.pooling, tests, np.random.default_rng(4))
+    chains = case.chains()
+    for j, test in enumerate(tests):
+        chains.log_likelihood[j] = test.log_likelihood(chains.x[j])
+    near_and_evolve("_step_near")(joint, chains)
+    assert all(np.mean(joint.accepted[f"near {j}"]) == 1.0 for j in range(len(tests)))
+
+
+def test_stored_likelihoods_are_those_of_the_coordinates(case):
+    chains = case.chains()
+    joint = Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    for _ in range(5):
+        joint.sweep(chains)
+    for test, x, density in zip(case.tests, chains.x, chains.log_likelihood, strict=True):
+        np.testing.assert_allclose(density, test.log_likelihood(x), rtol=1e-9, atol=1e-9)
+
+
+def test_chains_never_leave_the_support_of_a_test(case):
+    """A likelihood that is nothing on one side, where the Gaussian near it reaches."""
+    edge = case.tests[0].mean[0]
+
+    def bounded(test: Evidence) -> Evidence:
+        def log_likelihood(x):
+            return np.where(x[:, 0] > edge, test.log_likelihood(x), -np.inf)
+
+        kept = test.draws[:, 0] > edge
+        draws, prior = test.draws[kept], test.draws_log_prior[kept]
+        return replace(test, log_likelihood=log_likelihood, draws=draws, draws_log_prior=prior)
+
+    tests = [bounded(case.tests[0]), *case.tests[1:]]
+    joint, chains = Joint(case.linear.pooling, tests, np.random.default_rng(4)), case.chains()
+    assert np.any(chains.x[0] <= edge)
+    joint.resume(chains)
+    for _ in range(10):
+        joint.sweep(chains)
+    assert np.all(chains.x[0] > edge)
+    assert all(np.all(np.isfinite(density)) for density in chains.log_likelihood)
+
+
+def test_partners_are_two_others_of_the_same_ensemble(case):
+    chains = case.chains()
+    joint = Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    everyone = []
+    for own, first, second in joint._partners(chains):
+        assert np.all(first != second)
+        assert not np.isin(first, own).any()
+        for other in (first, second):
+            np.testing.assert_array_equal(chains.ensemble[own], chains.ensemble[other])
+        everyone.append(own)
+    np.testing.assert_array_equal(np.sort(np.concatenate(everyone)), np.arange(CHAINS))
