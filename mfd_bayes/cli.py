@@ -178,6 +178,9 @@ def compare(
     models: Annotated[
         str, typer.Option(help="Two or more, with commas between them.")
     ] = "three_stage,lugre,bouc_wen",
+    by: Annotated[
+        str, typer.Option(help="Leave out each test, level or session of each model's run too.")
+    ] = "",
     resume: Annotated[bool, typer.Option("--resume", help="Finish runs that are there.")] = False,
     force: Force = False,
     jobs: Jobs = 0,
@@ -197,8 +200,10 @@ def compare(
         names = [name.strip() for name in models.split(",") if name.strip()]
         options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
         with console.watch() as observe:
-            found = pipeline.compare(campaign, out, names, options, observe)
+            found, left_out = pipeline.compare(campaign, out, names, options, observe, by)
         console.print_comparison(found)
+        for model, view in left_out.items():
+            typer.echo(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} kip.")
         typer.echo(f"look next at {out / 'comparison.csv'}")
 
 

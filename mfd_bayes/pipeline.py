@@ -34,6 +34,7 @@ from mfd_bayes.reporting.views import (
     DerivedRow,
     Fan,
     Interval,
+    LeftOutView,
 )
 from mfd_bayes.run import Run, open_run
 from mfd_bayes.store import MANIFEST, sweep, write_atomically, write_bytes, write_json, write_text
@@ -99,24 +100,37 @@ def crossvalidate(
     MfdError
         When something cannot be used, or there are too few parts; nothing is written then.
     """
-    plan = plan_campaign(campaign, options)
-    sessions = {test.id: test.session for test in plan.campaign.tests}
-    settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
-    parts_of(settings, by, plan.campaign.actuation_unit, campaign)
-    run = calibrate(campaign, out, options, observe)
-    with alone_in(out):
-        try:
-            found = run_folds(run, folds_of(run, by, options.effort), options.processes, observe)
-            stored = {"by": by, "predictions": [asdict(prediction) for prediction in found]}
-            write_json(out / MANIFEST, run.manifest | {"crossvalidation": stored})
-        finally:
-            sweep(out)
+    _check_parts(plan_campaign(campaign, options), by)
+    _leave_out_parts(calibrate(campaign, out, options, observe), by, options, observe)
     return report(out, observe)
 
 
+def _check_parts(plan: Plan, by: str) -> None:
+    """Refuse what cannot be cross-validated before anything is sampled."""
+    sessions = {test.id: test.session for test in plan.campaign.tests}
+    settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
+    parts_of(settings, by, plan.campaign.actuation_unit, plan.campaign.path)
+
+
+def _leave_out_parts(run: Run, by: str, options: Options, observe: Observe) -> None:
+    """Predict every part of a run from the others, and keep the scores in its manifest."""
+    with alone_in(run.folder):
+        try:
+            found = run_folds(run, folds_of(run, by, options.effort), options.processes, observe)
+            stored = {"by": by, "predictions": [asdict(prediction) for prediction in found]}
+            write_json(run.folder / MANIFEST, run.manifest | {"crossvalidation": stored})
+        finally:
+            sweep(run.folder)
+
+
 def compare(
-    campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
-) -> Comparison:
+    campaign: Path,
+    out: Path,
+    models: Sequence[str],
+    options: Options,
+    observe: Observe,
+    by: str = "",
+) -> tuple[Comparison, dict[str, LeftOutView]]:
     """Calibrate a campaign once for each model into OUT/MODEL, and compare what they predict.
 
     Parameters
@@ -129,6 +143,12 @@ def compare(
     options : Options
         Its own `model` does not count.
     observe : callable
+    by : {"", "test", "level", "session"}
+        What is left out of each run in turn besides, as by `crossvalidate`.
+
+    Returns
+    -------
+    Comparison, and how each model predicted what was left out, by model
 
     Raises
     ------
@@ -138,6 +158,8 @@ def compare(
     chosen = check_models(models)
     for model in chosen:
         plan = plan_campaign(campaign, replace(options, model=model))
+        if by:
+            _check_parts(plan, by)
         for task in plan.tasks:
             check_cycles(task)
         if (out / model).exists() and not (options.resume or options.force):
@@ -145,18 +167,23 @@ def compare(
                 f"{out / model} exists: give --resume to finish it or --force to replace it"
             )
     runs: dict[str, Run] = {}
+    left_out: dict[str, LeftOutView] = {}
     for model in chosen:
 
         def tell(step: Step, model: str = model) -> None:
             observe(replace(step, id=f"{model}/{step.id}"))
 
         runs[model] = calibrate(campaign, out / model, replace(options, model=model), tell)
-        report(out / model, tell)
+        if by:
+            _leave_out_parts(runs[model], by, options, tell)
+        view = report(out / model, tell)
+        if by and view.left_out:
+            left_out[model] = view.left_out
     observe(Step("comparison", "leaving out one cycle after another"))
     found = compare_runs(runs)
     write_text(out / "comparison.csv", comparison_csv(found.rows))
     observe(Step("comparison", "done"))
-    return found
+    return found, left_out
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:

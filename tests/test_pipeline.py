@@ -422,7 +422,8 @@ def test_predict_tells_what_derives_from_the_force(out, tmp_path):
         tables[kind] = pd.read_csv(written, comment="#").set_index("quantity")
     pd.testing.assert_frame_equal(*tables.values())  # noise is no part of the damper
     rows = tables["new_test"]
-    assert list(rows.index) == ["energy_per_cycle", "c_eq", "peak_fwd", "peak_bwd"]
+    derived = ["energy_per_cycle", "c_eq", "peak_fwd", "peak_bwd", "gap", "C_fwd", "C_bwd"]
+    assert list(rows.index) == derived
     assert ((rows["lower"] < rows["median"]) & (rows["median"] < rows["upper"])).all()
     assert rows.loc["energy_per_cycle", "measured"] == pytest.approx(4.0, rel=0.02)
     energy, damping = rows.loc["energy_per_cycle", "median"], rows.loc["c_eq", "median"]
@@ -508,7 +509,7 @@ def test_the_truth_of_the_scatter_is_that_of_its_coordinate(campaign):
     known = campaign[1]["population"]
     assert known["scatter_d3"] == pytest.approx(0.05 * np.sqrt(2))
     assert known["scatter_offset"] == 0.02
-    assert not {"scatter_Fc_fwd", "scatter_d2", "scatter_k3", "scatter_friction"} & set(known)
+    assert not {"scatter_Fc_fwd", "scatter_d2", "scatter_friction"} & set(known)
 
 
 # --- cross-validation
