@@ -256,6 +256,7 @@ def infer(
     joint = approximate
     if not all(test.gaussian for test in tests):
         joint = Joint(pooling, tests, rng)
+        joint.loose = approximate.looseness()
         joint.resume(chains)
         for _ in range(SETTLE):
             joint.sweep(chains)

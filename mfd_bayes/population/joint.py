@@ -32,6 +32,12 @@ Array = NDArray[np.float64]
 TRIES = 30
 """Stored draws of each test that every chain tries in a sweep."""
 
+LOOSE = 0.005
+"""Least weight of a quantity among those that are moved with their tests."""
+
+TOGETHER = 2
+"""Such moves in a sweep."""
+
 EVOLUTIONS = 4
 """Updates of scatter and shapes in a sweep."""
 
@@ -63,6 +69,7 @@ class Joint:
         self.gram = self.design.T @ self.design
         self.precisions = [np.linalg.inv(test.covariance) for test in tests]
         self.accepted: dict[str, list[float]] = {}
+        self.loose = np.full(self.d, 1.0 / self.d)
 
     def begin(self, n: int, choice: Choice, ensembles: int) -> Chains:
         """Chains whose scatter is about half of its prior's scale, tests by their Gaussians."""
@@ -107,7 +114,15 @@ class Joint:
                 self._step_near(chains, j, means[:, j], tau)
             else:
                 self._evolve_test(chains, j, means[:, j], tau)
-        self._move_together(chains)
+        for _ in range(TOGETHER):
+            self._move_together(chains)
+
+    def looseness(self) -> Array:
+        """How often each quantity is to be moved with its tests, by how often that was accepted."""
+        names = self.pooling.names
+        shares = [np.mean(self.accepted.get(f"together {name}", [0.0])) for name in names]
+        weights = np.maximum(np.array(shares), LOOSE)
+        return np.asarray(weights / weights.sum())
 
     def places(self, chains: Chains) -> Array:
         """Where each test stands in the scatter, standardised, (n, J, d)."""
@@ -277,11 +292,12 @@ class Joint:
     def _move_together(self, chains: Chains) -> None:
         """Scatter and level of one quantity, with its tests' places among them kept."""
         pooling, n = self.pooling, len(chains.h)
-        k = int(self.rng.integers(self.d))
-        size = self.rng.choice([1.0, 0.3], size=n)
+        k = int(self.rng.choice(self.d, p=self.loose))
+        size = self.rng.choice([3.0, 1.0, 0.3], size=n)
         h, latent = chains.h.copy(), chains.latent.copy()
-        h[:, k] += 0.5 * size * self.rng.standard_normal(n)
-        latent[:, 0, k] += 0.3 * size * self.rng.standard_normal(n)
+        what = self.rng.integers(3, size=n)  # the level, the scatter, or both
+        h[:, k] += (what != 0) * 0.5 * size * self.rng.standard_normal(n)
+        latent[:, 0, k] += (what != 1) * 0.3 * size * self.rng.standard_normal(n)
         old_tau, new_tau = pooling.scatter(chains.h), pooling.scatter(h)
         offsets = pooling.offsets(h, chains.choice)
         old = offsets + np.einsum("jm,nmk->njk", self.design, chains.latent)
