@@ -329,5 +329,7 @@ def _resumption() -> str:
 
 def main() -> None:
     """Run the command line."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # numpy is not there yet; the matrices here are small
     with end_on_signals():
         app()

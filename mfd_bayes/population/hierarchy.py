@@ -24,7 +24,7 @@ WALKERS = 32
 WARM_UP = 150
 """Sweeps with Gaussians in place of the likelihoods, which are cheap."""
 
-KEPT = 1000
+KEPT = 1500
 """Draws of each ensemble that are kept, about, or the effective sample size that is asked for."""
 
 ALONE = 2.0
@@ -33,7 +33,7 @@ ALONE = 2.0
 SETTLE = 20
 """Sweeps after that which are not kept, and as many again as a tenth of those that are."""
 
-SWEEPS = {100.0: 160, 400.0: 600, 2000.0: 4000}
+SWEEPS = {100.0: 160, 400.0: 1200, 2000.0: 6000}
 """Sweeps at most, by the effective sample size that is asked for."""
 
 

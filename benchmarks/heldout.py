@@ -1,0 +1,232 @@
+"""Are the bands of tests never seen right, and no wider than they must be? On real records.
+
+    python benchmarks/heldout.py > benchmarks/heldout.txt
+
+calibrates the band brake's sessions (staged noise; kept in out_heldout/, so that a second run
+samples nothing again) and predicts what was left out:
+
+-   the 36 lb harmonic tests, each in turn, and the earthquakes from all of them;
+-   the 2022 session, each tension in turn, and each test whose tension another one has;
+-   semi-active tests of another session, under the tension measured at the band's slack end.
+
+With --ou the same with OU noise, which tells what the noise's stages are worth. LuGre alone is fitted to each
+record by least squares. Exit status 1: a bar was missed. The real records come from --data
+(MFD_BAYES_DATA, ../shared/data).
+"""
+
+from __future__ import annotations
+
+import os
+
+# Read when numpy is imported.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+import heldout_records as records
+import numpy as np
+
+from mfd_bayes.crossvalidation import folds_of, run_folds
+from mfd_bayes.execution import calibrate
+from mfd_bayes.plan import Options
+from mfd_bayes.population.predict import Forecast, predict
+from mfd_bayes.population.scores import Score, score
+from mfd_bayes.run import Run
+
+DRAWS = 800
+PUBLISHED = {
+    "36lb_0.25Hz_0.5in": 0.245,
+    "36lb_0.50Hz_0.5in": 0.256,
+    "36lb_0.10Hz_1.0in_SI": 0.233,
+    "36lb_0.25Hz_1.0in": 0.206,
+    "36lb_0.50Hz_1.0in": 0.201,
+    "36lb_0.50Hz_1.5in": 0.205,
+    "36lb_1.00Hz_1.0in": 0.205,
+    "36lb_ImperialValleyDBE": 0.440,
+    "36lb_KocaeliDBE": 0.794,
+    "36lb_0.25Hz_1.5in": 0.180,
+}
+"""RRSE of the LuGre model that the dataset's authors published (shared/data/brfd/README.md)."""
+WINDOWS = {"36lb_ImperialValleyDBE": (3.0, 7.5), "36lb_KocaeliDBE": (6.0, 14.0)}
+"""Where they are scored, s; other records as a whole."""
+
+missed: list[str] = []
+
+
+def bar(what: str, value: float, good: bool, limit: str) -> None:
+    """Print one bar, and keep in mind that it was missed."""
+    print(f"  {'holds ' if good else 'MISSED'}  {what}: {value:.3f} ({limit})")
+    if not good:
+        missed.append(what)
+
+
+def line(name: str, found: Score, *more: str) -> None:
+    half, most, nearly = found.coverage
+    print(
+        f"  {name:32s} {100 * half:5.1f} {100 * most:5.1f} {100 * nearly:5.1f}  "
+        f"{found.width:6.2f} {found.interval_score:7.2f} {found.crps:6.3f} {found.rrse:6.3f}  "
+        + "  ".join(more),
+        flush=True,
+    )
+
+
+def header(title: str, *more: str) -> None:
+    print(f"\n{title}")
+    print(
+        f"  {'':32s} covered by 50, 90, 95 %   width  interval  CRPS   RRSE  " + "  ".join(more),
+        flush=True,
+    )
+
+
+def finished(folder: Path, session: str, noise: str, options: argparse.Namespace) -> Run:
+    """Calibrated run of a session's records."""
+    out = folder / f"{session}_{noise}"
+    place = folder / f"campaign_{out.name}"
+    campaign = records.lay_out(options.data / "brfd", place, session, noise)
+    chosen = Options(options.effort, 1, options.jobs, resume=out.exists())
+    return calibrate(campaign, out, chosen, lambda s: print(s.id, s.stage, file=sys.stderr))
+
+
+def mean(scores: list[Score]) -> Score:
+    """Mean scores of records."""
+    fields = ("width", "interval_score", "crps", "rrse")
+    coverage = tuple(np.mean([s.coverage for s in scores], axis=0).tolist())
+    return Score(coverage, *(float(np.mean([getattr(s, f) for s in scores])) for f in fields))
+
+
+def one_level(run: Run, options: argparse.Namespace, judged: bool) -> None:
+    """The 36 lb session: each test left out, and the earthquakes."""
+    noise = run.manifest["settings"]["noise"]
+    title = f"36 lb, 2023: each harmonic test from the others; earthquakes ({noise} noise)"
+    header(title, "published", "fitted width", "MAE of LuGre")
+    found, fitted, lugre = {}, {}, {}
+    folds = folds_of(run, "test", options.fold_effort)
+    for p in run_folds(run, folds, options.jobs, lambda _: None):
+        found[p.test], fitted[p.test] = p.score, p.fitted.width
+        lugre[p.test] = records.lugre_error(run.tests[p.test].trace)
+    for name, trace in run.held_out.items():
+        band = run.predict(trace, "observation", draws=DRAWS)
+        begin, end = WINDOWS[name]
+        inside = (trace.time >= begin) & (trace.time <= end)
+        found[name] = score(band.draws[:, inside], np.asarray(trace.force)[inside])
+        lugre[name] = records.lugre_error(trace, inside)
+    for name, s in found.items():
+        published = f"{PUBLISHED[name]:.3f}" if name in PUBLISHED else "   – "
+        width = f"{fitted[name]:.2f}" if name in fitted else "  – "
+        line(name, s, published, f"{width:>12s}", f"{lugre[name]:.3f}")
+    total = mean(list(found.values()))
+    error, width = np.mean(list(lugre.values())), np.mean(list(fitted.values()))
+    line("mean", total, "     ", f"{width:12.2f}", f"{error:.3f}")
+    if not judged:
+        return
+    known = [name for name in found if name in PUBLISHED]
+    shares = {name: found[name].rrse / PUBLISHED[name] for name in known}
+    worst = max(shares, key=lambda name: shares[name])
+    bar(f"largest RRSE over that published ({worst})", shares[worst], shares[worst] < 1, "below 1")
+    ratio = float(np.mean(list(shares.values())))
+    bar("mean of RRSE over that published", ratio, ratio <= 0.65, "at most 0.65")
+    nearly = {name: s.coverage[2] for name, s in found.items()}
+    covered = total.coverage[2]
+    bar("coverage of 95 % bands", covered, 0.92 <= covered <= 0.98, "0.92 to 0.98")
+    least = min(nearly, key=lambda name: nearly[name])
+    bar(f"least coverage ({least})", nearly[least], nearly[least] >= 0.85, "at least 0.85")
+    share = total.crps / float(error)
+    bar("mean CRPS over LuGre's mean absolute error", share, share <= 0.5, "at most 0.5")
+
+
+def many_levels(run: Run, options: argparse.Namespace, judged: bool) -> None:
+    """The 2022 session: each tension left out, and each test whose tension another has."""
+    noise = run.manifest["settings"]["noise"]
+    header(f"2022: each tension from the others ({noise} noise)", "fitted width", "fitted CRPS")
+    folds = folds_of(run, "level", options.fold_effort)
+    predictions = run_folds(run, folds, options.jobs, lambda _: None)
+    for p in predictions:
+        line(p.test, p.score, f"{p.fitted.width:12.2f}", f"{p.fitted.crps:.3f}")
+    total, own = mean([p.score for p in predictions]), mean([p.fitted for p in predictions])
+    line("mean", total, f"{own.width:12.2f}", f"{own.crps:.3f}")
+    parts = [p.part for p in predictions]
+    repeated = [p.test for p in predictions if parts.count(p.part) > 1]
+    folds = folds_of(run, "test", options.fold_effort)
+    again = [fold for fold in folds if fold.left_out[0] in repeated]
+    seen = run_folds(run, again, options.jobs, lambda _: None)
+    header(f"2022: each test whose tension another frequency shows ({noise} noise)", "fitted width")
+    for p in seen:
+        line(p.test, p.score, f"{p.fitted.width:12.2f}")
+    near, near_own = mean([p.score for p in seen]), mean([p.fitted for p in seen])
+    line("mean", near, f"{near_own.width:12.2f}")
+    if not judged:
+        return
+    covered = total.coverage[2]
+    good = 0.92 <= covered <= 0.98
+    bar("coverage of 95 % bands, tension left out", covered, good, "0.92 to 0.98")
+    least = min(predictions, key=lambda p: p.score.coverage[2])
+    value = least.score.coverage[2]
+    bar(f"least coverage ({least.test})", value, value >= 0.80, "at least 0.80")
+    ratio = total.width / own.width
+    bar("mean width over that of a fitted test", ratio, ratio <= 3.0, "at most 3")
+    bar("mean CRPS, kip", total.crps, total.crps <= 0.22, "at most 0.22")
+    ratio = near.width / near_own.width
+    bar("width at a tension seen over that of a fitted test", ratio, ratio <= 2.0, "at most 2")
+
+
+def semi_active(runs: dict[str, Run], options: argparse.Namespace) -> None:
+    """Tests under a changing tension, from all other sessions together."""
+    header("semi-active, 2023-08: slack end's tension as measured; from all other sessions")
+    population, some = records.join(runs, options.fold_effort)
+    with (options.data / "brfd" / "manifest.csv").open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["kind"] == "semi-active"]
+    for row in rows:
+        trace = records.semi_active_trace(options.data / "brfd" / row["file"])
+        forecast = Forecast("observation", draws=DRAWS)
+        band = predict(population, some.model, some.noise, trace, forecast, session=row["session"])
+        found = score(band.draws, np.asarray(trace.force))
+        low, high = np.quantile(1000.0 * np.asarray(trace.actuation), [0.05, 0.95])
+        line(Path(row["file"]).stem[8:], found, f"tension {low:.0f} to {high:.0f} lb")
+
+
+def speed(run: Run) -> None:
+    """Time of a band at 500 draws."""
+    test = next(iter(run.tests.values()))
+    seconds = []
+    for seed in range(7):
+        began = time.perf_counter()
+        run.predict(test.trace, "observation", draws=500, seed=seed)
+        seconds.append(time.perf_counter() - began)
+    per = float(np.median(seconds[2:])) / test.trace.samples * 1000.0
+    print(f"\nband of 500 draws over {test.trace.samples} samples")
+    bar("seconds per thousand samples", per, per <= 1.0, "at most 1")
+
+
+def parse() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    root = os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--data", type=Path, default=Path(root), help="folder that holds brfd/")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out_heldout")
+    parser.add_argument("--effort", default="standard", help="of every test's calibration")
+    parser.add_argument("--fold-effort", default="quick", help="of each population in a fold")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--ou", action="store_true", help="the same with OU noise, besides")
+    return parser.parse_args()
+
+
+def main() -> None:
+    options = parse()
+    runs = {s: finished(options.out, s, "staged", options) for s in ("36lb", "2022-07")}
+    one_level(runs["36lb"], options, judged=True)
+    many_levels(runs["2022-07"], options, judged=True)
+    speed(runs["36lb"])
+    semi_active(runs | {"30lb": finished(options.out, "30lb", "staged", options)}, options)
+    both = (("36lb", one_level), ("2022-07", many_levels))
+    for session, show in both if options.ou else ():
+        show(finished(options.out, session, "ou", options), options, judged=False)
+    print(f"\n{len(missed)} bars missed" if missed else "\nall bars hold")
+    sys.exit(1 if missed else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""The real records of `heldout.py`: campaigns, LuGre fitted alone, semi-active tension."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy import optimize, signal
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.friction.baselines import LuGre
+from mfd_bayes.pooled import pool_tests
+from mfd_bayes.records.record import read_record
+from mfd_bayes.records.trace import Trace
+
+HEADER = """\
+[campaign]
+title = "Banded rotary friction device, {session}"
+priors = "brfd"
+noise = "{noise}"
+
+[columns]
+time = {{ name = "time_s", unit = "s" }}
+displacement = {{ name = "displacement_in", unit = "in" }}
+force = {{ name = "force_kip", unit = "kip" }}
+
+[laws]
+Fc_fwd = "power"
+Fc_bwd = "power"
+Fs_fwd = "power"
+Fs_bwd = "power"
+"""
+
+TEST = """
+[[test]]
+id = "{id}"
+file = "{file}"
+actuation = "{tension} lbf"
+role = "{role}"
+"""
+
+SI = """\
+columns = { time = { name = "time_s" }, displacement = { name = "displacement_m" }, \
+force = { name = "force_N" } }
+"""
+
+
+def lay_out(source: Path, folder: Path, session: str, noise: str) -> Path:
+    """Copy the records of a session, or of one tension of 2023, and write their campaign file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (source / "manifest.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    text = HEADER.format(session=session, noise=noise)
+    for row in rows:
+        if row["session"] != session and f"{row['tension_lbf']}lb" != session:
+            continue
+        if session.endswith("lb") and row["session"] != "2023-04":
+            continue
+        shutil.copyfile(source / row["file"], folder / row["file"])
+        text += TEST.format(
+            id=row["file"].removesuffix(".csv").split("_", 1)[1],
+            file=row["file"],
+            tension=row["tension_lbf"],
+            role="validate" if row["kind"] == "earthquake" else "calibrate",
+        )
+        if row["file"].endswith("_SI.csv"):
+            text += SI
+    campaign = folder / "campaign.toml"
+    if not campaign.is_file() or campaign.read_text(encoding="utf-8") != text:
+        campaign.write_text(text, encoding="utf-8")
+    return campaign
+
+
+def lugre_error(trace: Trace, inside: np.ndarray | slice = slice(None)) -> float:
+    """Mean absolute error of LuGre alone, fitted to the record by least squares, kip."""
+    posterior = Posterior(trace, load_priors("brfd"), "iid", LuGre())
+    rng = np.random.default_rng(0)
+    drawn = posterior.coordinates(posterior.draw_prior(rng, 2000))
+    free = [i for i, name in enumerate(posterior.names) if name != "noise_sd"]
+
+    def residual(q: np.ndarray) -> np.ndarray:
+        full = drawn[0].copy()
+        full[free] = q
+        return posterior.residual(full[None])[0]
+
+    squares = np.array([np.sum(posterior.residual(q[None]) ** 2) for q in drawn[:400]])
+    best = None
+    for start in drawn[np.argsort(squares)[:4]]:
+        fit = optimize.least_squares(residual, start[free], max_nfev=80)
+        if best is None or fit.cost < best.cost:
+            best = fit
+    return float(np.mean(np.abs(residual(best.x)[inside])))
+
+
+def join(runs: dict, effort: str):
+    """Population of several sessions' tests, and the posterior of one of them."""
+    tests = {f"{s} {name}": t for s, run in runs.items() for name, t in run.tests.items()}
+    some = next(iter(runs.values()))
+    sessions = {"36lb": "2023-04", "30lb": "2023-04"}
+    named = {key: {"session": sessions.get(s := key.split(" ")[0], s)} for key in tests}
+    settings = some.manifest["settings"] | {"tests": named}
+    pooled = pool_tests(tests, some.priors, settings, effort, (1, 3))
+    return pooled.inference.population, next(iter(tests.values())).posterior
+
+
+def semi_active_trace(path: Path) -> Trace:
+    """Record at 128 Hz with the slack end's tension, smoothed over an eighth of a second, kip."""
+    motion = read_record(path).trace(128.0)
+    raw = pd.read_csv(path)
+    slack = np.minimum(raw["actuator_1_lbf"], raw["actuator_2_lbf"]).clip(lower=1.0) / 1000.0
+    rate = 1.0 / float(np.median(np.diff(raw["time_s"])))
+    window = 2 * int(rate / 16.0) + 1
+    smooth = signal.medfilt(slack.to_numpy(), window)
+    tension = np.interp(motion.time, raw["time_s"], smooth)
+    return Trace.from_arrays(
+        motion.time, motion.displacement, tension, motion.force, motion.velocity
+    )
