@@ -9,9 +9,9 @@ samples nothing again) and predicts what was left out:
 -   the 2022 session, each tension in turn, and each test whose tension another one has;
 -   semi-active tests of another session, under the tension measured at the band's slack end.
 
-With --ou the same with OU noise, which tells what the noise's stages are worth. LuGre alone is fitted to each
-record by least squares. Exit status 1: a bar was missed. The real records come from --data
-(MFD_BAYES_DATA, ../shared/data).
+With --ou the same with OU noise, which tells what the noise's stages are worth. LuGre alone is
+fitted to each record by least squares. Exit status 1: a bar was missed. The real records come
+from --data (MFD_BAYES_DATA, ../shared/data).
 """
 
 from __future__ import annotations

@@ -1,0 +1,313 @@
+"""The population of tests: against an independent sampler, and ranks of truths drawn from it.
+
+    pip install -e '.[bench]'
+    python benchmarks/population.py --campaigns 100 --seed 1 > benchmarks/population.txt
+
+Agreement: one synthetic campaign of four tests at three levels, 17 parameters each, Ornstein-
+Uhlenbeck noise. Ours calibrates the tests and pools them until it has 1500 effective draws; the
+peer is NumPyro's NUTS on the joint density of population and tests in JAX, which shares no code
+with ours (`population_peer`). Every level, scatter, deviation, shape and main quantity of a test
+must have a mean within `MEAN` sd and an sd within `SPREAD` of the peer's. The control, tests
+taken for points, has to fail.
+
+Ranks: campaigns of four short tests whose hyperparameters, tests, and records are drawn from the
+prior of the population (`population_study`), calibrated one by one and pooled; the rank of the
+truth among L draws is uniform if all is right (Talts et al. 2018). It is judged as in
+`sbc.py`, by the simultaneous band of the ECDF, familywise by Bonferroni. The control pools the
+same tests as if their means were known exactly, and has to fail.
+
+Every finished campaign is a file in --work, so an interrupted run goes on where it stopped;
+those that other code or settings made are not taken, and none is dropped. Exit status 1: a bar
+falls, ranks are not uniform, a campaign without draws, or a control that passes.
+"""
+
+from __future__ import annotations
+
+import os
+
+# Read when numpy and JAX are imported, here and in the processes that this file starts.
+os.environ.update(
+    OMP_NUM_THREADS="1",
+    OPENBLAS_NUM_THREADS="1",
+    MKL_NUM_THREADS="1",
+    JAX_PLATFORMS="cpu",
+    XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+)
+
+import argparse
+import hashlib
+import json
+import multiprocessing
+import platform
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import population_study as study_of
+from population_study import RIGHT, WRONG
+from sbc_study import LEVEL, Uniformity, failures
+
+import mfd_bayes
+from mfd_bayes.calibration.diagnostics import measure
+from mfd_bayes.errors import MfdError
+
+MEAN, SPREAD = 0.1, 0.1
+"""Largest deviations of a mean, in sds, and of the ratio of two sds from 1."""
+CLOSE = 1e-8
+"""Largest deviation of JAX's log likelihoods, over their size where that exceeds 1."""
+CHAINS, TUNING, DRAWS = 4, 800, 2000
+TESTS = ("test 1", "test 2", "test 3", "test 4")
+GROUPS = ("level", "scatter", "deviation", "share", "exponent")
+MAIN = ("sigma0", "Fc_fwd", "Fc_bwd", "k3", "d2", "offset", "noise_sd")
+"""Quantities of the tests for which the bars hold, in pooled coordinates: the slip forces, the
+width of the gap, … Others have tails that no sampler here sees often enough for an sd."""
+LEGEND = """\
+p       of the simultaneous ECDF test of one quantity
+z       mean rank less the uniform one, in standard errors
+spread  sd of the ranks over the uniform one's: above 1 the posteriors are too narrow"""
+
+
+# agreement
+
+
+def compare(seed, quick):
+    """Print how ours agrees with NUTS, and give what fell."""
+    import population_peer as peer
+
+    study = study_of.full_study(seed)
+    campaign = study_of.synthesize(study, 0)
+    began = time.perf_counter()
+    draws = study_of.calibrate(study, campaign, 0)
+    calibrated = time.perf_counter() - began
+    failed = []
+    for j, (test, drawn) in enumerate(zip(campaign.tests, draws, strict=True)):
+        values = {name: v.reshape(-1)[:200] for name, v in drawn.values.items()}
+        off = peer.deviation(test, values | {"gamma1": np.ones(200)})
+        if not off <= CLOSE:
+            failed.append(f"JAX's log likelihood of test {j + 1} is off by {off:.1e}")
+    began = time.perf_counter()
+    layout = peer.Layout.of(campaign, draws)
+    tuning, kept = (300, 200) if quick else (TUNING, DRAWS)
+    found, diverged = peer.nuts(layout, draws, chains=CHAINS, warm_up=tuning, kept=kept, seed=seed)
+    theirs = peer.drawn_values(layout, found)
+    spent = time.perf_counter() - began
+    their_ess = sizes(theirs, 1)
+    print(
+        f"{len(campaign.tests)} tests of {study.motion.samples} samples, "
+        f"{len(campaign.pooling.names)} quantities each; the tests by themselves took "
+        f"{calibrated:.0f} s\nNUTS: {CHAINS} chains of {kept} draws, {diverged:.1%} diverged, "
+        f"largest R-hat {rhat(theirs, 1):.3f}, least bulk ESS {min(their_ess.values()):.0f}, "
+        f"{spent:.0f} s"
+    )
+    for way in (RIGHT, WRONG):
+        began = time.perf_counter()
+        inference = study_of.pool_draws(study, campaign, draws, 0, way)
+        spent = time.perf_counter() - began
+        mine = study_of.coordinates_of(inference)
+        walkers = inference.population.walkers
+        print(
+            f"\nours, tests as {way}: {inference.sweeps} sweeps, largest R-hat "
+            f"{rhat(mine, walkers):.3f}, least bulk ESS {min(sizes(mine, walkers).values()):.0f}, "
+            f"{spent:.0f} s"
+        )
+        fell = agreement(mine, theirs, sizes(mine, walkers), their_ess)
+        if way == RIGHT:
+            failed += fell
+        elif not fell:
+            failed.append("the control, tests taken for points, agrees too")
+        else:
+            print(f"the control has to fail, and does: {len(fell)} bars fall")
+    return failed
+
+
+def agreement(mine, theirs, my_ess, their_ess):
+    """Print the worst deviations by group, with Monte-Carlo errors, and give what fell."""
+    rows = {
+        name: _deviation(mine[name], theirs[name], my_ess[name], their_ess[name]) for name in theirs
+    }
+    groups = {group: [name for name in rows if name.startswith(group)] for group in GROUPS}
+    for test in TESTS:
+        groups[test] = [f"{test}: {name}" for name in MAIN]
+    groups["others"] = [n for n in rows if n.startswith(TESTS) and n.split(": ")[1] not in MAIN]
+    print(f"{'':12s}{'mean':>8}{'error':>8}  {'':26s}{'sd':>8}{'error':>8}")
+    failed = []
+    for group, names in groups.items():
+        at, there = (max(names, key=lambda name, i=i: abs(rows[name][i])) for i in (0, 2))
+        (mean, error, _, _), (_, _, sd, sd_error) = rows[at], rows[there]
+        print(f"{group:12s}{mean:8.3f}{error:8.3f}  {at:26s}{sd:8.1%}{sd_error:8.1%}  {there}")
+        for name in names if group != "others" else ():
+            mean, _, sd, _ = rows[name]
+            failed += [] if abs(mean) <= MEAN else [f"mean of {name} is {mean:.3f} sd off"]
+            failed += [] if abs(sd) <= SPREAD else [f"sd of {name} is {sd:.1%} off"]
+    table = np.array(list(rows.values()))
+    means, sds = (float(np.sqrt(np.mean((table[:, i] / table[:, i + 1]) ** 2))) for i in (0, 2))
+    print(f"all {len(rows)} in their errors, root mean square: means {means:.2f}, sds {sds:.2f}")
+    return failed
+
+
+def _deviation(ours, other, my_ess, their_ess):
+    """Deviation of the mean, in sds, and of the sd, each with its Monte-Carlo error."""
+    mean = (ours.mean() - other.mean()) / other.std()
+    errors = []
+    for draws, ess in ((ours, my_ess), (other, their_ess)):
+        squares = (draws - draws.mean()) ** 2
+        errors.append(0.5 * squares.std() / squares.mean() / np.sqrt(ess))
+    error = np.sqrt(1.0 / my_ess + 1.0 / their_ess)
+    return mean, error, ours.std() / other.std() - 1.0, float(np.hypot(*errors))
+
+
+def _found(values, walkers):
+    """Convergence of draws by name, (chain, draw) each, which are ordered by walker."""
+    stacked = np.stack(list(values.values()), axis=-1)
+    chains = stacked.reshape(len(stacked), walkers, -1, stacked.shape[-1]).swapaxes(1, 2)
+    return measure(chains)
+
+
+def sizes(values, walkers):
+    """Bulk effective sample sizes by name."""
+    return dict(zip(values, _found(values, walkers).ess_bulk.tolist(), strict=True))
+
+
+def rhat(values, walkers):
+    """Largest R-hat."""
+    return _found(values, walkers).worst_r_hat
+
+
+# ranks
+
+
+def fingerprint(study):
+    """Short hash of the settings, and of the code that the campaigns depend on."""
+    settings = (dict(study.priors.parameters), dict(study.priors.scatter), study.single)
+    settings = (*settings, study.joint, study.draws, study.seed)
+    digest = hashlib.sha256(repr(settings).encode())
+    digest.update(study.motion.displacement.tobytes())
+    package = Path(mfd_bayes.__file__).parent
+    files = [Path(study_of.__file__)]
+    for room in ("records", "friction", "calibration", "population"):
+        files += sorted((package / room).glob("*.py"))
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def run_campaigns(seed, count, work, jobs):
+    """Campaigns 0 to `count`, those of an earlier run read from `work`."""
+    folder = work / fingerprint(study_of.small_study(seed))
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{index}.json" for index in range(count)]
+    left = [(seed, index, path) for index, path in enumerate(files) if not path.is_file()]
+    print(f"{count - len(left)} of {count} campaigns found in {folder}", file=sys.stderr)
+    began = time.perf_counter()
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        for done, _ in enumerate(pool.imap_unordered(_run_and_store, left), 1):
+            minutes = (time.perf_counter() - began) / 60.0
+            print(f"{done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
+    return [json.loads(path.read_text(encoding="utf-8")) for path in files]
+
+
+def _run_and_store(task):
+    seed, index, path = task
+    beside = path.with_suffix(".part")
+    beside.write_text(json.dumps(run_campaign(seed, index)), encoding="utf-8")
+    beside.replace(path)
+
+
+def run_campaign(seed, index):
+    """Ranks of one campaign's truths both ways, and how the sampling went."""
+    warnings.simplefilter("ignore", FutureWarning)
+    study = study_of.small_study(seed)
+    campaign = study_of.synthesize(study, index)
+    began = time.perf_counter()
+    try:
+        draws = study_of.calibrate(study, campaign, index)
+    except MfdError as error:
+        return {"error": str(error), "ranks": {}}
+    ranks, told = {}, {}
+    for way in (RIGHT, WRONG):
+        inference = study_of.pool_draws(study, campaign, draws, index, way)
+        ranks[way] = study_of.ranks_of(study, campaign, inference, index)
+        found = inference.population.convergence
+        told[way] = found.worst_ess, found.worst_r_hat, inference.sweeps
+    single = [drawn.convergence for drawn in draws]
+    short = not found_enough(study, single, told[RIGHT])
+    seconds = time.perf_counter() - began
+    return {"error": "", "ranks": ranks, "told": told, "short": short, "seconds": seconds}
+
+
+def found_enough(study, single, told):
+    """Whether all samplings reached what was asked of them."""
+    enough = all(found.reached(study.single.r_hat, study.single.ess) for found in single)
+    return enough and told[0] >= study.joint.ess and told[1] <= study.joint.r_hat
+
+
+def judge(campaigns, study):
+    """Print the verdict on both ways, and give what fell."""
+    ranked = [c for c in campaigns if not c["error"]]
+    failed = [f"campaign without draws: {c['error']}" for c in campaigns if c["error"]]
+    seconds = np.array([c["seconds"] for c in ranked])
+    told = np.array([c["told"][RIGHT] for c in ranked])
+    print(
+        f"{len(campaigns)} campaigns, none dropped; {sum(c['short'] for c in ranked)} fell short "
+        f"of what was asked of their sampling\nL = {study.draws} draws of each, least ESS "
+        f"{told[:, 0].min():.0f}, largest R-hat {told[:, 1].max():.3f}, {told[:, 2].max():.0f} "
+        f"sweeps at most; {np.median(seconds):.0f} s a campaign (median), "
+        f"{seconds.sum() / 60:.0f} min in all on one core\n\n{LEGEND}"
+    )
+    uniformity = Uniformity(len(ranked), study.draws)
+    for way in (RIGHT, WRONG):
+        ranks = {name: [c["ranks"][way][name] for c in ranked] for name in ranked[0]["ranks"][way]}
+        fell = failures(ranks, uniformity)
+        words = "the package's way" if way == RIGHT else "negative control"
+        print(
+            f"\ntests as {way} ({words}): {'NOT uniform' if fell else 'uniform'}, {len(fell)} of "
+            f"{len(ranks)} quantities fail\nfamilywise {100 * LEVEL:g} % over {len(ranks)} "
+            f"quantities by Bonferroni: p below {LEVEL / len(ranks):.2g} fails\n"
+            f"{'quantity':24s}{'p':>10}{'z':>8}{'spread':>9}"
+        )
+        middle, sd = study.draws / 2.0, np.sqrt(((study.draws + 1) ** 2 - 1) / 12.0)
+        for name, values in ranks.items():
+            z = (np.mean(values) - middle) / sd * np.sqrt(len(values))
+            line = f"{name:24s}{uniformity.p_value(values):10.2g}{z:8.2f}{np.std(values) / sd:9.2f}"
+            print(line + ("  fails" if name in fell else ""))
+        if way == RIGHT:
+            failed += [f"ranks of {name} are not uniform" for name in fell]
+        elif not fell:
+            failed.append("the control, tests taken for points, has uniform ranks")
+    return failed
+
+
+def parse():
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--campaigns", type=int, default=100)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", choices=["agreement", "ranks"], help="one part alone")
+    parser.add_argument("--quick", action="store_true", help="shorter chains of NUTS")
+    parser.add_argument("--work", type=Path, default=Path("out_population"), help="campaigns")
+    return parser.parse_args()
+
+
+def main():
+    options = parse()
+    warnings.simplefilter("ignore", FutureWarning)
+    print(" ".join(["python benchmarks/population.py", *sys.argv[1:]]))
+    print(f"{platform.platform()}, Python {platform.python_version()}, numpy {np.__version__}")
+    failed = []
+    if options.only != "ranks":
+        print("\nAgreement with NUTS on the joint density\n")
+        failed += compare(options.seed, options.quick)
+        sys.stdout.flush()
+    if options.only != "agreement":
+        print("\nRanks of truths drawn from the prior of the population\n")
+        campaigns = run_campaigns(options.seed, options.campaigns, options.work, options.jobs)
+        failed += judge(campaigns, study_of.small_study(options.seed))
+    print("\nall bars hold" if not failed else "\n" + "\n".join(f"FAILED: {bar}" for bar in failed))
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()

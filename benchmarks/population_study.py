@@ -1,0 +1,247 @@
+"""Synthetic campaigns drawn from the prior of a population, their inference, and ranks of truths.
+
+Truths follow model.md section 6 and what `Pooling` says in words; of its code only the prior's
+figures are taken (centre, spread, scales, the reference), none of its laws, effects or layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from sbc_study import narrow_priors
+
+from mfd_bayes.calibration.effort import EFFORTS, Effort
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.sampling import Draws, sample
+from mfd_bayes.population.evidence import Evidence, evidence_of
+from mfd_bayes.population.hierarchy import Inference, Population, infer
+from mfd_bayes.population.pooling import Pooling, Setting, pool
+from mfd_bayes.population.predict import setting_of
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+LEVELS = (0.7, 1.0, 1.0, 1.4)  # ksi: two tests at the middle one
+UNSEEN = 1.7  # ksi
+LAWS = {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine", "noise_sd": "power"}
+FOLLOWERS = {"Fc": ("Fc_fwd", "Fc_bwd"), "sigma0": ("sigma0",), "noise_sd": ("noise_sd",)}
+"""Quantities that follow the actuation, by what names their scatter group."""
+RIGHT, WRONG = "whole", "points"
+"""Pooled by the tests' likelihoods, and, the control, as if their means were known exactly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What the campaigns of a study share.
+
+    Attributes
+    ----------
+    priors : PriorFile
+        Of the truths and of the inference alike.
+    motion : Trace
+    single, joint : Effort
+        Of a test's calibration and of the population.
+    draws : int
+        L, taken of each posterior; ranks go from 0 to L.
+    seed : int
+    """
+
+    priors: PriorFile
+    motion: Trace
+    single: Effort
+    joint: Effort
+    draws: int
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """Synthetic tests and the hyperparameters they were drawn with.
+
+    Attributes
+    ----------
+    tests : tuple of Posterior
+    pooling : Pooling
+    truth : mapping of str to float
+        By the names of what is ranked.
+    """
+
+    tests: tuple[Posterior, ...]
+    pooling: Pooling
+    truth: Mapping[str, float]
+
+
+def full_study(seed: int) -> Study:
+    """All 17 parameters, two and a half cycles and small ones inside the gap, 320 samples."""
+    time = np.arange(320) / 32.0
+    fade = 1.0 / (1.0 + np.exp((time - 6.6) / 0.15))
+    large = 0.5 * np.sin(2 * np.pi * 0.4 * time)
+    small = 0.05 * np.sin(2 * np.pi * 1.2 * time)
+    motion = Trace.from_arrays(time, large * fade + small * (1.0 - fade))
+    joint = replace(EFFORTS["thorough"], ess=1500)
+    return Study(narrow_priors(), motion, EFFORTS["standard"], joint, draws=63, seed=seed)
+
+
+def small_study(seed: int) -> Study:
+    """Eight parameters and two cycles in 96 samples: a test takes a second."""
+    time = np.arange(96) / 16.0
+    motion = Trace.from_arrays(time, 0.5 * np.sin(2 * np.pi * 0.3 * time))
+    sampled = ("sigma0", "Fc_fwd", "Fc_bwd", "k3", "d2", "start", "offset", "noise_sd")
+    priors = narrow_priors((*sampled, "noise_time"), noise_time=0.2)
+    single = replace(EFFORTS["quick"], ess=150, limit=1600, ensembles=2)
+    joint = replace(EFFORTS["quick"], ess=190, r_hat=1.03)
+    return Study(priors, motion, single, joint, draws=63, seed=seed)
+
+
+def synthesize(study: Study, index: int) -> Campaign:
+    """Campaign of hyperparameters, tests, and records drawn from the prior."""
+    rng = np.random.default_rng([study.seed, index, 0])
+    blanks = [_blank(study, level) for level in LEVELS]
+    settings = [setting_of(blank.trace) for blank in blanks]
+    pooling = pool(study.priors, blanks[0].names, settings, LAWS)
+    names = list(pooling.names)
+    level = pooling.centre + pooling.spread * rng.standard_normal(len(names))
+    scatter = pooling.scatter_sd * np.abs(rng.standard_normal(len(names)))
+    truth = {f"scatter {name}": scatter[k] for k, name in enumerate(names)}
+    at = np.array([*LEVELS, UNSEEN])
+    means = np.tile(level, (at.size, 1))
+    means += _laws(rng, at / pooling.reference, names, truth)
+    means += _deviations(rng, at, pooling, truth)
+    q = means + scatter * rng.standard_normal(means.shape)
+    values = pooling.coordinates.values(q)
+    median = {n: float(v[0]) for n, v in pooling.coordinates.values(level[None]).items()}
+    for side in ("fwd", "bwd"):
+        truth[f"K_c_{side}"] = median[f"Fc_{side}"] / pooling.reference
+        truth[f"level Fc_{side}"] = level[names.index(f"Fc_{side}")]
+    truth["alpha_sigma0"] = median["sigma0"] * truth["share sigma0"] / pooling.reference
+    truth["level offset"] = level[names.index("offset")]
+    for name in ("Fc_fwd", "sigma0", "offset"):
+        truth[f"first test's {name}"] = values[name][0]
+    truth["new test's Fc_fwd"] = values["Fc_fwd"][-1]
+    tests = []
+    for j, blank in enumerate(blanks):
+        own = blank.draw_prior(rng, 1) | {name: v[j : j + 1] for name, v in values.items()}
+        force = blank.force(own) + own["offset"][:, None]
+        force = force + blank.noise.draw(rng, blank.trace.time, own)
+        tests.append(Posterior(replace(blank.trace, force=force[0]), study.priors))
+    return Campaign(tuple(tests), pooling, {name: float(v) for name, v in truth.items()})
+
+
+def _blank(study: Study, level: float) -> Posterior:
+    motion = study.motion
+    trace = Trace.from_arrays(motion.time, motion.displacement, level)
+    return Posterior(replace(trace, force=np.zeros(trace.samples)), study.priors)
+
+
+def _laws(
+    rng: np.random.Generator, relative: Array, names: Sequence[str], truth: dict[str, float]
+) -> Array:
+    """Logarithms of the laws' ratios to the reference, (J, d)."""
+    found = np.zeros((relative.size, len(names)))
+    for name in ("Fc_fwd", "Fc_bwd"):
+        found[:, names.index(name)] = np.log(relative)
+    share = truth["share sigma0"] = rng.random()
+    found[:, names.index("sigma0")] = np.log(share * relative + 1.0 - share)
+    exponent = truth["exponent noise_sd"] = rng.normal(1.0, 0.5)
+    found[:, names.index("noise_sd")] = exponent * np.log(relative)
+    return found
+
+
+def _deviations(
+    rng: np.random.Generator, at: Array, pooling: Pooling, truth: dict[str, float]
+) -> Array:
+    """Smooth deviations from the laws, one Gaussian process for each follower, (J, d)."""
+    names = list(pooling.names)
+    found = np.zeros((at.size, len(names)))
+    distance = np.abs(np.log(at[:, None] / at))
+    root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)) + 1e-12 * np.eye(at.size))
+    for group, members in FOLLOWERS.items():
+        scale = pooling.scatter_sd[names.index(members[0])]
+        sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
+        for name in members:
+            found[:, names.index(name)] = sd * root @ rng.standard_normal(at.size)
+    return found
+
+
+def calibrate(study: Study, campaign: Campaign, index: int) -> list[Draws]:
+    """Draws of every test by itself."""
+    seeds = [(study.seed, index, 1, j) for j in range(len(campaign.tests))]
+    return [sample(t, study.single, s) for t, s in zip(campaign.tests, seeds, strict=True)]
+
+
+def pool_draws(
+    study: Study, campaign: Campaign, draws: Sequence[Draws], index: int, way: str = RIGHT
+) -> Inference:
+    """Population of calibrated tests, as the package infers it, or wrongly as the control."""
+    evidence = []
+    for test, drawn in zip(campaign.tests, draws, strict=True):
+        flat = {name: value.reshape(-1) for name, value in drawn.values.items()}
+        found = evidence_of(campaign.pooling, test, flat)
+        evidence.append(found if way == RIGHT else _as_points(found))
+    rng = np.random.default_rng([study.seed, index, 2])
+    priors = campaign.tests[0].priors
+    return infer(campaign.pooling, evidence, priors, "ksi", study.joint, rng)
+
+
+def _as_points(evidence: Evidence) -> Evidence:
+    """The posterior's means taken for measurements without error."""
+    mean = evidence.draws.mean(axis=0)
+    certain = replace(evidence, mean=mean, covariance=1e-4 * np.eye(mean.size))
+    return certain.approximated()
+
+
+def drawn_values(inference: Inference, rng: np.random.Generator) -> dict[str, Array]:
+    """Draws by the names of the truths, (chain, draw) each."""
+    population = inference.population
+    pooling = population.pooling
+    shape = population.h.shape[:2]
+    found = {f"scatter {name}": tau for name, tau in population.scatters.items()}
+    found |= {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
+    found["share sigma0"] = population.shapes("sigma0")[0]
+    found["exponent noise_sd"] = population.shapes("noise_sd")[1]
+    for name in ("Fc_fwd", "Fc_bwd", "offset"):
+        found[f"level {name}"] = population.levels[..., pooling.names.index(name)]
+    for group, members in FOLLOWERS.items():
+        label = f"level_{pooling.groups[pooling.member[pooling.names.index(members[0])]]}"
+        found[f"deviation {group}"] = population.effect_sds[label]
+    first = inference.tests[0].reshape(-1, inference.tests[0].shape[-1])[:, : len(pooling.names)]
+    tested = pooling.coordinates.values(pooling.centre + pooling.spread * first)
+    for name in ("Fc_fwd", "sigma0", "offset"):
+        found[f"first test's {name}"] = tested[name].reshape(shape)
+    found["new test's Fc_fwd"] = _new_test(population, rng).reshape(shape)
+    return found
+
+
+def coordinates_of(inference: Inference) -> dict[str, Array]:
+    """Everything that is inferred by name, tests in pooled coordinates, (chain, draw) each."""
+    population = inference.population
+    pooling = population.pooling
+    names = pooling.names
+    found = {f"level {name}": population.levels[..., k] for k, name in enumerate(names)}
+    drawn = drawn_values(inference, np.random.default_rng(0))
+    kept = ("scatter", "deviation", "share", "exponent")
+    found |= {name: value for name, value in drawn.items() if name.startswith(kept)}
+    for j, test in enumerate(inference.tests):
+        q = pooling.centre + pooling.spread * test[..., : len(names)]
+        found |= {f"test {j + 1}: {name}": q[..., k] for k, name in enumerate(names)}
+    return found
+
+
+def _new_test(population: Population, rng: np.random.Generator) -> Array:
+    setting: Setting = replace(population.pooling.settings[0], actuation=UNSEEN)
+    return population.draw_test(setting, np.arange(population.size), rng)["Fc_fwd"]
+
+
+def ranks_of(study: Study, campaign: Campaign, inference: Inference, index: int) -> dict[str, int]:
+    """How many of L draws, taken evenly over chains and walkers, lie below each truth."""
+    drawn = drawn_values(inference, np.random.default_rng([study.seed, index, 3]))
+    ranks = {}
+    for name, values in drawn.items():
+        flat = values.reshape(-1)
+        pick = np.linspace(0, flat.size - 1, study.draws).astype(np.intp)
+        ranks[name] = int(np.sum(flat[pick] < campaign.truth[name]))
+    return ranks
