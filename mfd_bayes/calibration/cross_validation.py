@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.cycles import Cycles, cycle_log_likelihood, find_cycles
 from mfd_bayes.calibration.diagnostics import measure_draws, psis
-from mfd_bayes.calibration.evidence import log_evidence
+from mfd_bayes.calibration.marginal_likelihood import log_evidence
 from mfd_bayes.calibration.posterior import Posterior
 
 Array = NDArray[np.float64]

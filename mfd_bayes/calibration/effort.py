@@ -45,7 +45,7 @@ class Effort:
 EFFORTS = {
     "quick": Effort(ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
     "standard": Effort(ess=400, limit=8000),
-    "thorough": Effort(ess=2000, limit=40000, length=15.0, kept=8000, starts=72),
+    "thorough": Effort(ess=2000, limit=40000, length=50.0, kept=8000, starts=72),
 }
 
 

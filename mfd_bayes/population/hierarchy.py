@@ -265,7 +265,7 @@ def infer(
     latent: list[Array] = []
     x: list[list[Array]] = [[] for _ in tests]
     places: list[Array] = []
-    wait = 40
+    wait = min(40, limit)
     while True:
         for _ in range(wait):
             joint.sweep(chains)
@@ -279,7 +279,7 @@ def infer(
         report(len(hyper), found)
         if found.reached(effort.r_hat, effort.ess) or len(hyper) >= limit:
             break
-        wait = max(20, len(hyper) // 2)
+        wait = min(max(20, len(hyper) // 2), limit - len(hyper))
     stored = max(KEPT, int(effort.ess))
     thin = max(1, (len(hyper) - late) * WALKERS // stored)
 

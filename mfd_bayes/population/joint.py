@@ -41,6 +41,9 @@ TOGETHER = 2
 EVOLUTIONS = 4
 """Updates of scatter and shapes in a sweep."""
 
+HOPELESS = 40.0
+"""Change of the log density, after some of the tests, at which such a move is given up."""
+
 FAR = 15.0
 """Hyperparameters are not further than this from 0: scatter of e⁻¹⁹ is beyond double precision."""
 
@@ -104,9 +107,10 @@ class Joint:
         for _ in range(EVOLUTIONS):
             self._evolve_hyper(chains)
         self._draw_latent(chains)
-        offsets = self.pooling.offsets(chains.h, chains.choice)
-        means = offsets + np.einsum("jm,nmk->njk", self.design, chains.latent)
-        tau = self.pooling.scatter(chains.h)
+        means, tau = (
+            self._means(chains.h, chains.latent, chains.choice),
+            self.pooling.scatter(chains.h),
+        )
         for j in range(len(self.tests)):
             if not self.tests[j].gaussian:
                 self._try_stored(chains, j, means[:, j], tau)
@@ -126,8 +130,7 @@ class Joint:
 
     def places(self, chains: Chains) -> Array:
         """Where each test stands in the scatter, standardised, (n, J, d)."""
-        offsets = self.pooling.offsets(chains.h, chains.choice)
-        means = offsets + np.einsum("jm,nmk->njk", self.design, chains.latent)
+        means = self._means(chains.h, chains.latent, chains.choice)
         tau = self.pooling.scatter(chains.h)[:, None]
         standing: Array = (self._pooled(chains) - means) / tau
         return standing
@@ -207,7 +210,7 @@ class Joint:
         ratio = -0.5 * np.einsum("tnk,tnk->tn", standard, standard) - test.draws_log_prior[picks]
         standard = (chains.x[j][:, : self.d] - mean) / tau
         here = -0.5 * np.einsum("nk,nk->n", standard, standard)
-        here -= self._interim_log_prior(j, chains.x[j])
+        here -= test.log_interim_prior(chains.x[j][:, : self.d])
         latest = np.full(n, -1)
         for t, chance in enumerate(np.log(self.rng.random((TRIES, n)))):
             yes = chance < ratio[t] - here
@@ -218,9 +221,6 @@ class Joint:
             chains.x[j][moved] = test.draws[latest[moved]]
             chains.log_likelihood[j][moved] = test.log_likelihood(chains.x[j][moved])
         self._note(f"stored {j}", moved)
-
-    def _interim_log_prior(self, j: int, x: Array) -> Array:
-        return self.tests[j].log_interim_prior(x[:, : self.d])
 
     def _near(
         self, j: int, mean: Array, tau: Array, beta: Array, x: Array | None
@@ -299,31 +299,36 @@ class Joint:
         h[:, k] += (what != 0) * 0.5 * size * self.rng.standard_normal(n)
         latent[:, 0, k] += (what != 1) * 0.3 * size * self.rng.standard_normal(n)
         old_tau, new_tau = pooling.scatter(chains.h), pooling.scatter(h)
-        offsets = pooling.offsets(h, chains.choice)
-        old = offsets + np.einsum("jm,nmk->njk", self.design, chains.latent)
-        new = offsets + np.einsum("jm,nmk->njk", self.design, latent)
+        old = self._means(chains.h, chains.latent, chains.choice)
+        new = self._means(h, latent, chains.choice)
         prior = (pooling.log_prior(h) - pooling.log_prior(chains.h)).sum(axis=1)
         prior += 0.5 * (chains.latent[:, 0, k] ** 2 - latent[:, 0, k] ** 2)
         xs, densities = [], []
-        ratio = prior - np.log(self.rng.random(n))
+        ratio, alive = prior, np.ones(n, dtype=bool)
         for j, test in enumerate(self.tests):
             x = chains.x[j].copy()
             place = (x[:, k] - old[:, j, k]) / old_tau[:, k]
             x[:, k] = new[:, j, k] + new_tau[:, k] * place
-            # a chain that has lost too much already cannot be saved by the tests to come
             density = np.full(n, -np.inf)
-            alive = ratio > -40.0
             if np.any(alive):
                 density[alive] = test.log_likelihood(x[alive])
             ratio = ratio + density - chains.log_likelihood[j]
+            # No move may lose this much on the way, for hardly one could make up for it; nor gain
+            # it, so that the way back is as open as the way there.
+            alive &= np.abs(ratio) < HOPELESS
             xs.append(x)
             densities.append(density)
-        yes = ratio > 0
+        yes = alive & (np.log(self.rng.random(n)) < ratio)
         chains.h[yes], chains.latent[yes] = h[yes], latent[yes]
         for j in range(len(self.tests)):
             chains.x[j][yes] = xs[j][yes]
             chains.log_likelihood[j][yes] = densities[j][yes]
         self._note(f"together {pooling.names[k]}", yes)
+
+    def _means(self, h: Array, latent: Array, choice: Choice) -> Array:
+        """Tests' coordinates but for their scatter, (n, J, d)."""
+        means = self.pooling.offsets(h, choice) + np.einsum("jm,nmk->njk", self.design, latent)
+        return np.asarray(means)
 
     def _pooled(self, chains: Chains) -> Array:
         """Tests' pooled coordinates, (n, J, d)."""

@@ -15,7 +15,7 @@ from mfd_bayes.calibration.cross_validation import (
 )
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.evidence import log_evidence
+from mfd_bayes.calibration.marginal_likelihood import log_evidence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.sampling import sample

@@ -1,4 +1,4 @@
-"""The evidence of a density, by importance sampling that adapts its proposal."""
+"""The marginal likelihood of a density, by importance sampling that adapts its proposal."""
 
 from __future__ import annotations
 
