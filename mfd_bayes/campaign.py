@@ -23,10 +23,13 @@ from pydantic import (
 )
 
 from mfd_bayes.errors import CampaignError, UnitError
-from mfd_bayes.records.record import Record, Window, header_unit, read_record
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.record import Record, Window, read_record
+from mfd_bayes.records.roles import header_unit
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,
+    measure,
     parse_actuation,
     parse_quantity,
     parse_window,
@@ -238,6 +241,8 @@ class Campaign:
 def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
     """Campaign of a TOML file; test files must exist but are not read yet.
 
+    One is where only its row of units can tell whether its actuation is a pressure or a force.
+
     Parameters
     ----------
     path : str or Path
@@ -250,6 +255,8 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
         When the file is not TOML, a key is unknown, missing or of the wrong kind, two tests
         share an id, a test's file is missing or outside the campaign's folder, actuations mix
         pressures and forces or a force has an area, or no test calibrates.
+    RecordError
+        When a file whose row of units is asked for cannot be read.
     """
     path = Path(path)
     raw = _toml(path)
@@ -297,15 +304,16 @@ def _toml(path: Path) -> dict[str, Any]:
 def _test(path: Path, folder: Path, defaults: Columns, entry: _Entry) -> Test:
     """Test of an entry, with the campaign's columns where it gives none."""
     chosen = {**dict(defaults), **{k: v for k, v in entry.columns if v is not None}}
+    file = _inside(path, folder, entry)
     level: float | None = None
     if isinstance(entry.actuation, str):
         level, unit = parse_actuation(entry.actuation)
     else:
         chosen["actuation"] = entry.actuation
-        unit = _history_unit(path, entry.id, entry.actuation)
+        unit = _history_unit(path, entry.id, entry.actuation, file)
     return Test(
         id=entry.id,
-        path=_inside(path, folder, entry),
+        path=file,
         actuation=None if level is None else str(entry.actuation),
         actuation_value=level,
         actuation_unit=unit,
@@ -316,8 +324,10 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: _Entry) -> Test:
     )
 
 
-def _history_unit(path: Path, test: str, column: Column) -> ActuationUnit:
+def _history_unit(path: Path, test: str, column: Column, file: Path) -> ActuationUnit:
     unit = column.unit or header_unit(column.name)
+    if column.unit is None and (unit is None or measure(unit) not in ("pressure", "force")):
+        unit = read_table(file).units.get(column.name, unit)
     where = f"actuation of test {test!r} in {path}"
     if unit is None:
         raise CampaignError(f"{where} needs a unit: {{ name = {column.name!r}, unit = … }}")
@@ -374,6 +384,8 @@ def _sentences(path: Path, raw: dict[str, Any], error: ValidationError) -> Itera
     for fault in error.errors(include_url=False):
         loc = [part for part in fault["loc"] if not str(part).startswith(":")]
         where, came = _dotted(raw, loc), reprlib.repr(fault["input"])
+        if fault["type"] == "too_short" and raw.get("test"):
+            continue  # every test has a fault, which is told by itself
         if fault["type"] == "extra_forbidden":
             yield _unknown_key(path, raw, loc)
         elif fault["type"] == "missing":

@@ -44,13 +44,22 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
 )
 """Every kind of number that a unit can be asked for."""
 
-# Nothing here is a mass, so a laboratory's pound is always a force.
-_ALIASES = {
-    **dict.fromkeys(("lb", "lbs", "pound", "pounds"), "lbf"),
-    **dict.fromkeys(("Kip", "Kips", "KIP", "KIPS"), "kip"),
-    "PSI": "psi",
-    "KSI": "ksi",
-    "KN": "kN",
+# Nothing here is a mass, so a laboratory's pound is always a force; nor a conductance, so S is s.
+# What pint calls the usual spellings of units; from three letters on in any case.
+_SPELLINGS = {
+    **dict.fromkeys(("S", "sec", "secs"), "s"),
+    **dict.fromkeys(("msec", "msecs"), "ms"),
+    **dict.fromkeys(("IN", "In", "inch"), "in"),
+    **dict.fromkeys(("FT", "Ft", "foot", "feet"), "ft"),
+    "MM": "mm",
+    "CM": "cm",
+    **dict.fromkeys(("lb", "Lb", "LB", "lbs", "lbf", "pound", "pounds"), "lbf"),
+    **dict.fromkeys(("kip", "kips"), "kip"),
+    **dict.fromkeys(("KN", "Kn", "kn"), "kN"),
+    **dict.fromkeys(("KPA", "Kpa", "kpa"), "kPa"),
+    **dict.fromkeys(("MPA", "Mpa"), "MPa"),
+    **dict.fromkeys(("psi", "psig"), "psi"),
+    **{word: word for word in ("klbf", "ksi", "psf", "bar", "deg")},
 }
 
 # Only names, products and small powers reach pint, whose parser evaluates what it is given.
@@ -111,6 +120,37 @@ def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
         f"{named} measures {measure}; actuation needs a pressure such as 'psi' "
         "or a force such as 'lbf'"
     )
+
+
+def convert(unit: str, target: str) -> float:
+    """Factor from one unit to another of the same measure: ``("kip/in", "kN/mm")``.
+
+    Raises
+    ------
+    UnitError
+        When one is unknown, or they measure different things.
+    """
+    named = f"unit {unit!r}"
+    parsed, wanted = _parse(unit, named), _parse(target, f"unit {target!r}")
+    if parsed.dimensionality != wanted.dimensionality:
+        raise UnitError(f"{named} cannot be given in {target!r}")
+    return _convert(1.0, parsed, str(wanted), named)
+
+
+def measure(unit: str) -> str | None:
+    """Name of what a unit measures: ``"force"`` of ``"kips"``; None where the unit is unknown."""
+    try:
+        return _measure(_parse(unit, unit))
+    except UnitError:
+        return None
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Whether two units are the same, however they are spelled: ``"kip"`` and ``"Kips"``."""
+    try:
+        return math.isclose(convert(one, other), 1.0)
+    except UnitError:
+        return False
 
 
 def parse_quantity(text: str, kind: str, *, of: str = "") -> float:
@@ -181,16 +221,27 @@ def _registry() -> UnitRegistry[Any]:
 
 def _parse(unit: str, named: str) -> Any:
     """Parse a unit, and nothing else, with pint."""
-    text = unit.strip()
+    text = unit.strip().removesuffix(".")
     if not text or len(text) > 60 or not _UNIT.fullmatch(text):
         raise UnitError(f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'")
-    plain = re.sub(r"[A-Za-z_]+", lambda word: _ALIASES.get(word[0], word[0]), text)
+    plain = re.sub(r"[A-Za-z_]+", lambda word: _spelled(word[0]), text)
     try:
         return _registry().parse_units(plain)
     except Exception as error:  # pint raises AssertionError, TypeError, TokenError and its own
         raise UnitError(
             f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
         ) from error
+
+
+def _spelled(word: str) -> str:
+    """Word of a unit in pint's spelling."""
+    lower = word.lower()
+    if word in _SPELLINGS:
+        return _SPELLINGS[word]
+    if len(word) > 2 and lower in _SPELLINGS:
+        return _SPELLINGS[lower]
+    # No symbol is as long as that: "Newtons" is written out.
+    return lower if len(word) > 4 else word
 
 
 def _measure(parsed: Any) -> str:

@@ -218,3 +218,17 @@ def test_toml_that_does_not_parse_is_refused_with_its_line(folder):
 def test_a_campaign_that_is_not_there_is_refused(folder):
     with pytest.raises(CampaignError, match=r"cannot read .*none\.toml"):
         load_campaign(folder / "none.toml")
+
+
+def test_the_unit_of_a_history_may_stand_in_the_files_row_of_units(folder):
+    rows = "".join(f"{i / 10},{i % 7},{500 + i}\n" for i in range(50))
+    (folder / "a.csv").write_text(f"Time,Stroke,Pressure\nsec,mm,psi\n{rows}")
+    columns = '{ time = { name = "Time" }, displacement = { name = "Stroke" } }'
+    history = TEST.replace('"500 psi"', '{ name = "Pressure" }') + f"columns = {columns}\n"
+    (test,) = load(folder, history).tests
+    assert test.actuation_unit == "ksi"
+    record = test.read()
+    assert record.columns["actuation"] == ("Pressure", "psi")
+    assert record.actuation[0] == pytest.approx(0.5)
+    (folder / "a.csv").write_text(f"Time,Stroke,Pressure\nsec,mm,mm\n{rows}")
+    assert "measures length; actuation needs a pressure" in refused(folder, history)

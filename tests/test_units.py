@@ -4,7 +4,15 @@ import sys
 import pytest
 
 from mfd_bayes.errors import UnitError
-from mfd_bayes.units import KINDS, factor, parse_actuation, parse_quantity, parse_window
+from mfd_bayes.units import (
+    KINDS,
+    factor,
+    measure,
+    parse_actuation,
+    parse_quantity,
+    parse_window,
+    same_unit,
+)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -40,6 +48,50 @@ def test_factors_match_the_definitions(unit, kind, expected):
 def test_a_pound_is_a_force(unit):
     assert factor(unit, "force") == pytest.approx(1e-3)
     assert factor(f"{unit}/in^2", "pressure") == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "plain", "spellings"),
+    [
+        ("time", "s", "S sec Sec SEC secs Secs sec. second Seconds SECONDS"),
+        ("time", "ms", "msec mSec Msec millisecond Milliseconds"),
+        ("displacement", "in", "In IN in. inch Inch inches Inches"),
+        ("displacement", "ft", "FT Ft foot Feet"),
+        ("displacement", "mm", "MM millimeter Millimetres"),
+        ("force", "lbf", "lb Lb LB lbs Lbs lbs. LBF Lbf pounds Pounds"),
+        ("force", "kip", "Kip KIP kips Kips KIPS klbf Klbf"),
+        ("force", "kN", "KN Kn kn kilonewtons"),
+        ("force", "N", "newton Newtons"),
+        ("pressure", "psi", "Psi PSI psig PSIG"),
+        ("pressure", "kPa", "KPA kpa Kilopascals"),
+        ("pressure", "MPa", "MPA Mpa"),
+        ("velocity", "in/s", "in/sec In/Sec inches/second"),
+        ("stiffness", "kip/in", "Kips/In kips/inch"),
+    ],
+)
+def test_the_usual_spellings_of_laboratories_are_understood(kind, plain, spellings):
+    for spelling in spellings.split():
+        assert factor(spelling, kind) == pytest.approx(factor(plain, kind), rel=1e-12), spelling
+        assert same_unit(spelling, plain)
+
+
+def test_a_prefix_is_not_taken_for_another():
+    assert factor("MN", "force") == pytest.approx(1e3 * factor("kN", "force"))
+    assert factor("mN", "force") == pytest.approx(1e-6 * factor("kN", "force"))
+    assert factor("Mm", "displacement") == pytest.approx(1e9 * factor("mm", "displacement"))
+
+
+def test_what_a_unit_measures_is_named_and_none_where_it_is_unknown():
+    assert measure("Kips") == "force"
+    assert measure("in/s") == "velocity"
+    assert measure("segments") is None
+    assert measure("") is None
+
+
+def test_units_are_the_same_or_not():
+    assert same_unit("kN/mm", "MN/m")
+    for other in ("lbf", "mm", "segments", ""):
+        assert not same_unit("kN", other)
 
 
 def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,14 +15,12 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.resampling import decimate, default_rate
+from mfd_bayes.records.roles import roles_of, unit_of
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
 
 Array = NDArray[np.float64]
 Window = tuple[float, float]
-
-ROLES = ("time", "displacement", "force", "velocity", "actuation")
-"""What a column can be; time and displacement must be there."""
 
 SAMPLES = 20
 """Fewest samples that a record, or a window of it, may have."""
@@ -33,9 +30,6 @@ GAP = 10.0
 
 JITTER = 0.01
 """Samples further than this share of a step from a uniform grid are interpolated onto one."""
-
-_EXAMPLES = {"time": "time_s", "displacement": "displacement_in"}
-_SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +161,7 @@ def read_record(
     *,
     fit: str | Window | None = None,
 ) -> Record:
-    """Record of a .csv, .txt, .json or .mat file, checked and in internal units.
+    """Record of a file that `readers` can read, checked and in internal units.
 
     Parameters
     ----------
@@ -176,7 +170,8 @@ def read_record(
         Role (`ROLES`) to column name. Where it names neither time nor displacement, the other
         roles are taken from headers such as ``time_s`` or ``displacement_in``.
     units : mapping, optional
-        Role to unit; by default what follows the column's last underscore.
+        Role to unit; by default what follows the column's last underscore, or stands behind its
+        name in brackets, or else in the file's row of units.
     actuation : str, optional
         Held during the test: ``"500 psi"`` or ``"30 lbf"``. For a measured one, name its column.
     fit : str or (float, float), s, optional
@@ -191,10 +186,10 @@ def read_record(
     """
     path = Path(path)
     table = read_table(path)
-    roles = _roles(table, columns or {}, units or {}, guess_actuation=actuation is None)
+    roles = roles_of(table, columns or {}, units or {}, guess_actuation=actuation is None)
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {path} is given both as {actuation!r} and as a column")
-    named = {role: _unit_of(table, role, name, units or {}) for role, name in roles.items()}
+    named = {role: (name, unit_of(table, role, name, units or {})) for role, name in roles.items()}
     values = table.columns(list(dict.fromkeys(roles.values())))
     signals, unit = _internal(table, named, values)
     level: float | None = None
@@ -219,52 +214,6 @@ def read_record(
     )
     _check_motion(record)
     return record
-
-
-def header_unit(name: str) -> str | None:
-    """Read the unit off a column's name: ``"kip"`` of ``"force_kip"``, or None."""
-    match = re.search(rf"{_SUFFIX}$", name)
-    return match[1].replace("_per_", "/") if match else None
-
-
-def _roles(
-    table: Table, columns: Mapping[str, str], units: Mapping[str, str], *, guess_actuation: bool
-) -> dict[str, str]:
-    """Role → column, as given or from the headers."""
-    for role in (*columns, *units):
-        if role not in ROLES:
-            raise RecordError(f"unknown role {role!r} of a column; expected {', '.join(ROLES)}")
-    roles = dict(columns)
-    if not {"time", "displacement"} & columns.keys():
-        wanted = [r for r in ROLES if r not in roles and (r != "actuation" or guess_actuation)]
-        roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
-    missing = [role for role in ("time", "displacement") if role not in roles]
-    if missing:
-        raise RecordError(
-            f"no column for {missing[0]} in {table.path}: name one, or call it "
-            f"{_EXAMPLES[missing[0]]!r}; it has {', '.join(table.names[:20])}"
-        )
-    return {role: roles[role] for role in ROLES if role in roles}
-
-
-def _guess(table: Table, role: str) -> str | None:
-    """Column called after the role, with a unit or without."""
-    pattern = re.compile(rf"{role}({_SUFFIX})?", re.IGNORECASE)
-    found = [name for name in table.names if pattern.fullmatch(name)]
-    if len(found) > 1:
-        raise RecordError(
-            f"{table.path} has several columns for {role}, {', '.join(found)}; say which"
-        )
-    return found[0] if found else None
-
-
-def _unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> tuple[str, str]:
-    unit = units.get(role) or header_unit(name)
-    if unit is None:
-        raise RecordError(
-            f"column {name!r} of {table.path} has no unit in its name; give the unit of {role}"
-        )
-    return name, unit
 
 
 def _internal(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.record import header_unit, read_record
+from mfd_bayes.records.record import read_record
 from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.trace import turning_points
 
@@ -56,13 +56,6 @@ def test_given_columns_and_units_win_over_the_header(tmp_path):
     assert record.velocity is None
 
 
-def test_header_units_may_be_quotients():
-    assert header_unit("velocity_in_per_s") == "in/s"
-    assert header_unit("velocity_in/s") == "in/s"
-    assert header_unit("actuator_1_lbf") == "lbf"
-    assert header_unit("force") is None
-
-
 def test_a_measured_actuation_is_clipped_at_zero(tmp_path):
     pressure = np.where(TIME < 5, -0.01, 500.0)
     columns = {"time_s": TIME, "displacement_in": MOTION, "pressure_psi": pressure}
@@ -94,6 +87,23 @@ def test_a_column_without_a_unit_says_so(tmp_path):
     path = write(tmp_path, time=TIME, displacement_in=MOTION)
     assert "give the unit of time" in refused(path)
     assert read_record(path, units={"time": "s"}).time[-1] == 10
+
+
+def test_a_row_of_units_gives_units_that_nothing_else_does(tmp_path):
+    path = write(tmp_path, Time=TIME, Disp=MOTION * 25.4, Force=FORCE)
+    names, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([names, "Sec,mm,Kips", *rows]))
+    roles = {"time": "Time", "displacement": "Disp", "force": "Force"}
+    record = read_record(path, roles)
+    assert record.columns == {
+        "time": ("Time", "Sec"),
+        "displacement": ("Disp", "mm"),
+        "force": ("Force", "Kips"),
+    }
+    np.testing.assert_allclose(record.displacement, MOTION, atol=1e-12)
+    np.testing.assert_allclose(record.force, FORCE, rtol=1e-12)
+    given = read_record(path, roles, {"displacement": "in"})
+    np.testing.assert_allclose(given.displacement, MOTION * 25.4, rtol=1e-12)
 
 
 def test_missing_and_ambiguous_roles_are_refused(tmp_path):

@@ -1,0 +1,64 @@
+"""Columns of numbers out of text, Excel, TDMS, JSON and MATLAB files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.cells import unreadable
+from mfd_bayes.records.readers.excel import read_excel
+from mfd_bayes.records.readers.json_lists import read_json
+from mfd_bayes.records.readers.matlab import read_matlab
+from mfd_bayes.records.readers.table import Array, Table
+from mfd_bayes.records.readers.tdms import read_tdms
+from mfd_bayes.records.readers.text import read_text
+
+__all__ = ["SUFFIXES", "Table", "column_names", "read_columns", "read_table"]
+
+_FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
+    {
+        **dict.fromkeys((".csv", ".txt", ".dat", ".tsv", ".asc"), read_text),
+        ".xlsx": read_excel,
+        ".tdms": read_tdms,
+        ".json": read_json,
+        ".mat": read_matlab,
+    }
+)
+
+SUFFIXES = tuple(_FORMATS)
+"""Endings of the files that can be read, in lower case."""
+
+
+def read_table(path: Path) -> Table:
+    """Table of a file whose ending is one of `SUFFIXES`.
+
+    Raises
+    ------
+    RecordError
+        When the file cannot be read, is empty, is not what its suffix says, or needs a library
+        that is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _FORMATS:
+        raise RecordError(
+            f"{path} has the unknown suffix {suffix!r}; expected {', '.join(SUFFIXES)}"
+        )
+    try:
+        if path.stat().st_size == 0:
+            raise RecordError(f"{path} is empty")
+        return _FORMATS[suffix](path)
+    except (OSError, csv.Error) as error:
+        raise unreadable(path, error) from error
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """Names of the columns that a file holds; raises as `read_table` does."""
+    return read_table(path).names
+
+
+def read_columns(path: Path, names: Sequence[str]) -> dict[str, Array]:
+    """Named columns of a file, each (T,); raises as `read_table` and `Table.columns` do."""
+    return read_table(path).columns(names)

@@ -1,0 +1,62 @@
+"""What one cell of a table holds, and the sentences for cells that hold no number."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+from mfd_bayes.errors import RecordError
+
+# 1.234,5 · 1,234.5 · 1 234,5 · 1'234.5
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([ .,'’\u00a0\u202f])\d{3})+(?:(?!\1)[.,]\d*)?")
+
+
+def is_number(cell: object, *, decimal: str = ".", finite: bool = False) -> bool:
+    """Whether a cell holds a number: one already, or its text with this sign of decimals."""
+    if isinstance(cell, str) and decimal != ".":
+        cell = cell.replace(".", " ").replace(decimal, ".")
+    try:
+        value = float(cell)  # type: ignore[arg-type]  # what is no number is caught
+    except (TypeError, ValueError, OverflowError):
+        return False
+    # Python's float accepts 1_000; a table's number has no underscore.
+    return "_" not in str(cell) and (not finite or math.isfinite(value))
+
+
+def bare_unit(text: str) -> str:
+    """Unit out of its brackets: ``"kN"`` of ``"[kN]"``; empty where it is a dash."""
+    return text.strip().strip("[](){}<>-–— ")
+
+
+def sample(row: int) -> str:
+    """Place of a row where a file has no lines: ``"sample 17"``."""
+    return f"sample {row + 1}"
+
+
+def bad_cell(place: str, path: Path, name: str, found: object) -> RecordError:
+    """Error for a cell that holds no finite number: text, an empty cell, nan or infinity."""
+    text = str(found).strip()
+    shown = repr(text[:40]) if text else "an empty cell"
+    if _GROUPED.fullmatch(text) and not is_number(text):
+        shown += "; a number is written without a thousands separator"
+    return not_a_number(place, path, name, shown)
+
+
+def not_a_number(place: str, path: Path, name: str, shown: str) -> RecordError:
+    """Error for a cell that holds no finite number, with words for what it holds."""
+    return RecordError(
+        f"{place} of {path}, column {name!r}: expected a finite number, found {shown}"
+    )
+
+
+def missing_library(path: Path, library: str, extra: str) -> RecordError:
+    """Error for a file whose format needs a library that is not installed."""
+    return RecordError(
+        f'reading {path} needs {library}, which is not installed: pip install "mfd_bayes[{extra}]"'
+    )
+
+
+def unreadable(path: Path, error: Exception) -> RecordError:
+    """Error for a file that the system, or the parser of its format, cannot read."""
+    return RecordError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}")

@@ -1,0 +1,202 @@
+"""Columns out of Excel workbooks (.xlsx). openpyxl is met here alone."""
+
+from __future__ import annotations
+
+import datetime
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.archive import CELLS, check_archive, too_many_cells
+from mfd_bayes.records.readers.cells import is_number, missing_library, not_a_number, unreadable
+from mfd_bayes.records.readers.layout import SEARCHED, Layout, find_layout, units_of
+from mfd_bayes.records.readers.table import Array, Table
+
+Cells = tuple[Any, ...]
+
+_OLE = bytes.fromhex("D0CF11E0")
+"""How old .xls workbooks begin, and encrypted ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sheet:
+    """Table of a sheet.
+
+    Attributes
+    ----------
+    path : Path
+    number : int
+        Of the sheet, from 0.
+    title : str
+        Of the sheet.
+    columns : dict
+        Name to number of each column, from 1; a name that is there twice has its last.
+    rows : list of (int, tuple)
+        Number in the sheet, from 1, and cells, of every row that is not blank.
+    """
+
+    path: Path
+    number: int
+    title: str
+    columns: dict[str, int]
+    rows: list[tuple[int, Cells]]
+
+    def place(self, row: int) -> str:
+        return f"row {self.rows[row][0]} of sheet {self.title!r}"
+
+    def load(self, wanted: Sequence[str]) -> dict[str, Array]:
+        """Numbers of columns that exist, down to the last row where one of them is filled."""
+        columns = {name: self._cells(self.columns[name]) for name in wanted}
+        size = max(map(_filled_to, columns.values()), default=0)
+        return {name: self._numbers(name, cells[:size]) for name, cells in columns.items()}
+
+    def _cells(self, column: int) -> list[Any]:
+        return [cells[column - 1] if column <= len(cells) else None for _, cells in self.rows]
+
+    def _numbers(self, name: str, cells: list[Any]) -> Array:
+        for row, cell in enumerate(cells):
+            if not _holds_number(cell) or not is_number(cell, finite=True):
+                raise self._fault(name, row, cell)
+        return np.array(cells, dtype=np.float64)
+
+    def _fault(self, name: str, row: int, cell: object) -> RecordError:
+        from openpyxl.utils import get_column_letter
+
+        number, column = self.rows[row][0], self.columns[name]
+        shown = _shown(cell)
+        if cell is None and self._has_formula(number, column):
+            shown = "a formula without a stored value; open the file in Excel and save it"
+        place = f"cell {get_column_letter(column)}{number} of sheet {self.title!r}"
+        return not_a_number(place, self.path, name, shown)
+
+    def _has_formula(self, number: int, column: int) -> bool:
+        """Whether a cell without a value has a formula."""
+        with _workbook(self.path, formulas=True) as workbook:
+            rows = _filled_rows(self.path, workbook.worksheets[self.number])
+            cells = next((cells for at, cells in rows if at == number), ())
+        return column <= len(cells) and cells[column - 1] is not None
+
+
+def read_excel(path: Path) -> Table:
+    """Table of the first sheet of an .xlsx file that holds one, below whatever title.
+
+    Formulas count with the values that Excel stored. A sheet of which the table holds more than
+    numbers is taken where no other has one.
+
+    Raises
+    ------
+    RecordError
+        When openpyxl is not installed, or the file is no workbook, unpacks to too much, or has
+        no sheet with a row of names above numbers.
+    """
+    with _workbook(path) as workbook:
+        number, layout = _find(path, workbook)
+        sheet = workbook.worksheets[number]
+        rows = list(_filled_rows(path, sheet))
+    heading = rows[layout.names][1]
+    columns = [at for at, cell in enumerate(heading) if cell is not None]
+    # A name that is wrapped in its cell holds line breaks.
+    names = tuple(" ".join(heading[at].split()) for at in columns)
+    numbers = {name: at + 1 for name, at in zip(names, columns, strict=True)}
+    held = _Sheet(path, number, sheet.title, numbers, rows[layout.data :])
+    below = () if layout.units is None else rows[layout.units][1]
+    units = units_of(names, [below[at] if at < len(below) else None for at in columns])
+    return Table(path, names, held.load, held.place, units)
+
+
+@contextmanager
+def _workbook(path: Path, *, formulas: bool = False) -> Iterator[Any]:
+    """Workbook, open to be read row by row, after its size was checked."""
+    try:
+        from openpyxl import load_workbook
+    except ImportError as error:
+        raise missing_library(path, "openpyxl", "excel") from error
+    try:
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about styles and extensions, which are not read
+            check_archive(path, file)
+            options = {"read_only": True, "keep_links": False}
+            with closing(load_workbook(file, data_only=not formulas, **options)) as workbook:
+                yield workbook
+    except RecordError:
+        raise
+    except OSError as error:
+        raise unreadable(path, error) from error
+    except Exception as error:  # zipfile, the XML parser and openpyxl raise a dozen kinds
+        raise RecordError(_not_a_workbook(path)) from error
+
+
+def _not_a_workbook(path: Path) -> str:
+    with path.open("rb") as file:
+        if file.read(len(_OLE)) == _OLE:
+            return f"{path} is an old .xls workbook or has a password; save it as .xlsx without one"
+    return f"{path} is not an Excel workbook (.xlsx) that can be read"
+
+
+def _find(path: Path, workbook: Any) -> tuple[int, Layout]:
+    """Number of the first sheet whose table holds numbers alone, or most of all, and its layout."""
+    heads = [
+        [cells for _, cells in islice(_filled_rows(path, sheet), SEARCHED)]
+        for sheet in workbook.worksheets
+    ]
+    found = [
+        (number, layout)
+        for number, head in enumerate(heads)
+        if (layout := find_layout(head, _holds_number)) is not None
+    ]
+    if not found:
+        held = "; ".join(
+            f"sheet {sheet.title!r} {_described(head)}"
+            for sheet, head in zip(workbook.worksheets[:5], heads, strict=False)
+        )
+        raise RecordError(f"{path} holds no row of two names or more above numbers: {held}")
+    return max(found, key=lambda table: table[1].share)
+
+
+def _described(head: list[Cells]) -> str:
+    if not head:
+        return "is empty"
+    first = ", ".join(_shown(cell) for cell in head[0][:4] if cell is not None)
+    return f"begins with {first}"
+
+
+def _filled_rows(path: Path, sheet: Any) -> Iterator[tuple[int, Cells]]:
+    """Number, from 1, and cells of the rows of a sheet that are not blank."""
+    sheet.reset_dimensions()  # a sheet may declare any
+    count = 0
+    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        count += max(len(row), 1)
+        if count > CELLS:
+            raise too_many_cells(path)
+        cells = tuple((c.strip() or None) if isinstance(c, str) else c for c in row)
+        if any(cell is not None for cell in cells):
+            yield number, cells
+
+
+def _filled_to(cells: list[Any]) -> int:
+    """Number of cells down to the last that is not blank."""
+    return next((row + 1 for row in reversed(range(len(cells))) if cells[row] is not None), 0)
+
+
+def _holds_number(cell: object) -> bool:
+    return type(cell) in (int, float)
+
+
+def _shown(cell: object) -> str:
+    match cell:
+        case None:
+            return "an empty cell"
+        case bool():
+            return str(cell).upper()
+        case str():
+            return f"the text {cell[:40]!r}"
+        case datetime.date() | datetime.time() | datetime.timedelta():
+            return f"the date or time {cell}; format the column as numbers"
+    return repr(cell)[:40]

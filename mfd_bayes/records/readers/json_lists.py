@@ -1,0 +1,84 @@
+"""Columns out of JSON: an object of lists, a list of objects, and what pandas writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.cells import bad_cell, is_number, sample
+from mfd_bayes.records.readers.table import Array, Table
+
+
+def read_json(path: Path) -> Table:
+    """Table of a .json file.
+
+    Raises
+    ------
+    RecordError
+        When the file is not JSON, or holds no columns.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
+    except (ValueError, RecursionError) as error:
+        raise RecordError(f"{path} is not valid JSON: {error}") from error
+    columns = _columns(path, content)
+    if not columns:
+        raise RecordError(f"{path} holds no columns; expected an object of lists")
+
+    def load(wanted: Sequence[str]) -> dict[str, Array]:
+        return {name: _numbers(path, name, columns[name]) for name in wanted}
+
+    return Table(path, tuple(columns), load, sample)
+
+
+def _columns(path: Path, content: object) -> dict[str, list[Any]]:
+    """Columns of name → list, of a list of rows, or of pandas' "columns" and "split" forms."""
+    match content:
+        case {"columns": [*names], "data": [*rows]}:
+            return _from_rows(path, [_row(names, row) for row in rows])
+        case [*rows]:
+            return _from_rows(path, rows)
+        case {}:
+            columns = {k: _in_order(v) for k, v in content.items() if isinstance(v, dict | list)}
+            indices = {tuple(sorted(v)) for v in content.values() if isinstance(v, dict)}
+            if len(indices) > 1:
+                raise RecordError(f"columns of {path} have different lengths or row labels")
+            return columns
+    raise RecordError(f"{path} must hold an object of lists or a list of objects")
+
+
+def _row(names: list[Any], row: object) -> object:
+    if isinstance(row, list) and len(row) == len(names):
+        return {str(name): cell for name, cell in zip(names, row, strict=True)}
+    return row
+
+
+def _from_rows(path: Path, rows: list[Any]) -> dict[str, list[Any]]:
+    names: dict[str, None] = {}
+    for i, row in enumerate(rows):
+        if not isinstance(row, dict):
+            raise RecordError(f"row {i + 1} of {path} must be an object with one value per column")
+        names.update(dict.fromkeys(row))
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def _in_order(column: dict[str, Any] | list[Any]) -> list[Any]:
+    """Cells in row order; sorted by label where the labels count 0, 1, 2 … in some order."""
+    if isinstance(column, list):
+        return column
+    labels = [str(i) for i in range(len(column))]
+    return [column[k] for k in (labels if set(labels) == set(column) else column)]
+
+
+def _numbers(path: Path, name: str, cells: list[Any]) -> Array:
+    for i, cell in enumerate(cells):
+        if type(cell) not in (int, float) or not is_number(cell, finite=True):
+            raise bad_cell(sample(i), path, name, "null" if cell is None else cell)
+    return np.array(cells, dtype=np.float64)

@@ -1,0 +1,91 @@
+"""Where the names, the units and the numbers of a table stand, below what else a file says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+
+from mfd_bayes.records.readers.cells import bare_unit
+from mfd_bayes.units import KINDS, measure
+
+Row = Sequence[object]
+
+SEARCHED = 200
+"""Filled rows from a file's first in which names are looked for."""
+
+# A ratio or a rate is a unit too, but "1" or "cycles" tells no row of units from one of text.
+_TELLING = {kind.measure for kind in KINDS.values()} - {"ratio", "rate"}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Rows of a table, counted from 0, and how much of it is numbers.
+
+    Attributes
+    ----------
+    names : int
+    units : int or None
+        Right below the names.
+    data : int
+        First row of numbers.
+    share : float
+        Of the filled cells, those that hold numbers.
+    count : int
+        Of numbers, up to the next row without any.
+    """
+
+    names: int
+    units: int | None
+    data: int
+    share: float
+    count: int
+
+
+def find_layout(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Layout | None:
+    """Layout of the table that has the largest share of numbers, then most of them.
+
+    A table is a row of at least two names, perhaps a row of units, and a row with a number.
+    Titles and settings above it ("Station", "Rate 1024") are no such thing, or a small one.
+    """
+    found = [_layout_at(rows, i, is_number) for i in range(len(rows))]
+    return max(
+        (layout for layout in found if layout is not None),
+        key=lambda layout: (layout.share, layout.count),
+        default=None,
+    )
+
+
+def units_of(names: Sequence[str], cells: Row) -> Mapping[str, str]:
+    """Name to unit, of a row of units; cells that are empty or hold a dash are left out."""
+    pairs = zip(names, cells, strict=False)
+    return {name: unit for name, cell in pairs if name and (unit := bare_unit(str(cell or "")))}
+
+
+def _layout_at(rows: Sequence[Row], at: int, is_number: Callable[[object], bool]) -> Layout | None:
+    """Layout of a table whose names are row `at`, or None where they are none."""
+    filled = [cell for cell in rows[at] if _is_filled(cell)]
+    if len(filled) < 2 or any(not isinstance(c, str) or is_number(c) for c in filled):
+        return None
+    below = rows[at + 1] if at + 1 < len(rows) else ()
+    units = at + 1 if not any(map(is_number, below)) and _gives_units(below, rows[at]) else None
+    data = at + 1 if units is None else units + 1
+    numbers = (sum(map(is_number, row)) for row in rows[data:])
+    counts = list(takewhile(lambda count: count > 0, numbers))
+    cells = sum(_is_filled(cell) for row in rows[data : data + len(counts)] for cell in row)
+    return Layout(at, units, data, sum(counts) / cells, sum(counts)) if counts else None
+
+
+def _gives_units(row: Row, names: Row) -> bool:
+    """Whether a row holds the units of the names above: two or more, and few other words."""
+    filled = [at for at, cell in enumerate(row) if _is_filled(cell)]
+    if any(at >= len(names) or not _is_filled(names[at]) for at in filled):
+        return False
+    units = [bare_unit(cell) for at in filled if isinstance(cell := row[at], str)]
+    told = sum(measure(unit) in _TELLING for unit in units)
+    words = sum(bool(unit) and measure(unit) is None for unit in units)
+    return told >= 2 and len(units) == len(filled) and 2 * words <= len(units)
+
+
+def _is_filled(cell: object) -> bool:
+    return cell is not None and cell != ""

@@ -1,0 +1,67 @@
+"""A file's columns, read on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import RecordError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """What a file holds, read on demand so that unused columns may hold anything.
+
+    Attributes
+    ----------
+    path : Path
+    names : tuple of str
+        Columns, in the file's order.
+    load : callable
+        Takes names that exist; gives their numbers, checked cell by cell.
+    place : callable
+        Takes a row, from 0; says where that is in the file: ``"line 17"``.
+    units : mapping
+        Column to unit, as a row of units or the channel's properties spell it; columns of
+        which the file says nothing are left out.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    load: Callable[[Sequence[str]], dict[str, Array]]
+    place: Callable[[int], str]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def columns(self, names: Sequence[str]) -> dict[str, Array]:
+        """Columns by name, each (T,), in the file's units.
+
+        Raises
+        ------
+        RecordError
+            When a column is missing, named twice, empty, of another length,
+            or holds text or a value that is not finite.
+        """
+        for name in names:
+            if self.names.count(name) != 1:
+                fault = "missing column" if name not in self.names else "more than one column"
+                raise RecordError(f"{fault} {name!r} in {self.path}; it has {_listed(self.names)}")
+        columns = self.load(names)
+        sizes = {name: column.size for name, column in columns.items()}
+        if len(set(sizes.values())) > 1:
+            lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
+            raise RecordError(f"columns of {self.path} have different lengths: {lengths}")
+        if 0 in sizes.values():
+            raise RecordError(f"{self.path} has columns but no data")
+        return columns
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(islice(names, 20))
+    return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"

@@ -1,0 +1,254 @@
+"""Columns out of text: separated by commas, semicolons, tabs or blanks, under whatever heading.
+
+This reads what spreadsheets save as CSV, decimal commas included, and what test controllers
+write: lines about the test, a row of names, perhaps a row of units, and numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.cells import bad_cell, is_number
+from mfd_bayes.records.readers.layout import SEARCHED, Layout, find_layout, units_of
+from mfd_bayes.records.readers.table import Array, Table
+
+BLANKS = " "
+SEPARATORS = (",", "\t", ";", BLANKS)
+
+_CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
+# 0,5 · ,5 · 1,25 · 1,2345 · 1234,5: no thousands are grouped like that.
+_SURELY_DECIMAL = re.compile(r"(?<![\d.])0*,\d|\d,\d{1,2}(?!\d)|,\d{4}|\d{4},\d|,\d{3}[eE]")
+_COMMA_NUMBER = re.compile(r"[+-]?\d+,\d{3}(?!\d)")
+
+
+@dataclass(frozen=True, eq=False)
+class _Text:
+    """Lines of a table of text, and how they are read.
+
+    Attributes
+    ----------
+    path : Path
+    separator : str
+        One of `SEPARATORS`.
+    names : tuple of str
+    heading : int
+        Line of the names, from 1.
+    lines : list of str
+        Those of numbers, without blank ones and comments.
+    numbers : list of int
+        Of these lines in the file, from 1.
+    """
+
+    path: Path
+    separator: str
+    names: tuple[str, ...]
+    heading: int
+    lines: list[str]
+    numbers: list[int]
+
+    def place(self, row: int) -> str:
+        return f"line {self.numbers[row]}"
+
+    def load(self, wanted: Sequence[str]) -> dict[str, Array]:
+        """Numbers of columns that exist, checked cell by cell."""
+        if not self.lines:
+            return {name: np.empty(0) for name in wanted}
+        positions = [self.names.index(name) for name in wanted]
+        for decimal in self._decimals():
+            columns = self._parsed(positions, decimal)
+            if columns is not None:
+                if decimal == ",":
+                    self._check_commas()
+                return dict(zip(wanted, columns, strict=True))
+        raise self._fault(wanted, positions)
+
+    def _decimals(self) -> tuple[str, ...]:
+        return (".",) if self.separator == "," else (".", ",")
+
+    def _parsed(self, positions: Sequence[int], decimal: str) -> list[Array] | None:
+        """Columns at positions, or None where a cell is no finite number with this decimal sign."""
+        import pandas as pd
+
+        try:
+            frame = pd.read_csv(
+                self._stream(), dtype=np.float64, decimal=decimal, **self._options(positions)
+            )
+        except (ValueError, OverflowError, pd.errors.ParserError):
+            return None
+        columns = [frame[at].to_numpy() for at in positions]
+        return columns if all(np.all(np.isfinite(column)) for column in columns) else None
+
+    def _stream(self) -> StringIO:
+        return StringIO("\n".join(self.lines).replace("\N{MINUS SIGN}", "-"))
+
+    def _options(self, positions: Sequence[int]) -> dict[str, Any]:
+        return {
+            "sep": r"\s+" if self.separator == BLANKS else self.separator,
+            "header": None,
+            "names": list(range(len(self.names))),
+            "usecols": sorted(set(positions)),
+            "index_col": False,
+            "skipinitialspace": True,
+        }
+
+    def _check_commas(self) -> None:
+        """Refuse numbers of which none tells whether its comma stands before thousands."""
+        text = "\n".join(self.lines)
+        if not _SURELY_DECIMAL.search(text) and (found := _COMMA_NUMBER.search(text)):
+            raise RecordError(
+                f"numbers of {self.path} such as {found[0]!r} may have a decimal comma or a "
+                "thousands separator; write them with a decimal point"
+            )
+
+    def _fault(self, wanted: Sequence[str], positions: Sequence[int]) -> RecordError:
+        """Error for the first cell that cannot be read."""
+        import pandas as pd
+
+        try:
+            cells = pd.read_csv(
+                self._stream(), dtype=str, keep_default_na=False, **self._options(positions)
+            )
+        except (ValueError, pd.errors.ParserError) as error:
+            reason = str(error).splitlines()[0]
+            return RecordError(f"{self.path} is not a table of separated columns: {reason}")
+        columns = {name: list(cells[at]) for name, at in zip(wanted, positions, strict=True)}
+        row, name = min((self._first_bad(column), name) for name, column in columns.items())
+        if row < len(cells):
+            return bad_cell(self.place(row), self.path, name, columns[name][row])
+        return self._mixed(columns)
+
+    def _first_bad(self, column: Sequence[str]) -> int:
+        """First row whose text is a finite number with no decimal sign, or the number of rows."""
+        bad = (
+            row
+            for row, cell in enumerate(column)
+            if not any(is_number(cell, decimal=sign, finite=True) for sign in self._decimals())
+        )
+        return next(bad, len(column))
+
+    def _mixed(self, columns: dict[str, list[str]]) -> RecordError:
+        """Error for columns that hold both decimal points and decimal commas."""
+        seen = {
+            sign: f"{cell!r} in {self.place(row)}, column {name!r}"
+            for name, column in reversed(columns.items())
+            for row, cell in reversed(list(enumerate(column)))
+            for sign in ".,"
+            if sign in cell
+        }
+        if len(seen) < 2:
+            return RecordError(f"{self.path} holds numbers that cannot be read")
+        return RecordError(
+            f"{self.path} holds both points and commas, {seen['.']} and {seen[',']}: expected one "
+            "sign of decimals, and no thousands separators"
+        )
+
+
+def read_text(path: Path) -> Table:
+    """Table of a .csv, .txt, .dat, .tsv or .asc file.
+
+    The table is the row of names, perhaps a row of units, and the rows below that hold the
+    largest share of numbers; lines above it, blank ones and those that begin with # are skipped.
+
+    Raises
+    ------
+    RecordError
+        When the file is not text, is empty, has no names or a line with more cells than names.
+    """
+    lines = _decoded(path).split("\n")
+    kept = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    if not kept:
+        raise RecordError(f"{path} is empty")
+    head = [lines[i] for i in kept[:SEARCHED]]
+    separator, layout = _best(head) or (_written_in(head[0]), Layout(0, None, 1, 0.0, 0))
+    names = _names(head, layout, separator)
+    if all(is_number(name) for name in names):
+        raise RecordError(f"{path} has no header: line {kept[0] + 1} holds numbers, not names")
+    rows = kept[layout.data :]
+    text = _Text(
+        path,
+        separator,
+        names,
+        heading=kept[layout.names] + 1,
+        lines=[lines[i] for i in rows],
+        numbers=[i + 1 for i in rows],
+    )
+    _check_widths(text)
+    units = () if layout.units is None else _split(head[layout.units], separator)
+    return Table(path, names, text.load, text.place, units_of(names, units))
+
+
+def _decoded(path: Path) -> str:
+    """Text of a file: UTF-8, UTF-16 where it is marked, or Windows' own code."""
+    with path.open("rb") as file:
+        marked = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
+        try:
+            text = path.read_text(encoding=encoding)
+        except UnicodeError:
+            continue
+        if encoding == "utf-8-sig" or not _CONTROL.search(text):
+            return text
+    raise RecordError(f"{path} is not UTF-8 text, as a {path.suffix} file must be")
+
+
+def _best(head: Sequence[str]) -> tuple[str, Layout] | None:
+    """Separator whose table has the largest share of numbers, and that table."""
+    found = [(s, find_layout([_split(line, s) for line in head], _reads)) for s in SEPARATORS]
+    tables = [(separator, layout) for separator, layout in found if layout is not None]
+    return max(tables, key=lambda table: (table[1].share, table[1].count), default=None)
+
+
+def _reads(cell: object) -> bool:
+    return is_number(cell) or is_number(cell, decimal=",")
+
+
+def _written_in(line: str) -> str:
+    """Separator of a header without numbers below it."""
+    return next((sign for sign in SEPARATORS[:-1] if sign in line), ",")
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == BLANKS:
+        return line.split()
+    if separator not in line:
+        return [line.strip().strip('"')]
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+
+
+def _names(head: Sequence[str], layout: Layout, separator: str) -> tuple[str, ...]:
+    """Names of the columns, without the empty ones that a separator at the end makes."""
+    line = head[layout.names]
+    names = _split(line, separator)
+    if separator == BLANKS:
+        # Names may hold single blanks: "Axial Force   Axial Displacement".
+        spaced = re.split(r"\s{2,}|\t", line.strip())
+        names = spaced if len(spaced) == len(head[layout.data].split()) else names
+    while len(names) > 1 and not names[-1]:
+        names.pop()
+    return tuple(names)
+
+
+def _check_widths(text: _Text) -> None:
+    """Refuse a line with more cells than names, unless the rest are empty.
+
+    Between blanks there are no empty cells: there a line with fewer is refused too.
+    """
+    width = len(text.names)
+    for line, number in zip(text.lines, text.numbers, strict=True):
+        if text.separator != BLANKS and line.count(text.separator) < width:
+            continue
+        cells = _split(line, text.separator)
+        if any(cells[width:]) or (text.separator == BLANKS and len(cells) < width):
+            raise RecordError(
+                f"line {number} of {text.path}: expected {width} cells, one for each name in "
+                f"line {text.heading}, found {len(cells)}"
+            )
