@@ -5,56 +5,115 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.assessment.bands import fan_of
-from mfd_bayes.calibration.derived import cycle_energies
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign import Campaign, Test
+from mfd_bayes.records.faults import Fault, find_faults
+from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import Fan
 
+Array = NDArray[np.float64]
+
 PRIOR_DRAWS = 400
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Inspection:
-    """What was read of a file, in words, and its trace at the file's own rate."""
+    """What was read of a file.
+
+    Attributes
+    ----------
+    name : str
+    facts : dict
+        What a laboratory looks at first, in words, by what it is.
+    trace : Trace
+        At the file's own rate.
+    loops : Loops
+    faults : tuple of Fault
+        What would spoil a fit.
+    """
 
     name: str
     facts: dict[str, str]
     trace: Trace
+    loops: Loops
+    faults: tuple[Fault, ...]
 
 
-def inspect_record(name: str, record: Record) -> Inspection:
-    """Columns, units, rate, turning points and loops of a record."""
+def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspection:
+    """Columns, units, rate, loops and drifts of a record, and its faults.
+
+    Parameters
+    ----------
+    name : str
+    record : Record
+    gap : float, in, optional
+        Typical width of the gap under the priors, if there are any.
+    """
     trace = record.trace()
+    loops = find_loops(trace)
     x = trace.displacement
     columns = ", ".join(f"{role}: {n} [{unit}]" for role, (n, unit) in record.columns.items())
+    turns = trace.turning_points.size
     facts = {
         "file": record.path.name,
         "columns": columns,
-        "samples": f"{record.time.size} over {record.time[-1] - record.time[0]:.6g} s",
+        "samples": f"{trace.samples} over {trace.time[-1] - trace.time[0]:.6g} s",
         "rate": f"{record.rate:.6g} Hz, jitter {record.jitter:.2%} of a step",
         "displacement": f"{x.min():.4g} to {x.max():.4g} in",
         "velocity": f"{trace.velocity.min():.4g} to {trace.velocity.max():.4g} in/s",
-        "turning points": f"{trace.turning_points.size} ({trace.turning_points.size / 2:g} cycles)",
+        "turning points": f"{turns} ({turns / 2:g} cycles)",
     }
+    if loops.period.size:
+        facts["full loops"] = _loops_fact(loops)
     if record.actuation is not None:
         level = float(np.mean(record.actuation))
         history = " (mean of a history)" if trace.varying else ""
         facts["actuation"] = f"{level:.4g} {record.actuation_unit}{history}"
     if trace.force is not None:
-        force = trace.force
-        facts["force"] = f"{force.min():.4g} to {force.max():.4g} kip"
-        energy = cycle_energies(force[None, :], trace)[0]
-        if energy.size:
-            facts["energy per full loop"] = (
-                f"{np.median(energy):.4g} kip·in (median of {energy.size}, "
-                f"{energy.min():.4g} to {energy.max():.4g})"
-            )
-    return Inspection(name, facts, trace)
+        facts |= _force_facts(trace.force, loops)
+    return Inspection(name, facts, trace, loops, find_faults(trace, gap))
+
+
+def _loops_fact(loops: Loops) -> str:
+    """Number of full loops, with amplitude and frequency of those that are no ramps."""
+    strong = loops.strong
+    amplitude, frequency = loops.amplitude[strong], 1 / loops.period[strong]
+    ramps = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
+    return (
+        f"{strong.size}{ramps}: amplitude {_range(amplitude)} in, frequency {_range(frequency)} Hz"
+    )
+
+
+def _force_facts(force: Array, loops: Loops) -> dict[str, str]:
+    """Peaks, samples at them, energy per loop, and how energy and offset drift."""
+    at_peak = max(np.count_nonzero(force == force.max()), np.count_nonzero(force == force.min()))
+    facts = {"force": f"{force.min():.4g} to {force.max():.4g} kip, samples at a peak: {at_peak}"}
+    if loops.energy is None or loops.offset is None or not loops.energy.size:
+        return facts
+    energy = loops.energy
+    facts["energy per full loop"] = (
+        f"{np.median(energy):.4g} kip·in (median of {energy.size}, "
+        f"{energy.min():.4g} to {energy.max():.4g})"
+    )
+    if loops.energy_drift is not None:
+        facts["energy drift"] = f"{loops.energy_drift:+.1%} from the first loops to the last"
+    facts["force offset"] = f"{np.median(loops.offset):.3g} kip, mean along a loop"
+    if loops.offset_drift is not None:
+        facts["force drift"] = f"{loops.offset_drift:+.3g} kip from the first loops to the last"
+    return facts
+
+
+def _range(values: Array) -> str:
+    """Median, with the ends where they are further than a hundredth apart."""
+    low, middle, high = (float(v) for v in np.quantile(values, [0.0, 0.5, 1.0]))
+    wide = high - low > 0.01 * middle
+    return f"{middle:.3g} ({low:.3g} to {high:.3g})" if wide else f"{middle:.3g}"
 
 
 def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
@@ -72,6 +131,6 @@ def share_inside(fan: Fan, trace: Trace) -> float:
     return float(np.mean((force >= widest.lower) & (force <= widest.upper)))
 
 
-def inspect_test(test: Test) -> Inspection:
+def inspect_test(test: Test, gap: float | None = None) -> Inspection:
     """What was read of one test of a campaign."""
-    return inspect_record(test.id, test.read())
+    return inspect_record(test.id, test.read(), gap)

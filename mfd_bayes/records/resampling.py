@@ -79,7 +79,7 @@ def default_rate(
         The record's rate over a whole number.
     """
     record_rate = (time.size - 1) / float(time[-1] - time[0]) if rate is None else rate
-    crossings = _crossing_times(time, displacement, turns, gap)
+    crossings = crossing_times(time, displacement, turns, gap)
     needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
     if turns.size > 1:
         needs.append(40 / float(np.median(np.diff(time[turns]))))
@@ -88,7 +88,7 @@ def default_rate(
     return record_rate / max(divisor, math.ceil(time.size / max_samples))
 
 
-def _crossing_times(
+def crossing_times(
     time: Array, displacement: Array, turns: NDArray[np.intp], gap: float
 ) -> list[float]:
     """How long, s, it takes to `gap` away from each turning point, if before the next."""

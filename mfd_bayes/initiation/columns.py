@@ -1,0 +1,284 @@
+"""Which column of a test file is what, and in which unit, guessed from names and numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import MfdError, UnitError
+from mfd_bayes.records.faults import seems_milliseconds
+from mfd_bayes.records.readers import Table
+from mfd_bayes.records.trace import HYSTERESIS, turning_points
+from mfd_bayes.units import factor
+
+Array = NDArray[np.float64]
+
+_WORDS: Mapping[str, Mapping[str, int]] = {
+    "time": {"time": 4, "timestamp": 3, "elapsed": 3, "t": 3, "zeit": 4, "seconds": 2, "sec": 2},
+    "displacement": {
+        **dict.fromkeys(("displacement", "disp", "displ", "lvdt", "stroke", "weg"), 4),
+        **dict.fromkeys(("deflection", "travel", "extension", "displacment"), 3),
+        **dict.fromkeys(("position", "pos", "x", "d", "motion"), 2),
+    },
+    "force": {
+        **dict.fromkeys(("force", "load", "loadcell", "kraft"), 4),
+        **dict.fromkeys(("f", "reaction", "resistance", "cell"), 2),
+    },
+    "velocity": {**dict.fromkeys(("velocity", "vel", "speed"), 4), "v": 2},
+    "actuation": {
+        **dict.fromkeys(("pressure", "actuation", "tension", "preload", "druck"), 6),
+        **dict.fromkeys(("press", "clamping", "clamp", "psi", "kpa", "mpa", "bar"), 5),
+    },
+}
+"""How strongly a word of a column's name speaks for a role."""
+
+_UNIT_ALONE = 1.0
+"""How strongly a unit speaks for a role where no word does."""
+
+_NOT_MEASURED = frozenset(
+    {"command", "cmd", "setpoint", "target", "ref", "reference", "desired", "error", "nominal"}
+)
+
+_KINDS = {
+    "time": ("time",),
+    "displacement": ("displacement",),
+    "force": ("force",),
+    "velocity": ("velocity",),
+    "actuation": ("pressure", "force"),
+}
+
+_BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$")
+_BEHIND = re.compile(r"[\s,/:]+([^\s,:]+)\s*$")
+_SUFFIX = re.compile(r"_((?:[^_\s]+_per_)?[^_\s]+)$")
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_METRIC = re.compile(r"\b(?:N|kN|MN|mm|cm|m|kPa|MPa|bar)\b")
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A column, and what is not certain about it.
+
+    Attributes
+    ----------
+    name : str
+    unit : str or None
+        None where nothing tells it.
+    doubts : tuple of str
+        What was not certain, with the alternatives.
+    """
+
+    name: str
+    unit: str | None
+    doubts: tuple[str, ...] = ()
+
+
+def guess_columns(table: Table) -> dict[str, Guess]:
+    """Role to column, as far as names, units and, at last, numbers tell.
+
+    Only time, displacement and force are ever guessed from numbers. Time comes in ms where no
+    unit is given and the steps say so.
+    """
+    found: dict[str, Guess] = {}
+    taken: set[str] = set()
+    for role in ("actuation", "time", "displacement", "force", "velocity"):
+        guess = _by_name(table, role, taken)
+        if guess is not None:
+            found[role] = guess
+            taken.add(guess.name)
+    missing = {"time", "displacement", "force"} - found.keys()
+    if missing:
+        found |= _by_numbers(table, missing, taken)
+    found = {role: _with_unit(table, role, guess, found) for role, guess in found.items()}
+    return _checked_velocity(table, found)
+
+
+def unit_of(table: Table, name: str, role: str) -> str | None:
+    """Unit of a column for a role: of its name, or of the file's row of units; None if unknown."""
+    candidates = [m[1] for m in (p.search(name) for p in (_BRACKETS, _SUFFIX, _BEHIND)) if m]
+    candidates += [table.units.get(name, ""), name.strip()]
+    for text in candidates:
+        for unit in (text.replace("_per_", "/"), text.lower().replace("_per_", "/")):
+            if any(_measures(unit, kind) for kind in _KINDS[role]):
+                return unit
+    return None
+
+
+def numbers_of(table: Table, name: str) -> Array | None:
+    """Numbers of a column, (T,), or None where it does not hold numbers alone."""
+    try:
+        return table.columns([name])[name]
+    except MfdError:
+        return None
+
+
+def _measures(unit: str, kind: str) -> bool:
+    try:
+        factor(unit, kind)
+    except UnitError:
+        return False
+    return True
+
+
+def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
+    """Column whose name and unit speak most for a role."""
+    scores = {
+        name: score
+        for name in table.names
+        if name not in taken and table.names.count(name) == 1
+        if (score := _score(table, name, role)) > 0
+    }
+    if not scores:
+        return None
+    best = max(scores, key=lambda name: scores[name])
+    unit = unit_of(table, best, role)
+    fewest = max(scores[best] - 1, min(scores[best], 2))
+    rivals = [n for n, score in scores.items() if n != best and score >= fewest]
+    doubts: list[str] = []
+    if scores[best] == _UNIT_ALONE:
+        doubts.append(f"column for {role} taken by its unit alone")
+    if rivals:
+        doubts.append(f"column for {role} could also be {_listed(rivals)}")
+    return Guess(best, unit, tuple(doubts))
+
+
+def _score(table: Table, name: str, role: str) -> float:
+    """How strongly a name and its unit speak for a role; 0 where they do not."""
+    words = re.findall(r"[a-z]+", _CAMEL.sub(" ", _BRACKETS.sub("", name)).lower())
+    own = max((_WORDS[role].get(word, 0) for word in words), default=0)
+    others = [known.get(w, 0) for r, known in _WORDS.items() if r != role for w in words]
+    other = max(others, default=0)
+    if own and _NOT_MEASURED & set(words):
+        own = 1
+    unit = unit_of(table, name, role)
+    if own and unit is None and _measures_else(table, name, role):
+        return 0.0
+    if not own:
+        # a unit alone speaks for no actuation but a pressure: load cells are many
+        alone = unit is not None and (role != "actuation" or _measures(unit, "pressure"))
+        return _UNIT_ALONE if alone and not other else 0.0
+    return own + (1.0 if unit is not None else 0.0) if own >= other else 0.0
+
+
+def _measures_else(table: Table, name: str, role: str) -> bool:
+    """Whether a column has a unit that measures what another role needs."""
+    match = _BRACKETS.search(name)
+    stated = match[1] if match else table.units.get(name, "")
+    return bool(stated) and any(
+        _measures(stated, kind) for r, kinds in _KINDS.items() if r != role for kind in kinds
+    )
+
+
+def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, Guess]:
+    """Time as what increases steadily, displacement as the smoothest of the rest, then force."""
+    columns = {
+        name: values
+        for name in table.names
+        if name not in taken and table.names.count(name) == 1
+        if (values := numbers_of(table, name)) is not None and values.size > 2
+    }
+    found: dict[str, Guess] = {}
+    if "time" in missing:
+        steady = [name for name, values in columns.items() if _steady(values)]
+        if steady:
+            found["time"] = _guessed("time", steady)
+            del columns[steady[0]]
+    moving = sorted(
+        (name for name, v in columns.items() if np.ptp(v) > 0 and not _steady(v)),
+        key=lambda name: _roughness(columns[name]),
+    )
+    for role in ("displacement", "force"):
+        if role in missing and moving:
+            found[role] = _guessed(role, moving)
+            moving = moving[1:]
+    return found
+
+
+def _guessed(role: str, names: list[str]) -> Guess:
+    others = f"; it could also be {_listed(names[1:])}" if names[1:] else ""
+    return Guess(names[0], None, (f"column for {role} guessed from the numbers{others}",))
+
+
+def _steady(values: Array) -> bool:
+    steps = np.diff(values)
+    return bool(np.all(steps > 0) and steps.max() < 20 * np.median(steps))
+
+
+def _roughness(values: Array) -> float:
+    """Bends per step of a signal: small where it moves smoothly."""
+    return float(np.sum(np.diff(values, 2) ** 2) / np.sum(np.diff(values) ** 2))
+
+
+def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]) -> Guess:
+    """Guess with a unit where another column's, or the steps of time, tell it."""
+    unit = guess.unit or unit_of(table, guess.name, role)
+    if role == "time":
+        return _timed(table, replace(guess, unit=unit), found)
+    if unit is not None or role == "actuation":
+        return replace(guess, unit=unit)
+    metric = _is_metric(table, found)
+    if metric is None:
+        return guess
+    units = {"displacement": ("in", "mm"), "force": ("kip", "kN"), "velocity": ("in/s", "mm/s")}
+    unit = units[role][metric]
+    other = units[role][not metric]
+    doubt = f"no unit of {role} is given; {unit} goes with the other columns, {other} does not"
+    return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
+
+
+def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
+    """Whether the stated units of displacement, force and velocity are metric; None without any."""
+    stated = [
+        unit
+        for role in ("displacement", "force", "velocity")
+        if role in found and (unit := unit_of(table, found[role].name, role)) is not None
+    ]
+    return bool(_METRIC.search(" ".join(stated))) if stated else None
+
+
+def _timed(table: Table, guess: Guess, found: Mapping[str, Guess]) -> Guess:
+    """Time with its unit, which the steps decide where nothing states it."""
+    slow = _seems_slow(table, guess, found.get("displacement"))
+    if guess.unit is None:
+        unit = "ms" if slow else "s"
+        why = "the steps look like ms" if slow else "the steps look like s"
+        return replace(guess, unit=unit, doubts=(*guess.doubts, f"no unit of time is given; {why}"))
+    if guess.unit in ("s", "sec") and slow:
+        doubt = 'the steps look like ms; if they are, unit = "ms"'
+        return replace(guess, doubts=(*guess.doubts, doubt))
+    return guess
+
+
+def _seems_slow(table: Table, time: Guess, displacement: Guess | None) -> bool:
+    values = numbers_of(table, time.name)
+    motion = None if displacement is None else numbers_of(table, displacement.name)
+    if values is None or motion is None or values.size < 3 or values[-1] <= values[0]:
+        return False
+    turns = turning_points(motion, HYSTERESIS * float(np.ptp(motion))).size
+    return seems_milliseconds(values, turns)
+
+
+def _checked_velocity(table: Table, found: dict[str, Guess]) -> dict[str, Guess]:
+    """Guesses without a velocity that is not the displacement's slope, or has no unit."""
+    if "velocity" not in found:
+        return found
+    roles = ("time", "displacement", "velocity")
+    values = [numbers_of(table, found[role].name) if role in found else None for role in roles]
+    time, displacement, velocity = values
+    if found["velocity"].unit is not None and not (
+        time is None or displacement is None or velocity is None
+    ):
+        with np.errstate(all="ignore"):
+            slope = np.gradient(displacement, time)
+            alike = np.corrcoef(slope, velocity)[0, 1]
+        if alike > 0.9:
+            return found
+    return {role: guess for role, guess in found.items() if role != "velocity"}
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(repr(name) for name in names[:4])
+    return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"

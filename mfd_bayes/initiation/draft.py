@@ -1,0 +1,206 @@
+"""A first campaign of a folder of test files: what every file seems to be."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mfd_bayes.errors import CampaignError, MfdError, RecordError
+from mfd_bayes.initiation.actuation import (
+    Seen,
+    actuation_of,
+    prevailing_unit,
+    without_shared_levels,
+)
+from mfd_bayes.initiation.columns import Guess, guess_columns
+from mfd_bayes.initiation.levels import level_in_header, levels_in
+from mfd_bayes.records.readers import SUFFIXES, Table, read_table
+from mfd_bayes.records.record import read_record
+from mfd_bayes.units import ActuationUnit
+
+_ESSENTIAL = ("time", "displacement", "force")
+_INTERNAL = {"time": "s", "displacement": "in", "force": "kip", "velocity": "in/s"}
+_TABLES = ("parameters", "derived", "laws", "law_scores", "checks", "scores", "crossvalidation")
+_OWN = frozenset(f"{name}{suffix}" for name in _TABLES for suffix in (".csv", ".json"))
+_OWN |= {"comparison.csv", "manifest.json"}
+_EARTHQUAKE = re.compile(
+    r"quake|seism|(?<![a-z])(?:eq|gm|dbe|mce|sle)(?![a-z])|dbe|mce|kobe|centro|northridge"
+    r"|imperial|kocaeli|chi-?chi|prieta|tabas|landers|duzce|ground.?motion|random|white.?noise",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class TestDraft:
+    """One test as it seems to be.
+
+    Attributes
+    ----------
+    id, file : str
+    columns : dict
+        Role to guess, without the actuation.
+    actuation : str, Guess or None
+        A level, a column that is a history, or None where nothing tells it.
+    source : str
+        What the actuation was taken from, or what it may be taken from.
+    doubts : tuple of str
+        About the actuation and the file.
+    earthquake : bool
+        Whether the name sounds like one.
+    """
+
+    id: str
+    file: str
+    columns: dict[str, Guess]
+    actuation: str | Guess | None
+    source: str
+    doubts: tuple[str, ...]
+    earthquake: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A campaign as it seems to be.
+
+    Attributes
+    ----------
+    folder : Path
+    tests : tuple of TestDraft
+    left_out : tuple of (str, str)
+        Files that are no tests of the campaign, and why.
+    unit : "ksi", "kip" or None
+        Whether actuations are pressures or tensions, if any is known.
+    """
+
+    folder: Path
+    tests: tuple[TestDraft, ...]
+    left_out: tuple[tuple[str, str], ...]
+    unit: ActuationUnit | None
+
+
+def draft_campaign(folder: Path) -> Draft:
+    """Campaign of the test files in a folder, as far as names, units and numbers tell.
+
+    Raises
+    ------
+    CampaignError
+        When the folder cannot be read or holds no test.
+    """
+    seen: list[Seen] = []
+    left_out: list[tuple[str, str]] = []
+    for path in _files(folder):
+        try:
+            seen.append(_look_at(path, folder))
+        except MfdError as error:
+            left_out.append(_reason(path, error))
+    seen = without_shared_levels(seen)
+    unit = prevailing_unit(seen)
+    tests: list[TestDraft] = []
+    for one in seen:
+        try:
+            tests.append(_test(one, unit, [test.id for test in tests]))
+        except MfdError as error:
+            left_out.append(_reason(one.path, error))
+    if not tests:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:5])
+        raise CampaignError(
+            f"{folder} holds no test, a file with time, displacement and force"
+            + (f": {reasons}" if reasons else f" and one of the suffixes {', '.join(SUFFIXES)}")
+        )
+    return Draft(folder, tuple(tests), tuple(left_out), unit)
+
+
+def _reason(path: Path, error: MfdError) -> tuple[str, str]:
+    """Name of a file and why it is left out, both such that UTF-8 holds them."""
+    texts = path.name, str(error).replace(str(path), path.name)
+    name, reason = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
+    return name, reason
+
+
+def _is_utf8(name: str) -> bool:
+    """Whether a name is text, and not bytes that the system could not read as such."""
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _files(folder: Path) -> list[Path]:
+    """Files of a folder that may be tests, p500 before p1000."""
+    try:
+        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    except OSError as error:
+        raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
+    return sorted((path for path in found if path.is_file()), key=lambda path: _natural(path.name))
+
+
+def _natural(name: str) -> tuple[list[tuple[int, str]], str]:
+    parts = re.split(r"([0-9]+)", name.lower())
+    return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], name
+
+
+def _look_at(path: Path, folder: Path) -> Seen:
+    """What a file seems to hold; raises where it cannot be a test."""
+    if not _is_utf8(path.name):
+        raise RecordError("its name is not UTF-8, as a campaign file must be: rename it")
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise RecordError("it is a link to a file outside this folder")
+    table = read_table(path)
+    if _is_own(path, table):
+        raise RecordError("written by mfd-bayes")
+    columns = guess_columns(table)
+    column = columns.pop("actuation", None)
+    missing = [role for role in _ESSENTIAL if role not in columns]
+    if missing:
+        raise RecordError(
+            f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}"
+        )
+    odd = [
+        guess.name for guess in (*columns.values(), column) if guess and not _is_utf8(guess.name)
+    ]
+    if odd:
+        raise RecordError(f"the name of its column {odd[0]!a} is not UTF-8: rename it")
+    header = level_in_header(path, table.names)
+    return Seen(path, table, columns, column, header, levels_in(path.stem))
+
+
+def _is_own(path: Path, table: Table) -> bool:
+    """Whether a command of this package wrote a file: a table of a run, or a band."""
+    bands = {"lower_kip", "median_kip", "upper_kip"} <= set(table.names)
+    derived = path.stem.endswith("_derived") and "quantity" in table.names
+    return bands or derived or path.name in _OWN
+
+
+def _test(one: Seen, unit: ActuationUnit | None, taken: Sequence[str]) -> TestDraft:
+    """Draft of a file that can be read with what was guessed; raises where it cannot."""
+    actuation, source, doubts = actuation_of(one, unit)
+    roles = dict(one.columns)
+    names = {role: guess.name for role, guess in roles.items()}
+    units = {role: guess.unit or _INTERNAL[role] for role, guess in roles.items()}
+    if isinstance(actuation, Guess):
+        names["actuation"], units["actuation"] = actuation.name, str(actuation.unit)
+    read_record(one.path, names, units, actuation if isinstance(actuation, str) else None)
+    return TestDraft(
+        id=_id(one.path.stem, taken),
+        file=one.path.name,
+        columns=roles,
+        actuation=actuation,
+        source=source,
+        doubts=doubts,
+        earthquake=_EARTHQUAKE.search(one.path.stem) is not None,
+    )
+
+
+def _id(stem: str, taken: Sequence[str]) -> str:
+    """Id after a file's name, unlike all that are taken whatever the case of letters."""
+    plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^A-Za-z0-9+_.-]+", "_", plain).lstrip(".").strip("_")[:90] or "test"
+    used = {other.lower() for other in taken}
+    number, found = 2, name
+    while found.lower() in used:
+        found, number = f"{name}_{number}", number + 1
+    return found

@@ -1,0 +1,90 @@
+"""Levels of actuation in the names and header lines of test files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mfd_bayes.units import ActuationUnit, parse_actuation
+
+_UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
+_SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN", "n": "N", "lb": "lbf", "lbs": "lbf"}
+_SPELLED |= {"kips": "kip"}
+_NUMBER = r"(?<![\d.])(\d+(?:[.p]\d+)?)"
+_WITH_UNIT = re.compile(rf"{_NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
+_PRESSURE = re.compile(r"(?<![a-z])(?:p|press|pressure)[ _=-]?(\d+(?:\.\d+)?)(?![\d.]*[a-z])", re.I)
+_TENSION = re.compile(r"(?<![a-z])(?:tension|preload)[ _=-]?(\d+(?:\.\d+)?)(?![\d.]*[a-z])", re.I)
+_SAID = re.compile(
+    rf"(?:pressure|tension|preload|actuation|clamping)[^\d\n]{{0,30}}?(\d+(?:\.\d+)?)\s*({_UNITS})(?![a-z])",
+    re.IGNORECASE,
+)
+
+_PRESSURE_UNIT = re.compile(
+    rf"{_NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])",
+    re.IGNORECASE,
+)
+
+_HEADER_LINES = 40
+_HEADER_BYTES = 8192
+_TEXT_SUFFIXES = frozenset({".csv", ".txt", ".dat", ".tsv", ".asc"})
+
+
+@dataclass(frozen=True)
+class Level:
+    """A constant actuation that a text states.
+
+    Attributes
+    ----------
+    text : str
+        As a campaign file takes it: ``"500 psi"``.
+    value : float, ksi or kip
+    unit : "ksi" or "kip"
+    doubt : str
+        What was assumed, or nothing.
+    """
+
+    text: str
+    value: float
+    unit: ActuationUnit
+    doubt: str = ""
+
+
+def levels_in(name: str) -> tuple[Level, ...]:
+    """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is taken for psi."""
+    found = [_level(m[1].lower().replace("p", "."), m[2]) for m in _WITH_UNIT.finditer(name)]
+    if found:
+        return tuple(dict.fromkeys(found))
+    pressures, tensions = _PRESSURE.findall(name), _TENSION.findall(name)
+    assumed = [_level(number, "psi", "psi is assumed; it may be kPa") for number in pressures]
+    assumed += [_level(number, "lbf", "lbf is assumed; it may be N") for number in tensions]
+    return tuple(dict.fromkeys(assumed))
+
+
+def level_in_header(path: Path, names: Sequence[str]) -> Level | None:
+    """Level that the lines above the numbers, or a column's name, state: ``Pressure: 500 psi``.
+
+    A pressure that is not called one, ``Brake at 500 psi``, comes with a doubt.
+    """
+    lines = list(names)
+    if path.suffix.lower() in _TEXT_SUFFIXES:
+        with path.open("rb") as file:
+            head = file.read(_HEADER_BYTES).decode("utf-8", "replace")
+        lines += [line for line in head.splitlines()[:_HEADER_LINES] if _is_words(line)]
+    for pattern, doubt in ((_SAID, ""), (_PRESSURE_UNIT, "it is a pressure in the header lines")):
+        for line in lines:
+            match = pattern.search(line)
+            if match:
+                return _level(match[1], match[2], doubt)
+    return None
+
+
+def _is_words(line: str) -> bool:
+    return bool(re.search(r"[A-Za-z]{3}", line))
+
+
+def _level(number: str, unit: str, doubt: str = "") -> Level:
+    text = f"{float(number):g} {_SPELLED.get(unit.lower(), unit.lower())}"
+    value, internal = parse_actuation(text)
+    return Level(text, value, internal, doubt)

@@ -1,0 +1,148 @@
+"""The text of a first campaign file, with a comment at everything that was not certain."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+from mfd_bayes.initiation.columns import Guess
+from mfd_bayes.initiation.draft import Draft, TestDraft
+from mfd_bayes.initiation.toml import column, commented, quoted
+
+ROLES = ("time", "displacement", "force", "velocity")
+
+_UNITS = {"time": '"s" or "ms"', "displacement": '"in" or "mm"', "force": '"kip" or "kN"'}
+
+_HEAD = """\
+# Written by mfd-bayes init from the files of this folder. What it was not certain of is marked
+# "unsure", what it could not find "FIXME". Next:
+#     mfd-bayes inspect campaign.toml
+#     mfd-bayes calibrate campaign.toml -o out --dry-run
+"""
+
+_PRIORS = {
+    "ksi": ("mfd", "for the drum brake and its like: actuations here are pressures"),
+    "kip": ("brfd", "for the band brake and its like: actuations here are tensions"),
+    None: ("mfd", 'unsure: no actuation is known; "mfd" is for pressures, "brfd" for tensions'),
+}
+
+Shared = dict[str, Guess]
+
+
+def campaign_text(draft: Draft) -> str:
+    """Campaign file of a draft: valid TOML whatever the names of files and columns hold."""
+    shared = shared_columns(draft.tests)
+    name, why = _PRIORS[draft.unit]
+    title = draft.folder.resolve().name.encode("utf-8", "replace").decode()
+    lines = [
+        *("[campaign]", f"title = {quoted(title)}"),
+        *(f"priors = {quoted(name)}  {commented(why)}", "", "[columns]"),
+        *(_column_line(role, shared[role]) for role in ROLES if role in shared),
+    ]
+    for test in draft.tests:
+        lines += ["", *_test_lines(test, shared, draft)]
+    if draft.left_out:
+        lines += ["", "# Left out:"]
+        lines += [commented(f"{file}: {reason}") for file, reason in draft.left_out]
+    return _HEAD + "\n" + "\n".join(lines) + "\n"
+
+
+def doubts(draft: Draft) -> list[str]:
+    """Everything that was not certain, a sentence each, with the columns or tests it is of."""
+    shared = shared_columns(draft.tests)
+    found = [("columns", doubt) for guess in shared.values() for doubt in guess.doubts]
+    if draft.unit is None:
+        found.append(("priors", _PRIORS[None][1].removeprefix("unsure: ")))
+    for test in draft.tests:
+        own = [doubt for _, guess in _own_columns(test, shared) for doubt in guess.doubts]
+        found += [(test.id, doubt) for doubt in (*own, *test.doubts)]
+        if test.earthquake:
+            found.append((test.id, 'an earthquake by its name; role = "validate" is suggested'))
+    return _grouped(found)
+
+
+def gaps(draft: Draft) -> list[str]:
+    """Everything essential that was not found, a sentence each: the campaign needs it."""
+    shared = shared_columns(draft.tests)
+    found = [("columns", _no_unit(role)) for role, g in shared.items() if g.unit is None]
+    for test in draft.tests:
+        own = [_no_unit(role) for role, g in _own_columns(test, shared) if g.unit is None]
+        own += [_no_actuation(test, draft)] if test.actuation is None else []
+        found += [(test.id, text) for text in own]
+    return _grouped(found)
+
+
+def _grouped(found: Iterable[tuple[str, str]]) -> list[str]:
+    """Sentences with all that they are of, so that a hundred tests do not say the same."""
+    subjects: dict[str, list[str]] = {}
+    for subject, sentence in found:
+        subjects.setdefault(sentence, []).append(subject)
+    return [f"{_subjects(names)}: {sentence}" for sentence, names in subjects.items()]
+
+
+def _subjects(names: list[str]) -> str:
+    shown = ", ".join(names[:3])
+    return shown if len(names) <= 3 else f"{shown} and {len(names) - 3} more"
+
+
+def shared_columns(tests: Iterable[TestDraft]) -> Shared:
+    """Column of each role that most tests have, where all have the role; doubts of all of them."""
+    drafts = list(tests)
+    shared: Shared = {}
+    for role in ROLES:
+        guesses = [test.columns[role] for test in drafts if role in test.columns]
+        if len(guesses) < len(drafts):
+            continue
+        name, unit = Counter((g.name, g.unit) for g in guesses).most_common(1)[0][0]
+        alike = [g for g in guesses if (g.name, g.unit) == (name, unit)]
+        told = dict.fromkeys(doubt for g in alike for doubt in g.doubts)
+        shared[role] = Guess(name, unit, tuple(told))
+    return shared
+
+
+def _own_columns(test: TestDraft, shared: Shared) -> Iterator[tuple[str, Guess]]:
+    """Columns of a test that are not those most tests have."""
+    for role in ROLES:
+        guess, common = test.columns.get(role), shared.get(role)
+        if guess is not None and (
+            common is None or (guess.name, guess.unit) != (common.name, common.unit)
+        ):
+            yield role, guess
+
+
+def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
+    yield "[[test]]"
+    yield f"id = {quoted(test.id)}"
+    yield f"file = {quoted(test.file)}"
+    for doubt in test.doubts:
+        yield commented(f"unsure: {doubt}")
+    if test.actuation is None:
+        yield commented(f"FIXME: {_no_actuation(test, draft)}")
+    elif isinstance(test.actuation, Guess):
+        told = column(test.actuation.name, test.actuation.unit)
+        yield f"actuation = {told}  {commented('measured during the test')}"
+    else:
+        yield f"actuation = {quoted(test.actuation)}  {commented(test.source)}"
+    for role, guess in _own_columns(test, shared):
+        yield f"columns.{_column_line(role, guess)}"
+    if test.earthquake:
+        yield '# role = "validate"  # an earthquake by its name: predicted and scored, not fitted'
+
+
+def _column_line(role: str, guess: Guess) -> str:
+    remarks = [f"FIXME: {_no_unit(role)}"] if guess.unit is None else []
+    remarks += [f"unsure: {doubt}" for doubt in guess.doubts]
+    behind = f"  {commented('; '.join(remarks))}" if remarks else ""
+    return f"{role} = {column(guess.name, guess.unit)}{behind}"
+
+
+def _no_unit(role: str) -> str:
+    return f"nothing tells the unit of {role}; add unit = {_UNITS.get(role, '…')}"
+
+
+def _no_actuation(test: TestDraft, draft: Draft) -> str:
+    example = "30 lbf" if draft.unit == "kip" else "500 psi"
+    return (
+        f'add actuation = "{example}" or the like; no column, header line or file name tells it'
+        f"{test.source}"
+    )

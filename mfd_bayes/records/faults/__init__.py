@@ -1,0 +1,58 @@
+"""What would spoil a fit of a record: faults of the sensors, the clock and the units."""
+
+from __future__ import annotations
+
+from mfd_bayes.records.faults import clock, signals
+from mfd_bayes.records.faults.clock import seems_milliseconds
+from mfd_bayes.records.faults.fault import Fault
+from mfd_bayes.records.trace import Trace
+
+__all__ = ["NAMES", "Fault", "find_faults", "seems_milliseconds"]
+
+NAMES = (
+    "no force",
+    "force sign",
+    "time unit",
+    "short record",
+    "stroke",
+    "clipping",
+    "lag",
+    "spikes",
+    "dropped samples",
+    "repeated samples",
+    "resolution",
+    "rate",
+    "drift",
+)
+"""Every name of a fault, the gravest first."""
+
+_OF_RECORD = (
+    signals.no_force,
+    signals.force_sign,
+    signals.clipping,
+    signals.lag,
+    signals.spikes,
+    signals.drift,
+    clock.time_unit,
+    clock.short_record,
+    clock.dropped,
+    clock.repeated,
+)
+_OF_GAP = (clock.stroke, clock.rate)
+
+
+def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
+    """Faults of a record, the gravest first; empty where none was found.
+
+    Parameters
+    ----------
+    trace : Trace
+        From `Record.trace()`, neither decimated nor filtered, which hides faults.
+    gap : float, in, optional
+        Typical width of the device's gap; without it, nothing is said of rate and stroke.
+    """
+    found = [fault for check in _OF_RECORD for fault in check(trace)]
+    found += signals.resolution(trace, gap)
+    if gap is not None:
+        found += [fault for check in _OF_GAP for fault in check(trace, gap)]
+    return tuple(sorted(found, key=lambda fault: NAMES.index(fault.name)))

@@ -1,0 +1,128 @@
+"""Faults of the clock and of the motion: units, rate, lost and repeated samples, length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mfd_bayes.records.faults.fault import Array, Fault, count, fault, rate_of, runs, spread
+from mfd_bayes.records.resampling import crossing_times
+from mfd_bayes.records.trace import Trace
+
+SLOW_RATE, SLOW_PERIOD = 5.0, 100.0
+"""A record below this rate, Hz, with cycles longer than this, s, has its time in ms, it seems."""
+
+FAST = 400.0
+"""No damper moves faster than this, in/s."""
+
+CROSSING = 10
+"""Fewest samples, and steps of the sensor, on the way across the gap."""
+
+DROPPED = 1.5
+"""A step of time longer than this many median ones has lost samples."""
+
+REPEATED = 0.01
+"""Share of the samples that repeat the one before, from which on it is no chance."""
+
+HELD = 10
+"""A longer run of equal samples is a rest of the actuator."""
+
+SAMPLES, LOOPS = 100, 2
+"""A record shorter than this tells little."""
+
+
+def seems_milliseconds(time: Array, turns: int) -> bool:
+    """Whether times that were read as s are rather ms, by the rate and the length of cycles."""
+    duration = float(time[-1] - time[0])
+    rate = (time.size - 1) / duration
+    return rate <= SLOW_RATE and duration > SLOW_PERIOD * max(turns / 2, 1.0)
+
+
+def time_unit(trace: Trace) -> Iterator[Fault]:
+    """Rates and speeds that no test of a damper has."""
+    speed = float(np.max(np.abs(np.diff(trace.displacement) / np.diff(trace.time))))
+    if seems_milliseconds(trace.time, trace.turning_points.size):
+        yield fault(
+            "time unit",
+            f"a rate of {rate_of(trace):.3g} Hz over {np.ptp(trace.time):.4g} s is implausible: "
+            "is time in ms rather than in s?",
+        )
+    elif np.quantile(np.abs(trace.velocity), 0.9) > FAST:
+        yield fault(
+            "time unit",
+            f"a speed of {speed:.3g} in/s is implausible: check the units of time and displacement",
+        )
+
+
+def short_record(trace: Trace) -> Iterator[Fault]:
+    """Too few samples or cycles to tell much."""
+    turns = trace.turning_points.size
+    if trace.samples < SAMPLES or turns < 2 * LOOPS:
+        yield fault(
+            "short record",
+            f"the record is very short, {trace.samples} samples and {turns} turning points; "
+            f"{SAMPLES} samples and {LOOPS} cycles are little already",
+        )
+
+
+def stroke(trace: Trace, gap: float) -> Iterator[Fault]:
+    """A motion that stays within the gap."""
+    travel = float(np.ptp(trace.displacement))
+    if travel <= gap:
+        yield fault(
+            "stroke",
+            f"the stroke of {travel:.3g} in is within the gap of about {gap:.2g} in that the "
+            "priors expect: the device may never slip",
+        )
+
+
+def rate(trace: Trace, gap: float) -> Iterator[Fault]:
+    """Too few samples on the way across the gap."""
+    times = crossing_times(trace.time, trace.displacement, trace.turning_points, gap)
+    if not times:
+        return
+    crossing = float(np.median(times)) * rate_of(trace)
+    if crossing < CROSSING:
+        yield fault(
+            "rate",
+            f"{rate_of(trace):.4g} Hz leave {crossing:.2g} samples on the way across a gap of "
+            f"about {gap:.2g} in after a reversal; {CROSSING} are needed to resolve it",
+        )
+
+
+def dropped(trace: Trace) -> Iterator[Fault]:
+    """Steps of time that are too long."""
+    steps = np.diff(trace.time)
+    median = float(np.median(steps))
+    at = np.flatnonzero(steps > DROPPED * median)
+    if at.size:
+        yield fault(
+            "dropped samples",
+            f"{count(at.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
+            f"{steps[at].max():.3g} s, median {median:.3g} s), the first at "
+            f"{trace.time[at[0]]:.4g} s: samples were dropped",
+            at + 1,
+        )
+
+
+def repeated(trace: Trace) -> Iterator[Fault]:
+    """Rows that say again what the row before said, between steps of a moving actuator."""
+    if trace.force is None or np.ptp(trace.force) == 0.0:
+        return  # a slow displacement repeats its last digit; only both together tell
+    steps = np.abs(np.diff(trace.displacement))
+    same = (steps == 0.0) & (np.diff(trace.force) == 0.0)
+    starts, lengths = runs(np.concatenate([[False], same]))
+    inside = (starts > 0) & (starts + lengths < steps.size) & (lengths <= HELD)
+    starts, lengths = starts[inside], lengths[inside]
+    smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
+    beside = np.minimum(steps[starts - 1], steps[starts + lengths])
+    at = spread(starts[beside > 2 * smallest] + 1, lengths[beside > 2 * smallest] - 1)
+    if at.size > REPEATED * trace.samples:
+        yield fault(
+            "repeated samples",
+            f"{at.size} samples ({at.size / trace.samples:.1%}) repeat the one before while the "
+            f"displacement moves, the first at {trace.time[at[0]]:.4g} s: the logger was slower "
+            "than its clock",
+            at,
+        )

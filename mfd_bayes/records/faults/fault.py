@@ -1,0 +1,59 @@
+"""A fault of a record, and the runs of samples that faults are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+Samples = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Fault:
+    """Something of a record that would spoil a fit.
+
+    Attributes
+    ----------
+    name : str
+        One of `NAMES`.
+    sentence : str
+        What was found, with figures and units, and what it may come from.
+    samples : (K,), int
+        Where it was found; empty where it is everywhere.
+    """
+
+    name: str
+    sentence: str
+    samples: Samples
+
+
+def fault(name: str, sentence: str, samples: Samples | None = None) -> Fault:
+    """Fault at some samples, or everywhere."""
+    return Fault(name, sentence, np.empty(0, dtype=np.intp) if samples is None else samples)
+
+
+def rate_of(trace: Trace) -> float:
+    """Samples per second, Hz."""
+    return (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
+
+
+def runs(flags: NDArray[np.bool_]) -> tuple[Samples, Samples]:
+    """First sample before each run of flags, and the number of flags in it."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return (edges[::2] - 1).astype(np.intp), (edges[1::2] - edges[::2]).astype(np.intp)
+
+
+def spread(starts: Samples, lengths: Samples) -> Samples:
+    """All samples of runs."""
+    pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
+    return np.concatenate(pieces or [np.empty(0)]).astype(np.intp)
+
+
+def count(number: int, thing: str) -> str:
+    """Number and noun: "3 steps"."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"

@@ -1,0 +1,115 @@
+"""How far the force of a record comes behind its displacement."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+NEAR = 0.05
+"""Share of the peak-to-peak displacement around a reversal that is looked at."""
+
+STROKES = 0.4
+"""A reversal between strokes shorter than this share of the peak-to-peak one is left out."""
+
+REVERSALS = 40
+"""More reversals than this say no more."""
+
+REACH = 0.06
+"""Largest lag that is looked for, s; eight samples or 3 % of a cycle where that is more."""
+
+LIKELY = 0.85
+"""A lag counts where it leaves at most this share of the squared misfit at no lag."""
+
+_SAMPLES = 120  # of one reversal, whatever the rate
+_LENGTHS = np.geomspace(0.02, 1.5, 10)  # of the release, over the distance looked at
+
+
+def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
+    """Lag of the force behind the displacement, s, and the reversals that tell it.
+
+    Friction lets go when the motion turns, and fastest at the turn itself: the force falls by
+    A (1 − exp(−s/λ)) at a distance s behind it. A and a
+    line in time, for the level before and viscous friction, are fitted to every reversal, λ and
+    the lag to all of them together. A force that is late stays where it was
+    at first; one that is early falls before the turn.
+
+    Returns
+    -------
+    (lag, (K,) int) or None
+        None without force or reversals, or where no lag fits clearly better than none.
+    """
+    turns = _clear_reversals(trace)
+    if trace.force is None or np.ptp(trace.force) == 0.0 or turns.size < 2:
+        return None
+    step = float(np.median(np.diff(trace.time)))
+    cycle = 2 * float(np.median(np.diff(trace.time[trace.turning_points])))
+    reach = max(REACH, 8 * step, 0.03 * cycle)
+    coarse = np.linspace(-reach, reach, 49)
+    lag, misfit, at_rest = _best(trace, turns, coarse)
+    if abs(lag) >= reach * 0.999 or misfit > LIKELY * at_rest:
+        return None
+    spacing = coarse[1] - coarse[0]
+    lag, _, _ = _best(trace, turns, lag + np.linspace(-spacing, spacing, 9))
+    return lag, turns
+
+
+def _clear_reversals(trace: Trace) -> NDArray[np.intp]:
+    """Turning points between long strokes, away from the ends."""
+    x, turns = trace.displacement, trace.turning_points
+    ends = np.concatenate([[0], turns, [x.size - 1]])
+    strokes = np.array([abs(x[b] - x[a]) for a, b in pairwise(ends)])
+    long = strokes >= STROKES * np.ptp(x)
+    clear = turns[long[:-1] & long[1:]]
+    return clear[:: max(1, -(-clear.size // REVERSALS))]
+
+
+def _best(trace: Trace, turns: NDArray[np.intp], lags: Array) -> tuple[float, float, float]:
+    """Lag of the least misfit, that misfit, and the one at the lag nearest to none."""
+    misfit = np.zeros((_LENGTHS.size, lags.size))
+    for turn in turns.tolist():
+        misfit += _misfit(trace, turn, lags)
+    least = misfit.min(axis=0)
+    at = int(np.argmin(least))
+    return float(lags[at]), float(least[at]), float(least[int(np.argmin(np.abs(lags)))])
+
+
+def _misfit(trace: Trace, turn: int, lags: Array) -> Array:
+    """Squared misfit of a release to the force about one turn, by length and lag."""
+    near = NEAR * float(np.ptp(trace.displacement))
+    away = np.abs(trace.displacement - trace.displacement[turn])
+    first, last = _window(away, turn, near)
+    if last - first < 4:
+        return np.zeros((_LENGTHS.size, lags.size))
+    count = min(_SAMPLES, last - first + 1)
+    time = np.linspace(trace.time[first], trace.time[last], count)
+    force = np.interp(time, trace.time[first : last + 1], np.asarray(trace.force)[first : last + 1])
+    behind = np.where(np.arange(away.size) > turn, away, 0.0)
+    begin = max(0, first - (last - first))
+    distance = np.interp(
+        time[None, :] - lags[:, None], trace.time[begin : last + 1], behind[begin : last + 1]
+    )
+    shape = -np.expm1(-distance[None] / (near * _LENGTHS[:, None, None]))
+    # what is linear in time, as a viscous force is at a turn, is left out of account
+    line = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), 1)
+    basis = np.linalg.qr(line)[0]
+    shape -= (shape @ basis) @ basis.T
+    force = force - basis @ (basis.T @ force)
+    square = np.sum(shape**2, axis=2)
+    along = shape @ force
+    gain = np.divide(along**2, square, out=np.zeros_like(along), where=square > 1e-12)
+    return np.asarray(np.sum(force**2) - gain)
+
+
+def _window(away: Array, turn: int, near: float) -> tuple[int, int]:
+    """First and last sample about a turn that lie within a distance of it."""
+    before = np.flatnonzero(away[:turn] > near)
+    behind = np.flatnonzero(away[turn:] > near)
+    first = int(before[-1]) + 1 if before.size else 0
+    last = turn + int(behind[0]) - 1 if behind.size else away.size - 1
+    return first, last

@@ -1,0 +1,160 @@
+"""Faults of the sensors: force and displacement as they were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mfd_bayes.records.faults.clock import CROSSING
+from mfd_bayes.records.faults.fault import Array, Fault, Samples, count, fault, runs, spread
+from mfd_bayes.records.faults.lag import estimate_lag
+from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.trace import Trace
+
+CLIPPED = 5
+"""Fewest samples in a row at the extreme of the force that look like a load cell's limit."""
+
+LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
+"""A lag is told above all of these: s, samples, and share of a cycle (what can be told)."""
+
+LEVELS = 200
+"""Fewest steps of the sensor in the peak-to-peak displacement."""
+
+SPIKE = 0.10
+"""An isolated sample that stands out by this share of the signal's range is a spike."""
+
+DRIFT = 0.25
+"""A force that drifts by this share of its half range has lost its zero."""
+
+
+def no_force(trace: Trace) -> Iterator[Fault]:
+    """A force that never changes."""
+    if trace.force is not None and np.ptp(trace.force) == 0.0:
+        yield fault(
+            "no force",
+            f"the force is {trace.force[0]:g} kip throughout: was the load cell connected, and "
+            "is it the right column?",
+        )
+
+
+def force_sign(trace: Trace) -> Iterator[Fault]:
+    """Loops that give energy instead of taking it."""
+    energy = find_loops(trace).energy
+    if energy is not None and energy.size and energy.sum() < 0.0:
+        yield fault(
+            "force sign",
+            f"the force does negative work in the loops ({np.median(energy):.3g} kip·in a loop): "
+            "the sign of the force or of the displacement is swapped",
+        )
+
+
+def clipping(trace: Trace) -> Iterator[Fault]:
+    """Flat at the extreme, longer than anywhere else, while the displacement moves."""
+    if trace.force is None or np.ptp(trace.force) == 0.0:
+        return
+    force = trace.force
+    moving = np.abs(trace.velocity) > 0.05 * np.max(np.abs(trace.velocity))
+    starts, lengths = runs(np.diff(force, prepend=np.nan) == 0.0)
+    for extreme, name in ((force.max(), "largest"), (force.min(), "smallest")):
+        at = force[starts] == extreme
+        elsewhere = max(lengths[~at & moving[starts]], default=0)
+        flat = at & moving[starts] & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
+        if np.any(flat):
+            longest = int(lengths[flat].max()) + 1
+            yield fault(
+                "clipping",
+                f"the force stays at its {name} value, {extreme:.4g} kip, for up to {longest} "
+                "samples in motion: the load cell or its amplifier is at its limit",
+                spread(starts[flat], lengths[flat]),
+            )
+
+
+def lag(trace: Trace) -> Iterator[Fault]:
+    """A force that comes late, or early, by more than can be told from none."""
+    coarse = any(resolution(trace, None))  # then a reversal is not known to the sample
+    found = None if coarse else estimate_lag(trace)
+    if found is None:
+        return
+    delay, turns = found
+    step = float(np.median(np.diff(trace.time)))
+    cycle = 2 * float(np.median(np.diff(trace.time[trace.turning_points])))
+    if abs(delay) > max(LAG, LAG_SAMPLES * step, LAG_CYCLE * cycle):
+        way = "behind" if delay > 0 else "before"
+        yield fault(
+            "lag",
+            f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
+            f"{way} the displacement at reversals: filters or channels are out of step",
+            turns,
+        )
+
+
+def spikes(trace: Trace) -> Iterator[Fault]:
+    """Isolated samples that stand out of the displacement or the force."""
+    measured = {"displacement": (trace.displacement, "in")}
+    if trace.force is not None:
+        measured["force"] = (trace.force, "kip")
+    for name, (values, unit) in measured.items():
+        at = _isolated(values)
+        if at.size:
+            height = float(np.max(np.abs(values[at] - 0.5 * (values[at - 1] + values[at + 1]))))
+            yield fault(
+                "spikes",
+                f"{count(at.size, 'isolated sample')} of the {name} "
+                f"{'stands' if at.size == 1 else 'stand'} out by up to {height:.3g} {unit}, "
+                f"the first at {trace.time[at[0]]:.4g} s",
+                at,
+            )
+
+
+def _isolated(values: Array) -> Samples:
+    """Samples that stand out from both neighbours, which agree with each other."""
+    before, behind = values[1:-1] - values[:-2], values[1:-1] - values[2:]
+    height = np.minimum(np.abs(before), np.abs(behind))
+    height[before * behind <= 0.0] = 0.0
+    agree = np.abs(values[2:] - values[:-2]) < 0.25 * height
+    reach = float(np.subtract(*np.quantile(values, [0.995, 0.005])))
+    usual = float(np.quantile(height, 0.99)) if height.size else 0.0
+    return np.flatnonzero(agree & (height > SPIKE * reach) & (height > 4 * usual)) + 1
+
+
+def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
+    """A displacement in steps that the stroke, or the gap, has few of."""
+    quantum = _quantum(trace.displacement)
+    if quantum is None:
+        return
+    stroke = float(np.ptp(trace.displacement))
+    across = "" if gap is None else f", {gap / quantum:.2g} in the gap"
+    if quantum > stroke / LEVELS or (gap is not None and quantum > gap / CROSSING):
+        yield fault(
+            "resolution",
+            f"the displacement moves in steps of {quantum:.3g} in, {stroke / quantum:.0f} in the "
+            f"stroke{across}: the sensor or the file is too coarse",
+        )
+
+
+def _quantum(values: Array) -> float | None:
+    """Step of a quantised signal, or None where there is none to be seen."""
+    levels = np.unique(values)
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * np.ptp(values)]
+    if steps.size < 3 or levels.size > 0.5 * values.size:
+        return None
+    quantum = float(steps.min())
+    whole = np.abs(steps / quantum - np.round(steps / quantum)) < 0.1
+    return quantum if np.mean(whole) > 0.95 else None
+
+
+def drift(trace: Trace) -> Iterator[Fault]:
+    """A mean force that moves from the first strong loops to the last."""
+    change = find_loops(trace).offset_drift
+    if change is None or trace.force is None:
+        return
+    half = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
+    if abs(change) > DRIFT * half > 0.0:
+        yield fault(
+            "drift",
+            f"the force drifts by {change:+.3g} kip from the first loops to the last, "
+            f"{abs(change) / half:.0%} of its half range: the load cell's zero, or a device that "
+            "changes",
+        )
