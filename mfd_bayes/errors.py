@@ -27,3 +27,7 @@ class FitError(MfdError):
 
 class StoreError(MfdError):
     """A run folder, or a file in it, cannot be read or written."""
+
+
+class ReportError(MfdError):
+    """A report cannot be made in the form that was asked for."""

@@ -94,12 +94,12 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     priors = load_priors(campaign.priors, campaign.folder)
     effort = find_effort(options.effort)
     laws = _laws(campaign)
-    traces, rates, inputs = {}, {}, {campaign.path.name: hash_file(campaign.path)}
+    traces, measured, inputs = {}, {}, {campaign.path.name: hash_file(campaign.path)}
     inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
     for test in campaign.tests:
         record = _read(campaign, test)
         traces[test.id] = record.trace(campaign.rate, gap=priors.gap)
-        rates[test.id] = _rates(record, traces[test.id])
+        measured[test.id] = _measured(record, traces[test.id])
         inputs[test.path.relative_to(campaign.folder).as_posix()] = record.sha256
     tasks = tuple(
         _task(campaign, priors, test, traces[test.id], options)
@@ -143,7 +143,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
         "platform": platform.platform(),
         "tests": {
-            test.id: {"role": test.role, "status": "waiting", **rates[test.id]}
+            test.id: {"role": test.role, "status": "waiting", **measured[test.id]}
             for test in campaign.tests
         },
     }
@@ -179,10 +179,11 @@ def _read(campaign: Campaign, test: Test) -> Record:
     return record
 
 
-def _rates(record: Record, trace: Trace) -> dict[str, float]:
-    """Samples of the fit, its rate and the record's, Hz."""
+def _measured(record: Record, trace: Trace) -> dict[str, float | str]:
+    """Samples of the fit, its rate and the record's, Hz, and the record's unit of length."""
     rate = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
-    return {"samples": trace.samples, "rate": rate, "record_rate": record.rate}
+    unit = record.columns["displacement"][1]
+    return {"samples": trace.samples, "rate": rate, "record_rate": record.rate, "unit": unit}
 
 
 def _task(

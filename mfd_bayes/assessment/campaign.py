@@ -17,7 +17,16 @@ from mfd_bayes.assessment.law_scores import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.left_out import left_out_view
 from mfd_bayes.assessment.tests import SCALE_NOTE, calibrated_view, held_out_view
-from mfd_bayes.reporting.views import STANDING, CampaignView, Check, Row, TestView, TruthRow
+from mfd_bayes.reporting.systems import SI, system_of
+from mfd_bayes.reporting.views import (
+    STANDING,
+    CampaignView,
+    Check,
+    ComparisonRow,
+    Row,
+    TestView,
+    TruthRow,
+)
 from mfd_bayes.run import Run
 
 
@@ -36,6 +45,7 @@ def assess(run: Run) -> CampaignView:
         name: entry["error"] for name, entry in manifest["tests"].items() if entry.get("error")
     }
     checks += [Check(n, "calibration", "finished", 0.0, "finished", "fail") for n in failures]
+    compared = manifest.get("comparison", {})
     verdict = "fail" if any(check.verdict == "fail" for check in checks) else "pass"
     return CampaignView(
         title=manifest["title"],
@@ -53,6 +63,9 @@ def assess(run: Run) -> CampaignView:
         remarks=_remarks(run, tests),
         law_choices=law_choices(manifest.get("law_scores", ()), manifest["settings"]["laws"]),
         left_out=left_out_view(manifest.get("crossvalidation")),
+        comparison=tuple(ComparisonRow(**row) for row in compared.get("rows", ())),
+        comparison_sentence=compared.get("sentence", ""),
+        metric=system_of(entry.get("unit", "in") for entry in manifest["tests"].values()) is SI,
     )
 
 

@@ -23,6 +23,7 @@ from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.predictive import check_predictive, replicate
 from mfd_bayes.quantities import UNITS
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.systems import US
 from mfd_bayes.reporting.views import Marginal, Row, TestView
 from mfd_bayes.run import Run, TestResult
 
@@ -46,12 +47,13 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     checks += [predictive_check(test.id, c) for c in check_predictive(posterior, replicas, gap)]
     checks += notes(test.id, rows, facts)
     known = _identifiability(test, prior)
+    stage, travel = _stages(test, values)
     checks += identifiability_checks(test.id, known)
     informed = {row.name: row.contraction >= INFORMED for row in rows}
     return TestView(
         id=test.id,
         role="calibrate",
-        actuation=_actuation(run, test.trace),
+        actuation=US.actuation(test.trace, run.actuation_unit),
         trace=test.trace,
         first=posterior.first,
         device=fan_of("device", replicas.force),
@@ -64,6 +66,8 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
         identifiability=known,
         derived=calibrated_rows(run, test, replicas),
+        stage=stage,
+        travel=travel,
     )
 
 
@@ -75,7 +79,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     return TestView(
         id=name,
         role="validate",
-        actuation=_actuation(run, trace),
+        actuation=US.actuation(trace, run.actuation_unit),
         trace=trace,
         first=0,
         device=None,
@@ -90,10 +94,20 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     )
 
 
-def _actuation(run: Run, trace: Trace) -> str:
-    level, unit = trace.reference_actuation, run.actuation_unit
-    text = f"{1000 * level:.4g} {'psi' if unit == 'ksi' else 'lbf'}"
-    return f"{text} (mean of a history)" if trace.varying else text
+def _stages(
+    test: TestResult, values: Mapping[str, Array]
+) -> tuple[NDArray[np.int8] | None, Array | None]:
+    """Stage and travel in the gap at each sample, of the posterior medians."""
+    posterior = test.posterior
+    if not posterior.model.has_gap:
+        return None, None
+    medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
+    travel = posterior.model.travel(
+        posterior.theta(medians), posterior.trace, medians.get("start")
+    )[0]
+    stick, width = medians["d2"][0], medians["d2"][0] + medians["d3"][0]
+    stage = np.select([travel >= width, travel >= stick], [1, 3], 2).astype(np.int8)
+    return stage, travel
 
 
 def _rows(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Array]) -> list[Row]:

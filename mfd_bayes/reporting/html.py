@@ -1,58 +1,63 @@
-"""The report as one page without network."""
+"""The report as pages without network."""
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+from urllib.parse import quote
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.views import (
-    IDENTIFIABILITY,
-    STANDING,
-    CampaignView,
-    Check,
-    DerivedRow,
-    Row,
+from mfd_bayes.reporting.digest import (
+    UNINFORMED,
+    convergence_of,
+    derived_of,
+    grid_of,
+    is_judged,
+    is_of_fit,
+    is_of_sampler,
+    is_weak,
+    uninformed_of,
+    verdicts_of,
 )
+from mfd_bayes.reporting.explorer import explore
+from mfd_bayes.reporting.figure_data import table_of
+from mfd_bayes.reporting.systems import SI, SYSTEMS
+from mfd_bayes.reporting.views import STANDING, CampaignView, TestView
 
-UNINFORMED = 0.5
-"""Below this contraction the page says that the data do not inform a parameter."""
-_SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = (*IDENTIFIABILITY, "calibration", STANDING)  # shown in sections of their own
-_DETAIL = " (observed "  # what follows it differs from test to test
-
-
-Grid = dict[tuple[str, str], dict[str, dict[str, tuple[Check, str]]]]
-"""Checks by (name, limit), in each by target, and in each by subject, with their details."""
+ONE_PAGE = 12
+"""A report of more tests has a page for each."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG as the page embeds it; width and height in pixels."""
+    """A PNG as a page shows it, embedded or beside it; width and height in pixels.
+
+    `png` and `csv` are where the picture and the table behind it lie, seen from the page.
+    """
 
     uri: str
     width: int
     height: int
+    png: str
+    csv: str
 
 
-@dataclass(frozen=True)
-class Convergence:
-    """A subject's worst figures, each with the row that has it; None where none is known."""
+def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
+    """HTML of the whole report, by the pages' paths from the run folder.
 
-    subject: str
-    r_hat: Row | None
-    ess_bulk: Row | None
-    ess_tail: Row | None
-    verdict: str
-
-
-def render(view: CampaignView, images: Mapping[str, bytes]) -> str:
-    """HTML of the whole report.
+    A report of few tests is one page, complete in itself. Beyond `ONE_PAGE` tests the first
+    page, complete in itself too, is an index, and every test has a page of its own that shows
+    the PNGs beside it.
 
     Parameters
     ----------
@@ -60,31 +65,89 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> str:
     images : mapping of str to bytes
         PNGs by the keys of `figures.draw_all`; what is missing is left out.
     """
-    template = _environment().get_template("report.html.j2")
-    return template.render(
-        view=view,
-        pictures={key: _picture(png) for key, png in images.items()},
-        calibrated=[test for test in view.tests if test.role != "validate"],
-        held_out=[test for test in view.tests if test.role == "validate"],
-        anchors={test.id: f"test-{at}" for at, test in enumerate(view.tests, start=1)},
-        names=list(dict.fromkeys(row.name for test in view.tests for row in test.rows)),
-        derived=_derived(view),
-        cells={(row.subject, row.name): row for test in view.tests for row in test.rows},
-        convergence=_convergence(view),
-        judged=[check for check in view.checks if _is_judged(check)],
-        fit=_grid(check for check in view.checks if _is_of_fit(check)),
-        standing=[check for check in view.checks if check.name == STANDING],
-        sampler=_grid(check for check in view.checks if is_of_sampler(check)),
-        uninformed=_uninformed(view),
-        limit=UNINFORMED,
-        trade_off=TRADE_OFF,
-        sensitive=SENSITIVE,
+    whole = len(view.tests) <= ONE_PAGE
+    shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}
+    shared = _shared(view)
+    explorer = explore(view) if view.tests else None
+    script = _script("report.js")
+    pages = {
+        "report.html": _environment()
+        .get_template("report.html.j2")
+        .render(
+            **shared,
+            whole=whole,
+            pictures={key: _picture(key, png, embedded=True) for key, png in shown.items()},
+            links=_links(view, whole),
+            explorer=explorer,
+            script=script,
+            policy=_policy(script, *([explorer.library] if explorer else [])),
+        )
+    }
+    if not whole:
+        template = _environment().get_template("test.html.j2")
+        for test in view.tests:
+            home = f"tests/{test.id}/"
+            pictures = {
+                key: _picture(key, png, embedded=False)
+                for key, png in images.items()
+                if key.startswith(home)
+            }
+            pages[f"{home}report.html"] = template.render(
+                view=view,
+                test=test,
+                pictures=pictures,
+                cells=shared["cells"],
+                verdicts=shared["verdicts"],
+                script=script,
+                policy=_policy(script),
+                fit=grid_of(c for c in test.checks if is_of_fit(c)),
+                sampler=grid_of(c for c in test.checks if is_of_sampler(c)),
+            )
+    return pages
+
+
+def _shared(view: CampaignView) -> dict[str, Any]:
+    """What every page of a report may show."""
+    return {
+        "view": view,
+        "calibrated": [test for test in view.tests if test.role != "validate"],
+        "held_out": [test for test in view.tests if test.role == "validate"],
+        "names": list(dict.fromkeys(row.name for test in view.tests for row in test.rows)),
+        "units_of": {row.name: row.unit for test in view.tests for row in test.rows},
+        "derived": derived_of(view),
+        "cells": {(row.subject, row.name): row for test in view.tests for row in test.rows},
+        "convergence": convergence_of(view),
+        "judged": [check for check in view.checks if is_judged(check)],
+        "fit": grid_of(check for check in view.checks if is_of_fit(check)),
+        "standing": [check for check in view.checks if check.name == STANDING],
+        "sampler": grid_of(check for check in view.checks if is_of_sampler(check)),
+        "uninformed": uninformed_of(view),
+        "verdicts": verdicts_of(view),
+        "limit": UNINFORMED,
+        "trade_off": TRADE_OFF,
+        "sensitive": SENSITIVE,
+    }
+
+
+def _links(view: CampaignView, whole: bool) -> dict[str, str]:
+    """Where each test is shown, seen from the first page."""
+    if whole:
+        return {test.id: f"#test-{at}" for at, test in enumerate(view.tests, start=1)}
+    return {test.id: f"tests/{quote(test.id)}/report.html" for test in view.tests}
+
+
+def _script(name: str) -> str:
+    return files("mfd_bayes.reporting").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _policy(*scripts: str) -> str:
+    """Content security policy: these scripts and embedded pictures, nothing from elsewhere."""
+    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
+    return (
+        "default-src 'none'; img-src data: blob: file: 'self'; style-src 'unsafe-inline'; "
+        f"script-src {allowed}; base-uri 'none'; form-action 'none'"
     )
-
-
-def is_of_sampler(check: Check) -> bool:
-    """Whether a check is about the sampler's convergence, and not about the model's fit."""
-    return check.name.lower().startswith(_SAMPLER)
 
 
 def _environment() -> Environment:
@@ -102,80 +165,47 @@ def _environment() -> Environment:
         "symbol": symbols.in_html,
         "meaning": symbols.meaning,
         "unit": symbols.unit_text,
+        "both": _both,
+        "units": _both_units,
+        "actuation": _both_actuations,
+        "peak_of": lambda test, signal: float(np.max(np.abs(getattr(test.trace, signal)))),
+        "duration": lambda test: float(test.trace.time[-1] - test.trace.time[0]),
     }
-    environment.tests["weak"] = _is_weak
+    environment.tests["weak"] = is_weak
     environment.tests["known"] = math.isfinite
     return environment
 
 
-def _picture(png: bytes) -> Picture:
-    """Embed a PNG; its size stands in the first chunk."""
+def _picture(key: str, png: bytes, *, embedded: bool) -> Picture:
+    """Picture for a page; its size stands in the PNG's first chunk."""
     width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
-    code = base64.b64encode(png).decode("ascii")
-    return Picture(f"data:image/png;base64,{code}", width, height)
+    path = f"{key}.png" if key.startswith("tests/") else f"figures/{key}.png"
+    table = table_of(key)
+    if embedded:
+        uri = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+        return Picture(uri, width, height, quote(path), quote(table))
+    name = quote(path.rpartition("/")[2])
+    return Picture(name, width, height, name, quote(table.rpartition("/")[2]))
 
 
-def _convergence(view: CampaignView) -> list[Convergence]:
-    groups = [(test.id, test.rows) for test in view.tests if test.rows]
-    if view.law_rows:
-        groups.append(("population", view.law_rows))
-    return [_worst(subject, rows, view.checks) for subject, rows in groups]
+def _both(value: float, unit: str, digits: int = 4) -> Markup:
+    """A number in both systems; the page shows the one that is chosen."""
+    if not math.isfinite(value) or SI.factor(unit) == 1.0:
+        return escape(symbols.number(value, digits))
+    return _either(*(symbols.number(value * s.factor(unit), digits) for s in SYSTEMS))
 
 
-def _worst(subject: str, rows: tuple[Row, ...], checks: Iterable[Check]) -> Convergence:
-    # a NaN stands for what was not sampled
-    sampled = [row for row in rows if not math.isnan(row.r_hat)]
-    bulk = [row for row in rows if not math.isnan(row.ess_bulk)]
-    tail = [row for row in rows if not math.isnan(row.ess_tail)]
-    verdicts = {c.verdict for c in checks if c.subject == subject and is_of_sampler(c)}
-    worst = next((v for v in ("fail", "note", "pass") if v in verdicts), "")
-    return Convergence(
-        subject=subject,
-        r_hat=max(sampled, key=lambda row: row.r_hat, default=None),
-        ess_bulk=min(bulk, key=lambda row: row.ess_bulk, default=None),
-        ess_tail=min(tail, key=lambda row: row.ess_tail, default=None),
-        verdict=worst,
-    )
+def _both_units(unit: str) -> Markup:
+    """A unit in both systems."""
+    if SI.unit(unit) == unit:
+        return escape(symbols.unit_text(unit))
+    return _either(*(symbols.unit_text(s.unit(unit)) for s in SYSTEMS))
 
 
-def _is_weak(row: Row) -> bool:
-    """Whether a row must not be read as a measurement; a note says why where contraction cannot."""
-    unknown = math.isnan(row.contraction)
-    return bool(row.note) if unknown else row.contraction < UNINFORMED
+def _both_actuations(test: TestView, unit: str) -> Markup:
+    """A test's actuation in both systems."""
+    return _either(*(s.actuation(test.trace, unit) for s in SYSTEMS))
 
 
-def _is_judged(check: Check) -> bool:
-    """Whether a check can fail."""
-    return check.verdict != "note" and check.name not in IDENTIFIABILITY
-
-
-def _is_of_fit(check: Check) -> bool:
-    return not is_of_sampler(check) and check.name not in _ELSEWHERE
-
-
-def _grid(checks: Iterable[Check]) -> Grid:
-    grid: Grid = {}
-    for check in checks:
-        target, _, detail = check.target.partition(_DETAIL)
-        detail = f"observed {detail.removesuffix(')')}" if detail else ""
-        targets = grid.setdefault((check.name, check.limit), {})
-        targets.setdefault(target, {})[check.subject] = (check, detail)
-    return grid
-
-
-def _derived(view: CampaignView) -> dict[str, dict[str, DerivedRow]]:
-    """Derived quantities by name, and in each by test."""
-    found: dict[str, dict[str, DerivedRow]] = {}
-    for row in (row for test in view.tests for row in test.derived):
-        found.setdefault(row.name, {})[row.subject] = row
-    return found
-
-
-def _uninformed(view: CampaignView) -> dict[str, list[Row]]:
-    """Rows whose contraction is below the limit, by parameter."""
-    found: dict[str, list[Row]] = {}
-    for test in view.tests:
-        for row in test.rows:
-            if row.contraction < UNINFORMED:
-                found.setdefault(row.name, []).append(row)
-    return found
+def _either(us: str, si: str) -> Markup:
+    return Markup('<span class="us">{}</span><span class="si">{}</span>').format(us, si)

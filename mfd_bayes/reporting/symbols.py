@@ -88,11 +88,16 @@ _POOLED = {
 }
 
 
+def maths(name: str) -> str:
+    """Symbol of a quantity in the maths that LaTeX and matplotlib share, "" if there is none."""
+    return _SYMBOLS[name][0] if name in _SYMBOLS else ""
+
+
 def in_figure(name: str) -> str:
     """Symbol of a quantity as matplotlib writes it; an unknown name as plain text."""
     if name in _SYMBOLS:
         return f"${_SYMBOLS[name][0]}$"
-    word, of, more = _of_population(name)
+    word, of, more = of_population(name)
     return f"{word} {in_figure(of)}{more}" if word else plain(name.replace("_", " "))
 
 
@@ -100,7 +105,7 @@ def in_html(name: str) -> Markup:
     """Symbol of a quantity as HTML; an unknown name escaped."""
     if name in _SYMBOLS:
         return Markup(_SYMBOLS[name][1])
-    word, of, more = _of_population(name)
+    word, of, more = of_population(name)
     return escape(word + " ") + in_html(of) + more if word else escape(name.replace("_", " "))
 
 
@@ -118,7 +123,7 @@ def meaning(name: str) -> str:
     return f"{text}: {what or meaning(of) or of.replace('_', ' ')}{more}"
 
 
-def _of_population(name: str) -> tuple[str, str, str]:
+def of_population(name: str) -> tuple[str, str, str]:
     """Word, quantity, and what it depends on; empty for a name of another kind."""
     prefix, of, more = _parts(name)
     if not prefix:

@@ -51,18 +51,20 @@ def parameters_csv(rows: Iterable[Row]) -> str:
     Quantiles are those of the equal-tailed 95 % interval; empty cells are values that are
     not defined.
     """
-    return _csv(("test", "parameter", "unit", *_QUANTILES, "note"), map(_cells, rows))
+    return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), map(_cells, rows))
 
 
 def laws_csv(rows: Iterable[Row]) -> str:
     """Table II of the paper with uncertainty: slopes, shapes and scatter."""
-    return _csv(("group", "constant", "unit", *_QUANTILES, "note"), map(_cells, rows))
+    return csv_text(("group", "constant", "unit", *_QUANTILES, "note"), map(_cells, rows))
 
 
 def checks_csv(checks: Iterable[Check]) -> str:
     """Every check: what was found, what it may be, and the verdict."""
     head = ("subject", "check", "target", "value", "limit", "verdict")
-    return _csv(head, ((c.subject, c.name, c.target, c.value, c.limit, c.verdict) for c in checks))
+    return csv_text(
+        head, ((c.subject, c.name, c.target, c.value, c.limit, c.verdict) for c in checks)
+    )
 
 
 def scores_csv(scores: Iterable[ScoreRow]) -> str:
@@ -71,7 +73,7 @@ def scores_csv(scores: Iterable[ScoreRow]) -> str:
         *("test", "role", "coverage_50", "coverage_90", "coverage_95"),
         *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
     )
-    return _csv(head, (dataclasses.astuple(score) for score in scores))
+    return csv_text(head, (dataclasses.astuple(score) for score in scores))
 
 
 def crossvalidation_csv(found: LeftOutView) -> str:
@@ -81,7 +83,7 @@ def crossvalidation_csv(found: LeftOutView) -> str:
         *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
         *("fitted_width_95_kip", "fitted_crps_kip", "width_ratio", "crps_ratio"),
     )
-    return _csv(head, (dataclasses.astuple(row) for row in (*found.rows, found.mean)))
+    return csv_text(head, (dataclasses.astuple(row) for row in (*found.rows, found.mean)))
 
 
 def law_scores_csv(choices: Iterable[LawChoice]) -> str:
@@ -95,7 +97,7 @@ def law_scores_csv(choices: Iterable[LawChoice]) -> str:
         for choice in choices
         for r in choice.rows
     )
-    return _csv((*head, "elpd_difference_se", "weight"), lines)
+    return csv_text((*head, "elpd_difference_se", "weight"), lines)
 
 
 def derived_csv(rows: Iterable[DerivedRow]) -> str:
@@ -104,7 +106,7 @@ def derived_csv(rows: Iterable[DerivedRow]) -> str:
     Empty cells are values that the record does not say, or does not have.
     """
     head = ("test", "role", "quantity", "unit", *_QUANTILES[:5], "measured", "note")
-    return _csv(head, ((r.subject, r.role, *_derived_cells(r)) for r in rows))
+    return csv_text(head, ((r.subject, r.role, *_derived_cells(r)) for r in rows))
 
 
 def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float) -> str:
@@ -116,7 +118,7 @@ def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float
         f"equal-tailed {100 * probability:g} % intervals\n"
         f"# actuation {actuation}; measured: of the force in the motion's file, as it is\n"
     )
-    return about + _csv(head, map(_derived_cells, shown))
+    return about + csv_text(head, map(_derived_cells, shown))
 
 
 def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
@@ -143,7 +145,7 @@ def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
         *("test", "model", "cycles", "elpd", "elpd_se", "p_loo", "worst_pareto_k", "share_bad_k"),
         *("share_unsettled", "elpd_difference", "elpd_difference_se", "rrse_in_sample"),
     )
-    return _csv(head, (dataclasses.astuple(row) for row in rows))
+    return csv_text(head, (dataclasses.astuple(row) for row in rows))
 
 
 def _cells(row: Row) -> tuple[str | float, ...]:
@@ -152,7 +154,8 @@ def _cells(row: Row) -> tuple[str | float, ...]:
     return (row.subject, row.name, row.unit, *spread, *sampler, row.note)
 
 
-def _csv(head: Sequence[str], lines: Iterable[Sequence[str | float]]) -> str:
+def csv_text(head: Sequence[str], lines: Iterable[Sequence[str | float]]) -> str:
+    """Write a table as CSV: numbers with six digits, no text that a spreadsheet runs."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)

@@ -235,6 +235,11 @@ class TestView:
         What the data tell about the sampled quantities; None where the test was predicted.
     derived : tuple of DerivedRow
         With 95 % intervals.
+    stage : (T,) int or None
+        Stage that the posterior medians are in at each sample: 1 slip, 2 stick, 3 build-up;
+        None where the test was predicted or the model has no gap.
+    travel : (T,), in, or None
+        Travel in the gap since the last slip, of the same.
     """
 
     __test__ = False
@@ -254,6 +259,8 @@ class TestView:
     score: ScoreRow
     identifiability: Identifiability | None = None
     derived: tuple[DerivedRow, ...] = ()
+    stage: NDArray[np.int8] | None = None
+    travel: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -398,6 +405,11 @@ class CampaignView:
         Of each quantity that follows the actuation; empty where levels are too few.
     left_out : LeftOutView or None
         None where the campaign was not cross-validated.
+    comparison : tuple of ComparisonRow
+        Models that were compared on this campaign, and `comparison_sentence`, what came of it;
+        empty where none were.
+    metric : bool
+        Whether the campaign's records are in metric units, and its report so too.
     """
 
     title: str
@@ -415,3 +427,6 @@ class CampaignView:
     remarks: tuple[str, ...]
     law_choices: tuple[LawChoice, ...] = ()
     left_out: LeftOutView | None = None
+    comparison: tuple[ComparisonRow, ...] = ()
+    comparison_sentence: str = ""
+    metric: bool = False

@@ -26,9 +26,8 @@ def drawn(campaign):
 
 
 def test_every_figure_is_drawn_once_under_its_key(drawn):
-    per_test = {
-        f"tests/p800_f0.25/{n}" for n in ("loops", "history", "corner", "trace", "marginals")
-    }
+    kinds = ("loops", "history", "residuals", "corner", "trace", "marginals")
+    per_test = {f"tests/p800_f0.25/{kind}" for kind in kinds}
     predicted = {"tests/held/loops", "tests/held/history"}
     assert set(drawn) == {"overview", "laws", "truth"} | per_test | predicted
 
@@ -38,6 +37,29 @@ def test_axes_have_units(drawn, key):
     assert labels(drawn[key])
     for text in labels(drawn[key]):
         assert UNIT.search(text), text
+
+
+def test_a_metric_report_is_drawn_in_metric_units(campaign, drawn):
+    metric = dict(figures.figures(replace(campaign, metric=True)))
+    for key in ("overview", "tests/p800_f0.25/loops", "tests/p800_f0.25/history"):
+        texts = " ".join(labels(metric[key]))
+        assert "mm" in texts
+        assert "kN" in texts
+        assert "kip" not in texts
+    inches = drawn["tests/held/loops"].axes[0].get_xlim()
+    millimetres = metric["tests/held/loops"].axes[0].get_xlim()
+    assert millimetres == pytest.approx([25.4 * limit for limit in inches])
+
+
+def test_residuals_are_told_apart_by_stage(campaign):
+    test = campaign.tests[0]
+    stage = np.tile([2, 3, 1, 1, 1], test.trace.samples // 5).astype(np.int8)
+    staged = replace(test, stage=stage, travel=np.abs(test.trace.displacement))
+    figure = figures.draw_residuals("residuals", staged)
+    ticks = [text.get_text() for text in figure.axes[0].get_xticklabels()]
+    assert [tick.split("\n")[0] for tick in ticks] == ["stick", "build-up", "slip"]
+    assert ticks[2].endswith("60%")
+    assert "travel" in figure.axes[1].get_xlabel()
 
 
 @pytest.mark.parametrize("key", ["overview", "laws", "truth", "tests/p800_f0.25/loops"])
@@ -151,8 +173,8 @@ def test_no_laws_no_figure():
 
 
 def test_more_tests_than_panels_are_announced(test_view):
-    figure = figures.draw_overview("all", [test_view("a")] * 13)
-    assert "first 12 of 13" in figure.get_suptitle()
+    figure = figures.draw_overview("all", [test_view("a", samples=30)] * 61)
+    assert "first 60 of 61" in figure.get_suptitle()
 
 
 def test_a_file_is_whole_or_not_there(test_view, tmp_path, monkeypatch):

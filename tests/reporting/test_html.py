@@ -1,24 +1,30 @@
 import base64
+import hashlib
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
+from urllib.parse import quote
 
 import numpy as np
 import pytest
 
 from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
-from mfd_bayes.reporting.html import is_of_sampler, render
-from mfd_bayes.reporting.views import DIRECTIONS, IDENTIFIABILITY, Check
+from mfd_bayes.reporting.digest import is_of_sampler
+from mfd_bayes.reporting.figure_data import figure_tables
+from mfd_bayes.reporting.html import ONE_PAGE, render
+from mfd_bayes.reporting.views import DIRECTIONS, IDENTIFIABILITY, Check, ComparisonRow
 
+PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))
 HOSTILE = '"><script>alert(1)</script>{{ 7 * 7 }}'
 
 
 class Page(HTMLParser):
     """Elements, in order, and the text of headings."""
 
-    VOID = frozenset({"meta", "link", "img", "br"})
+    VOID = frozenset({"meta", "link", "img", "br", "input"})
 
     def __init__(self, text):
         super().__init__()
@@ -39,6 +45,10 @@ class Page(HTMLParser):
         return [attributes for tag, attributes in self.elements if tag in tags]
 
 
+def first(view, images):
+    return render(view, images)["report.html"]
+
+
 @pytest.fixture(scope="module")
 def images(campaign):
     return figures.draw_all(campaign)
@@ -46,7 +56,7 @@ def images(campaign):
 
 @pytest.fixture(scope="module")
 def text(campaign, images):
-    return render(campaign, images)
+    return first(campaign, images)
 
 
 @pytest.fixture(scope="module")
@@ -64,18 +74,46 @@ def test_every_image_is_embedded_with_alt_and_size(page, images):
 
 
 def test_nothing_is_loaded_from_elsewhere(page, text):
-    links = [a[k] for _, a in page.elements for k in ("src", "href") if k in a]
+    assert all(image["src"].startswith("data:") for image in page.all("img"))
+    links = [a["href"] for a in page.all("a", "link")]
     assert links
-    assert all(link.startswith(("data:", "#")) for link in links)
-    assert "@import" not in text
-    assert "url(" not in text
-    assert not page.all("script")
+    assert all(link.startswith(("data:", "#", "figures/", "tests/")) for link in links)
+    assert not any("src" in script for script in page.all("script"))
+    assert "@import" not in without_scripts(text)
+    assert "url(" not in without_scripts(text)
+
+
+def without_scripts(text):
+    return re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
+
+
+def test_only_these_scripts_may_run(page, text):
+    policy = page.all("meta")[2]["content"]
+    allowed = set(re.findall(r"'sha256-([^']+)'", policy))
+    written = re.findall(r"<script>(.*?)</script>", text, flags=re.DOTALL)
+    found = {base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in written}
+    assert found == allowed
+    assert len(found) == 2
+    assert "unsafe-inline" not in policy.split("script-src")[1]
+    assert "default-src 'none'" in policy
+
+
+def test_every_picture_can_be_taken_with_its_data(campaign, page):
+    tables = {quote(path) for path, _ in figure_tables(campaign)}
+    for figure in page.all("img"):
+        taken = [a for a in page.all("a") if a.get("data-picture") == figure["id"]]
+        assert len(taken) == 1
+        assert taken[0]["download"].endswith(".png")
+    linked = {a["href"] for a in page.all("a") if a["href"].endswith(".csv")}
+    assert linked == tables
 
 
 def test_every_link_has_a_target(page):
     identities = [a["id"] for _, a in page.elements if "id" in a]
     assert len(set(identities)) == len(identities)
-    assert {a["href"][1:] for a in page.all("a")} <= set(identities)
+    inside = {a["href"][1:] for a in page.all("a") if a["href"].startswith("#")}
+    assert inside
+    assert inside <= set(identities)
 
 
 def test_headings_are_in_order(page):
@@ -100,8 +138,8 @@ def scrollers(page):
 def test_the_verdict_is_worded(campaign, images, text):
     assert "✓ Passed" in text
     failed = replace(campaign, verdict="fail", sentence="R̂ is 1.2.")
-    assert "✗ Not passed" in render(failed, images)
-    assert "R̂ is 1.2." in render(failed, images)
+    assert "✗ Not passed" in first(failed, images)
+    assert "R̂ is 1.2." in first(failed, images)
 
 
 def test_what_the_data_do_not_tell_is_told(text):
@@ -110,16 +148,37 @@ def test_what_the_data_do_not_tell_is_told(text):
     assert re.search(r"hold <strong>2</strong>", text)  # of the informed truths
 
 
+def only(text, system):
+    """What a reader of one system sees."""
+    other = {"us": "si", "si": "us"}[system]
+    text = re.sub(rf'<span class="{other}">[^<]*</span>', "", text)
+    return re.sub(rf'<span class="{system}">([^<]*)</span>', r"\1", text)
+
+
+def test_either_system_of_units_is_a_click_away(campaign, images, text):
+    us, si = only(text, "us"), only(text, "si")
+    assert "actuation 0.800 ksi" in us
+    assert "actuation 5.52 MPa" in si
+    assert "CRPS, kip" in us
+    assert "CRPS, kN" in si
+    assert "25.4 mm" in si
+    chosen = re.findall(r'id="units-(us|si)" value="\w+" checked', text)
+    assert chosen == ["us"]
+    metric = first(replace(campaign, metric=True), images)
+    assert re.findall(r'id="units-(us|si)" value="\w+" checked', metric) == ["si"]
+
+
 def test_derived_quantities_stand_beside_what_was_measured(campaign, images, text):
     section = text[text.index('<h2 id="derived">') : text.index('<h2 id="laws">')]
-    assert "3.210<small>[3.00, 3.40]</small><small>measured 3.300</small>" in section
-    assert "0.2000<small>[0.180, 0.220]</small></td>" in section  # no record shows the gap
-    assert '<td title="the motion has no full cycle">–</td>' in section
+    shown = only(section, "us")
+    assert "3.210<small>[3.00, 3.40]</small><small>measured 3.300</small>" in shown
+    assert "0.2000<small>[0.180, 0.220]</small></td>" in shown  # no record shows the gap
+    assert '<td data-value="" title="the motion has no full cycle">–</td>' in section
     assert "nan" not in section
     assert "kip·in" in section
     assert "held out" in section
     bare = tuple(replace(test, derived=()) for test in campaign.tests)
-    assert 'id="derived"' not in render(replace(campaign, tests=bare), images)
+    assert 'id="derived"' not in first(replace(campaign, tests=bare), images)
 
 
 def test_values_that_are_about_their_prior_are_set_apart(campaign, images):
@@ -128,7 +187,7 @@ def test_values_that_are_about_their_prior_are_set_apart(campaign, images):
     rows[0] = replace(rows[0], note="only the ratio reaches the force")
     rows[1] = replace(rows[1], contraction=0.2)
     view = replace(campaign, tests=(replace(test, rows=tuple(rows)),))
-    assert render(view, images).count('class="weak"') == 2
+    assert first(view, images).count('class="weak"') == 2
 
 
 def test_names_from_files_are_text(campaign, test_view):
@@ -157,10 +216,10 @@ def test_names_from_files_are_text(campaign, test_view):
         remarks=(HOSTILE,),
     )
     pixels = figures.to_png(figures.draw_loops(HOSTILE, test.trace))
-    written = render(hostile, {"overview": pixels, f"tests/{HOSTILE}/loops": pixels})
+    written = first(hostile, {"overview": pixels, f"tests/{HOSTILE}/loops": pixels})
     page = Page(written)
-    assert not page.all("script")
-    assert "<script" not in written
+    assert len(page.all("script")) == 4  # ours
+    assert "<script>alert" not in written
     assert "{{ 7 * 7 }}" in written
     assert len(page.all("img")) == 2
 
@@ -169,7 +228,7 @@ def test_a_campaign_of_held_out_tests_alone(campaign, images):
     view = replace(campaign, tests=campaign.tests[1:], laws=(), law_rows=(), checks=(), truth=())
     view = replace(view, scores=campaign.scores[1:])
     kept = {key: png for key, png in images.items() if "p800" not in key and key != "truth"}
-    text = render(view, kept | figures.draw_all(view))
+    text = first(view, kept | figures.draw_all(view))
     Page(text)
     assert "No test was calibrated" in text
     assert "Nothing was sampled" in text
@@ -177,14 +236,14 @@ def test_a_campaign_of_held_out_tests_alone(campaign, images):
 
 
 def test_a_campaign_without_laws(campaign, images):
-    text = render(replace(campaign, laws=(), law_rows=()), images)
+    text = first(replace(campaign, laws=(), law_rows=()), images)
     assert "No laws were fitted" in text
 
 
 def test_a_campaign_without_anything(campaign):
     empty = replace(campaign, tests=(), laws=(), law_rows=(), checks=(), scores=(), truth=())
     assert figures.draw_all(empty) == {}
-    Page(render(empty, {}))
+    Page(first(empty, {}))
 
 
 def test_checks_of_the_sampler_are_told_from_those_of_the_fit():
@@ -200,7 +259,7 @@ def test_checks_of_the_sampler_are_told_from_those_of_the_fit():
 
 def test_failed_checks_stand_out(campaign, images):
     bad = Check("p800_f0.25", "posterior predictive p-value", "energy", 0.0, "0.01", "fail")
-    text = render(replace(campaign, checks=(bad,)), images)
+    text = first(replace(campaign, checks=(bad,)), images)
     assert "✗ fail" in text
     assert "<b>1 of 1</b> checks failed" in text
 
@@ -210,14 +269,14 @@ def test_one_statistic_is_one_line_whatever_was_observed(campaign, images):
         Check(test, "posterior predictive p-value", f"energy (observed {seen})", 0.0, "a", "fail")
         for test, seen in (("a", "1.5, expected 2"), ("b", "3.5, expected 4"))
     )
-    text = render(replace(campaign, checks=checks), images)
-    assert len(re.findall(r'scope="row">energy<', text)) == 1
+    text = first(replace(campaign, checks=checks), images)
+    assert len(re.findall(r'class="sort">energy<', text)) == 1
     assert "observed 3.5" in text
 
 
 def test_what_is_told_elsewhere_is_not_told_twice(campaign, images):
     note = Check("a", "prior variance removed", "k3", 0.1, ">= 0.5", "note")
-    text = render(replace(campaign, checks=(note,)), images)
+    text = first(replace(campaign, checks=(note,)), images)
     assert "prior variance removed" not in text
     assert "<b>0 of 0</b> checks failed" in text
 
@@ -236,20 +295,20 @@ def test_without_trade_offs_there_is_a_dash(campaign, images):
     known = test.identifiability
     directions = replace(known.directions, curvature=np.array([399.0, 40.0]))
     free = replace(test, identifiability=replace(known, directions=directions, pairs=()))
-    text = render(replace(campaign, tests=(free,)), images)
+    text = first(replace(campaign, tests=(free,)), images)
     assert "2 of 2" in text
     assert text.count('<td class="text">–</td>') == 3  # and no diagnosis of Fc_fwd
 
 
 def test_checks_of_identifiability_cannot_fail_and_are_not_counted(campaign, images):
     checks = tuple(Check("a", name, "k3", 0.1, "", "pass") for name in IDENTIFIABILITY)
-    text = render(replace(campaign, checks=checks), images)
+    text = first(replace(campaign, checks=checks), images)
     assert "<b>0 of 0</b> checks failed" in text
     assert not any(name in text for name in IDENTIFIABILITY if name != DIRECTIONS)
 
 
 def test_the_page_is_the_same_each_time(campaign, images, text):
-    assert render(campaign, images) == text
+    assert first(campaign, images) == text
 
 
 def test_laws_are_scored_and_the_best_is_named(text):
@@ -264,11 +323,51 @@ def test_what_was_left_out_stands_with_the_tests_held_out(text, campaign, images
     section = text[text.index('id="held-out"') : text.index('id="unknown"')]
     for words in ("Every level left out in turn", "Of 1 tests", "800 psi", "0.450"):
         assert words in section
-    plain = render(replace(campaign, left_out=None, law_choices=()), images)
+    plain = first(replace(campaign, left_out=None, law_choices=()), images)
     assert "left out in turn" not in plain
     assert "Which law predicts best?" not in plain
 
 
 def test_the_interval_score_stands_between_width_and_crps(text):
-    heads = re.findall(r"<th scope=\"col\">([^<]*), kip</th>", text[: text.index('id="laws"')])
+    section = only(text[: text.index('id="laws"')], "us")
+    heads = re.findall(r'class="sort">([^<]*), kip</button>', section)
     assert heads[:3] == ["Width of 95\N{NO-BREAK SPACE}%", "Interval score", "CRPS"]
+
+
+def test_models_that_were_compared_are_told(campaign, images, text):
+    assert "mfd-bayes compare" in text
+    row = ComparisonRow("all", "three_stage", 40, -10.0, 2.0, 9.0, 0.6, 0.1, 0.0, 0.0, 0.0, 0.05)
+    view = replace(campaign, comparison=(row,), comparison_sentence="Three stages win.")
+    section = first(view, images).split('id="alternatives"')[1]
+    assert "Three stages win." in section
+    assert "three stage" in section
+    assert "mfd-bayes compare" not in section
+
+
+def many(campaign, number):
+    some = campaign.tests[0]
+    names = [f"t{at:02d}" for at in range(number)]
+    rows = {name: tuple(replace(row, subject=name) for row in some.rows) for name in names}
+    tests = tuple(replace(some, id=name, rows=rows[name]) for name in names)
+    return replace(campaign, tests=(*tests, campaign.tests[1]))
+
+
+def test_many_tests_have_a_page_each(campaign):
+    view = many(campaign, ONE_PAGE)
+    pictures = {f"tests/t00/{name}": PIXEL for name in ("loops", "trace")}
+    pages = render(view, pictures | {"overview": PIXEL})
+    assert set(pages) == {"report.html", *(f"tests/{t.id}/report.html" for t in view.tests)}
+    index, test = Page(pages["report.html"]), Page(pages["tests/t00/report.html"])
+    assert len(index.all("img")) == 1
+    assert {a["href"] for a in index.all("a")} >= {f"tests/{t.id}/report.html" for t in view.tests}
+    assert {image["src"] for image in test.all("img")} == {"loops.png", "trace.png"}
+    assert "../../report.html" in {a["href"] for a in test.all("a")}
+    assert 'id="test-' not in pages["report.html"]
+    for page in pages.values():
+        levels = [int(tag[1]) for tag, _ in Page(page).elements if re.fullmatch("h[1-6]", tag)]
+        assert all(b <= a + 1 for a, b in pairwise(levels))
+
+
+def test_fewer_are_one_page(campaign):
+    view = many(campaign, ONE_PAGE - 1)
+    assert set(render(view, {})) == {"report.html"}

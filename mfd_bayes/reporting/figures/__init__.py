@@ -1,6 +1,7 @@
 """Every figure; the only place that knows matplotlib and corner. Import it when it is needed."""
 
 from mfd_bayes.reporting.figures.campaign import draw_all, figures
+from mfd_bayes.reporting.figures.inspection import draw_inspection
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.figures.posteriors import (
@@ -9,6 +10,7 @@ from mfd_bayes.reporting.figures.posteriors import (
     draw_marginals,
     draw_truth,
 )
+from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import save_png, to_png
 
 __all__ = [
@@ -16,10 +18,12 @@ __all__ = [
     "draw_chains",
     "draw_corner",
     "draw_history",
+    "draw_inspection",
     "draw_laws",
     "draw_loops",
     "draw_marginals",
     "draw_overview",
+    "draw_residuals",
     "draw_truth",
     "figures",
     "save_png",

@@ -16,7 +16,9 @@ from mfd_bayes.reporting.figures.posteriors import (
     draw_marginals,
     draw_truth,
 )
+from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
+from mfd_bayes.reporting.systems import SI, US, System, in_system
 from mfd_bayes.reporting.views import CampaignView, Fan, TestView
 
 _FIGURES_HELD = 8
@@ -25,8 +27,8 @@ _FIGURES_HELD = 8
 def draw_all(view: CampaignView) -> dict[str, bytes]:
     """PNG of every figure, by the key that the page knows it under.
 
-    Keys are "overview", "laws", "truth", and "tests/ID/loops", "…/history", "…/corner",
-    "…/trace", "…/marginals"; a figure with nothing to show is left out.
+    Keys are "overview", "laws", "truth", and "tests/ID/loops", "…/history", "…/residuals",
+    "…/corner", "…/trace", "…/marginals"; a figure with nothing to show is left out.
     """
     pictures: dict[str, bytes] = {}
     with _collecting_rarely():
@@ -39,8 +41,10 @@ def draw_all(view: CampaignView) -> dict[str, bytes]:
 
 def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     """Every figure with its key, one at a time so that they need not all be held."""
+    system = SI if view.metric else US
+    view = in_system(view, system)
     if view.tests:
-        yield "overview", draw_overview("Measured loops over 50 and 95 % bands", view.tests)
+        yield "overview", draw_overview("Measured loops over 50 and 95 % bands", view.tests, system)
     drawn = {
         "laws": draw_laws(
             "How the parameters follow the actuation", view.laws, view.actuation_unit
@@ -49,7 +53,7 @@ def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     }
     yield from ((key, figure) for key, figure in drawn.items() if figure is not None)
     for test in view.tests:
-        for name, figure in _of_test(test):
+        for name, figure in _of_test(test, system):
             yield f"tests/{test.id}/{name}", figure
 
 
@@ -68,11 +72,13 @@ def _collecting_rarely() -> Iterator[None]:
             gc.enable()
 
 
-def _of_test(test: TestView) -> Iterator[tuple[str, Figure]]:
+def _of_test(test: TestView, system: System) -> Iterator[tuple[str, Figure]]:
     title = f"{test.id}, {test.actuation}"
     fans: list[Fan] = [fan for fan in (test.observation, test.device) if fan is not None]
-    yield "loops", draw_loops(title, test.trace, fans)
-    yield "history", draw_history(title, test.trace, fans, test.first)
+    yield "loops", draw_loops(title, test.trace, fans, system)
+    yield "history", draw_history(title, test.trace, fans, test.first, system)
+    if test.role != "validate":
+        yield "residuals", draw_residuals(f"{title}: what the fit leaves over", test, system)
     corner = draw_corner(f"{title}: joint posterior", test.marginals, test.corner)
     if corner is not None:
         yield "corner", corner

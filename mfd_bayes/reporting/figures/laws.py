@@ -12,7 +12,12 @@ from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
 from mfd_bayes.reporting.views import Fan, LawView
 
-_ACTUATION = {"ksi": "pressure, ksi", "kip": "band tension, kip"}
+_ACTUATION = {
+    "ksi": "pressure, ksi",
+    "MPa": "pressure, MPa",
+    "kip": "band tension, kip",
+    "kN": "band tension, kN",
+}
 _MEDIAN = "#4db894"
 
 
@@ -24,7 +29,7 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figur
     """
     if not laws:
         return None
-    columns = min(3, len(laws))
+    columns = min(2, len(laws))
     rows = -(-len(laws) // columns)
     figure = look.new_figure(max(3.4 * columns, 5.5), 2.75 * rows + 0.8)
     figure.suptitle(plain(title), x=0.01, ha="left")

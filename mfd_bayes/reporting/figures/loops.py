@@ -17,18 +17,21 @@ from numpy.typing import NDArray
 from mfd_bayes.records.trace import Trace, turning_points
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.reporting.systems import US, System
 from mfd_bayes.reporting.views import Array, Fan, Interval, TestView
 
 POINTS = 4000
 """More points than this are not drawn: a screen cannot show them."""
 TURNS = 24
 """Records with more turning points get a second column that shows the strongest motion."""
-PANELS = 12
+PANELS = 60
+FEW = 12
+"""Up to so many panels are four to a row, more of them six."""
 _VELOCITY_TURN = 0.02  # of its peak-to-peak: less is noise
 
 
 @look.style()
-def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = ()) -> Figure:
+def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: System = US) -> Figure:
     """Force against displacement and against velocity, over the bands of the model.
 
     Parameters
@@ -38,6 +41,8 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = ()) -> Figure:
         Its force is drawn where it has one.
     fans : sequence of Fan
         Drawn one over the other, so the widest kind first.
+    system : System
+        Units that all of them are in.
     """
     figure = look.new_figure(10, 4.3)
     figure.suptitle(plain(title), x=0.01, ha="left")
@@ -45,16 +50,22 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = ()) -> Figure:
     _draw_loop(left, trace, fans, trace.displacement, trace.turning_points)
     span = _VELOCITY_TURN * float(np.ptp(trace.velocity))
     _draw_loop(right, trace, fans, trace.velocity, turning_points(trace.velocity, span))
-    left.set(xlabel="displacement, in", ylabel="force, kip")
+    left.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
     left.set_title("Force–displacement", fontsize=9, fontweight="normal")
-    right.set(xlabel="velocity, in/s", ylabel="force, kip")
+    right.set(xlabel=f"velocity, {system.velocity}", ylabel=f"force, {system.force}")
     right.set_title("Force–velocity", fontsize=9, fontweight="normal")
     _legend(figure, trace, fans)
     return figure
 
 
 @look.style()
-def draw_history(title: str, trace: Trace, fans: Sequence[Fan] = (), first: int = 0) -> Figure:
+def draw_history(
+    title: str,
+    trace: Trace,
+    fans: Sequence[Fan] = (),
+    first: int = 0,
+    system: System = US,
+) -> Figure:
     """Displacement, force with bands, and residual (measured − median) against time.
 
     Parameters
@@ -65,6 +76,8 @@ def draw_history(title: str, trace: Trace, fans: Sequence[Fan] = (), first: int 
         The residual is that of the first one's median.
     first : int
         Samples before this one were left out of the fit.
+    system : System
+        Units that all of them are in.
     """
     rows = 3 if fans and trace.force is not None else 2
     windows = _windows(trace)
@@ -83,7 +96,9 @@ def draw_history(title: str, trace: Trace, fans: Sequence[Fan] = (), first: int 
         if window.start < first:
             for axes in column:
                 axes.axvspan(trace.time[window][0], trace.time[first], color="#eeeeee", zorder=0)
-    for axes, text in zip(grid[:, 0], ("displ., in", "force, kip", "residual, kip"), strict=False):
+    force = system.force
+    texts = (f"displ., {system.length}", f"force, {force}", f"residual, {force}")
+    for axes, text in zip(grid[:, 0], texts, strict=False):
         axes.set_ylabel(text)
     if len(windows) > 1:
         grid[0, 1].set_title("Strongest motion", fontsize=9, fontweight="normal")
@@ -93,10 +108,10 @@ def draw_history(title: str, trace: Trace, fans: Sequence[Fan] = (), first: int 
 
 
 @look.style()
-def draw_overview(title: str, tests: Sequence[TestView]) -> Figure:
-    """Force–displacement loops of up to twelve tests, as small multiples."""
+def draw_overview(title: str, tests: Sequence[TestView], system: System = US) -> Figure:
+    """Force–displacement loops of up to sixty tests, as small multiples."""
     shown = tests[:PANELS]
-    columns = min(4, max(1, len(shown)))
+    columns = min(4 if len(shown) <= FEW else 6, max(1, len(shown)))
     rows = max(1, -(-len(shown) // columns))
     figure = look.new_figure(max(2.6 * columns, 6.0), 2.35 * rows + 0.7)
     more = "" if len(tests) == len(shown) else f" (first {PANELS} of {len(tests)} tests)"
@@ -105,9 +120,9 @@ def draw_overview(title: str, tests: Sequence[TestView]) -> Figure:
     for at, (axes, test) in enumerate(zip(grid.flat, shown, strict=False)):
         _draw_panel(axes, test)
         if at + columns >= len(shown):
-            axes.set_xlabel("displacement, in")
+            axes.set_xlabel(f"displacement, {system.length}")
         if at % columns == 0:
-            axes.set_ylabel("force, kip")
+            axes.set_ylabel(f"force, {system.force}")
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
     if shown:
@@ -191,11 +206,11 @@ def _draw_column(column: NDArray[np.object_], trace: Trace, fans: Sequence[Fan],
     for fan in fans:
         _draw_bands(column[1], time, fan, at, zero)
     if trace.force is not None:
-        column[1].plot(*_thinned(time, trace.force[at]), color=look.DATA, linewidth=0.6)
+        column[1].plot(*thinned(time, trace.force[at]), color=look.DATA, linewidth=0.6)
     if len(column) > 2 and trace.force is not None:
         _draw_bands(column[2], time, fans[0], at, fans[0].median)
         residual = (trace.force - fans[0].median)[at]
-        column[2].plot(*_thinned(time, residual), color=look.DATA, linewidth=0.6)
+        column[2].plot(*thinned(time, residual), color=look.DATA, linewidth=0.6)
         column[2].axhline(0.0, color=look.BANDS[fans[0].kind][2], linewidth=0.8)
     column[-1].set_xlabel("time, s")
     column[-1].margins(x=0.005)
@@ -210,7 +225,7 @@ def _draw_bands(axes: Axes, time: Array, fan: Fan, at: slice, base: Array) -> No
         axes.fill_between(time[edges], lower, upper, facecolor=colour, edgecolor=colour, lw=0.6)
 
 
-def _thinned(time: Array, values: Array) -> tuple[Array, Array]:
+def thinned(time: Array, values: Array) -> tuple[Array, Array]:
     """A line with so many points that a screen shows them all, extremes kept."""
     step = time.size // (POINTS // 2)
     if step < 2:

@@ -14,10 +14,13 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from mfd_bayes.reporting.views import Fan, Interval
 
 DPI = 105
+COLOURS = 160
+"""Of a PNG: enough for the shades at the edges of lines and letters."""
 
 # Okabe and Ito's colours, each with one meaning in the whole report.
 DATA = "#1b1b1b"
@@ -94,10 +97,15 @@ def new_figure(width: float, height: float) -> Figure:
 
 @style()
 def to_png(figure: Figure) -> bytes:
-    """PNG of a figure, the same bytes each time."""
+    """PNG of a figure, the same bytes each time; few colours make it a third as large."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
-    return stream.getvalue()
+    figure.savefig(stream, format="rgba", dpi=DPI)
+    width, height = figure.canvas.get_width_height()
+    drawn = Image.frombytes("RGBA", (width, height), stream.getvalue()).convert("RGB")
+    few = drawn.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    packed = io.BytesIO()
+    few.save(packed, "png", optimize=True)
+    return packed.getvalue()
 
 
 def save_png(figure: Figure, path: Path) -> None:

@@ -1,0 +1,140 @@
+"""The interactive view of the tests' loops: what bokeh draws in the browser, and its data."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mfd_bayes.reporting.systems import SYSTEMS
+from mfd_bayes.reporting.views import Array, CampaignView, TestView
+
+SAMPLES = 1500
+"""Samples of each test that are shown: a screen tells no more apart."""
+
+_INK, _BLUE, _BAND = "#1b1b1b", "#0072B2", "#a5cce8"
+_COLUMNS = ("time", "displacement", "force", "median", "lower", "upper")
+
+
+@dataclass(frozen=True)
+class Explorer:
+    """What the page needs to show it.
+
+    Attributes
+    ----------
+    library : str
+        BokehJS.
+    item : str
+        JSON of the plot, without data.
+    data : str
+        JSON of the tests: little-endian float32 arrays in base64, in internal units.
+    """
+
+    library: str
+    item: str
+    data: str
+
+
+def explore(view: CampaignView) -> Explorer:
+    """Interactive loop and history of one test at a time, of all tests of a report."""
+    from bokeh.embed import json_item
+    from bokeh.resources import Resources
+
+    library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
+    data = {
+        "systems": {
+            s.name: {"length": s.length, "force": s.force, "by": [s.factor("in"), s.factor("kip")]}
+            for s in SYSTEMS
+        },
+        "tests": [_packed(test, view.actuation_unit) for test in view.tests],
+    }
+    return Explorer(_inline(library), _renumbered(_json(json_item(_layout()))), _json(data))
+
+
+def _json(value: object) -> str:
+    """JSON that cannot end the script element that it stands in."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c")
+
+
+def _inline(script: str) -> str:
+    return script.replace("</", "<\\/").replace("<!--", "<\\!--")
+
+
+def _renumbered(item: str) -> str:
+    """Bokeh counts its models on from call to call; a page must be the same each time."""
+    number: dict[str, str] = {}
+    return re.sub(
+        r'"p\d+"', lambda found: number.setdefault(found[0], f'"p{1001 + len(number)}"'), item
+    )
+
+
+def _packed(test: TestView, actuation_unit: str) -> dict[str, Any]:
+    trace, fan = test.trace, test.observation
+    widest = max(fan.intervals, key=lambda interval: interval.probability)
+    force = np.full(trace.samples, np.nan) if trace.force is None else trace.force
+    arrays = (trace.time, trace.displacement, force, fan.median, widest.lower, widest.upper)
+    at = _shown(trace.samples, trace.turning_points)
+    stage = np.zeros(trace.samples) if test.stage is None else test.stage
+    packed = {name: _float32(a[at]) for name, a in zip(_COLUMNS, arrays, strict=True)}
+    return {
+        "name": {s.name: f"{test.id}, {s.actuation(trace, actuation_unit)}" for s in SYSTEMS},
+        "fitted": test.role != "validate",
+        "stage": "".join(str(int(number)) for number in stage[at]),
+        **packed,
+    }
+
+
+def _shown(samples: int, turns: np.ndarray) -> np.ndarray:
+    """Samples that are shown, evenly, with every turning point while they are few."""
+    even = np.linspace(0, samples - 1, min(samples, SAMPLES)).astype(np.intp)
+    return np.union1d(even, turns) if turns.size < SAMPLES // 4 else even
+
+
+def _float32(values: Array) -> str:
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+
+
+def _layout() -> Any:
+    """A loop and a history of one source, which the page fills."""
+    from bokeh.layouts import column
+    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+    from bokeh.plotting import figure
+
+    names = ("x", "t", "force", "median", "lower", "upper", "stage")
+    source = ColumnDataSource({name: [] for name in names}, name="samples")
+    plots = []
+    for along, height in (("x", 420), ("t", 260)):
+        plot = figure(
+            name=f"plot-{along}",
+            height=height,
+            sizing_mode="stretch_width",
+            tools="pan,box_zoom,wheel_zoom,reset",
+            active_drag="box_zoom",
+            x_range=Range1d(start=0, end=1),
+            y_range=Range1d(start=0, end=1),
+            toolbar_location="above",
+            output_backend="canvas",
+        )
+        _draw(plot, along, source)
+        dots = plot.scatter(along, "force", source=source, size=7, alpha=0.0, line_alpha=0.0)
+        dots.hover_glyph = None
+        hover = HoverTool(renderers=[dots], name=f"hover-{along}", mode="mouse")
+        plot.add_tools(hover)
+        plot.toolbar.logo = None
+        plots.append(plot)
+    return column(*plots, sizing_mode="stretch_width", name="explorer")
+
+
+def _draw(plot: Any, along: str, source: Any) -> None:
+    if along == "t":
+        plot.varea(along, "lower", "upper", source=source, fill_color=_BAND, fill_alpha=0.7)
+    else:
+        for edge in ("lower", "upper"):
+            plot.line(along, edge, source=source, color="#6aaede", line_width=1)
+    plot.line(along, "median", source=source, color=_BLUE, line_width=1.6)
+    plot.line(along, "force", source=source, color=_INK, line_width=1.2)

@@ -1,0 +1,50 @@
+"""Tables for other programs and for papers: JSON that says what it holds, and LaTeX."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from mfd_bayes.reporting.latex import laws_tex, parameters_tex
+from mfd_bayes.reporting.views import CampaignView, Row
+
+INTERVAL = {"kind": "equal-tailed", "probability": 0.95}
+_FIGURES = (
+    *("mean", "sd", "lower", "median", "upper"),
+    *("ess_bulk", "ess_tail", "r_hat", "contraction"),
+)
+
+
+def export_tables(view: CampaignView) -> dict[str, str]:
+    """Parameters and laws in every form but CSV, by the name of the file."""
+    rows = [row for test in view.tests for row in test.rows]
+    return {
+        "parameters.json": _json(view, "parameters", "test", "parameter", rows),
+        "laws.json": _json(view, "laws", "group", "constant", view.law_rows),
+        "parameters.tex": parameters_tex(view),
+        "laws.tex": laws_tex(view),
+    }
+
+
+def _json(view: CampaignView, what: str, subject: str, name: str, rows: Iterable[Row]) -> str:
+    """Write rows with what their figures mean; null where one is not defined or not finite."""
+    content = {
+        "title": view.title,
+        "table": what,
+        "interval": INTERVAL | {"bounds": ["lower", "upper"]},
+        "null": "not defined, or not finite",
+        "rows": [
+            {subject: row.subject, name: row.name, "unit": row.unit, **_figures(row)}
+            | {"note": row.note}
+            for row in rows
+        ],
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _figures(row: Row) -> dict[str, Any]:
+    """Figures with six digits, as in the CSV tables."""
+    values = {figure: float(getattr(row, figure)) for figure in _FIGURES}
+    return {k: float(f"{v:.6g}") if math.isfinite(v) else None for k, v in values.items()}

@@ -1,0 +1,89 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import UnitError
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.systems import SI, US, in_system, system_of
+from mfd_bayes.units import convert
+
+
+@pytest.mark.parametrize(
+    ("internal", "metric", "factor"),
+    [
+        ("kip", "kN", 4.4482216152605),
+        ("kip/in", "kN/mm", 0.17512683524648),
+        ("kip*s/in", "kN*s/mm", 0.17512683524648),
+        ("in^2", "mm^2", 645.16),
+        ("in**2", "mm**2", 645.16),
+        ("1/in", "1/mm", 1 / 25.4),
+        ("kip*in", "kN*mm", 112.98482902762),
+        ("ksi", "MPa", 6.8947572931684),
+        ("1", "1", 1.0),
+        ("s", "s", 1.0),
+    ],
+)
+def test_units_of_either_system(internal, metric, factor):
+    assert SI.unit(internal) == metric
+    assert SI.factor(internal) == pytest.approx(factor, rel=1e-12)
+    assert (US.unit(internal), US.factor(internal)) == (internal, 1.0)
+
+
+def test_what_does_not_measure_the_same_is_not_converted():
+    with pytest.raises(UnitError, match="'kip' cannot be given in 'mm'"):
+        convert("kip", "mm")
+
+
+@pytest.mark.parametrize(
+    ("units", "expected"),
+    [
+        (("mm", "mm", "in"), SI),
+        (("in", "ft"), US),
+        (("cm",), SI),
+        (("m",), SI),
+        (("mm", "in"), US),  # a tie keeps the internal units
+        ((), US),
+        (("parsec?",), US),
+    ],
+)
+def test_most_records_decide_the_system(units, expected):
+    assert system_of(units) is expected
+
+
+def test_actuations_in_words():
+    quiet = Trace.from_arrays(np.arange(30.0), np.arange(30.0), 0.8)
+    assert US.actuation(quiet, "ksi") == "800 psi"
+    assert US.actuation(quiet, "kip") == "800 lbf"
+    assert SI.actuation(quiet, "ksi") == "5.516 MPa"
+    assert SI.actuation(quiet, "kip") == "3.559 kN"
+    varying = Trace.from_arrays(np.arange(30.0), np.arange(30.0), np.linspace(0.5, 1.5, 30))
+    assert "mean of a history" in SI.actuation(varying, "ksi")
+
+
+def test_a_report_keeps_its_meaning_in_the_other_system(campaign):
+    metric = in_system(campaign, SI)
+    ours, theirs = campaign.tests[0], metric.tests[0]
+    kip, inch = SI.factor("kip"), SI.factor("in")
+    np.testing.assert_allclose(theirs.trace.force, ours.trace.force * kip)
+    np.testing.assert_allclose(theirs.trace.displacement, ours.trace.displacement * inch)
+    np.testing.assert_allclose(theirs.observation.median, ours.observation.median * kip)
+    rows = {row.name: row for row in theirs.rows}
+    k3 = next(row for row in ours.rows if row.name == "k3")
+    assert rows["k3"].unit == "kN/mm"
+    assert rows["k3"].upper == pytest.approx(k3.upper * SI.factor("kip/in"))
+    assert rows["k3"].r_hat == k3.r_hat
+    assert rows["k3"].contraction == k3.contraction
+    law, before = metric.laws[0], campaign.laws[0]
+    slope = law.median.median[-1] / law.actuation[-1]  # kN/MPa, of kip/ksi
+    expected = before.median.median[-1] / before.actuation[-1] * SI.factor("in^2")
+    assert slope * 1e3 == pytest.approx(expected)
+    assert metric.actuation_unit == "MPa"
+    assert in_system(campaign, US) is campaign
+
+
+def test_rows_without_a_measurement_stay_so(campaign):
+    test = campaign.tests[0]
+    row = replace(test.derived[2], measured=float("nan"))
+    view = replace(campaign, tests=(replace(test, derived=(row,)),))
+    assert np.isnan(in_system(view, SI).tests[0].derived[0].measured)
