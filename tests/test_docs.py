@@ -1,0 +1,300 @@
+"""The documentation: its blocks run, its names exist, and the site is built without a warning."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+import mfd_bayes as mb
+from mfd_bayes import campaign as campaign_file
+from mfd_bayes.calibration.effort import EFFORTS
+from mfd_bayes.cli import app
+from mfd_bayes.demo import Truth, write_campaign
+
+ROOT = Path(__file__).parents[1]
+PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages").glob("*.md"))}
+
+# Pages that are read one after the other, and so run in one folder.
+SERIES = (
+    ("lab.md", "arviz.md"),
+    ("demo.md", "README.md"),
+    ("files.md",),
+    ("python.md",),
+)
+
+# A block whose title says so is not run; the title shows on the page.
+NOT_RUN = "not run by the tests"
+
+BUILT = importlib.util.find_spec("mkdocs") and importlib.util.find_spec("mkdocstrings")
+needs_docs = pytest.mark.skipif(not BUILT, reason='needs the extra "docs": pip install ".[docs]"')
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its page, the line of its first line of code, its language and its code."""
+
+    page: str
+    line: int
+    language: str
+    title: str
+    code: str
+
+
+def blocks_of(page, text):
+    found = []
+    fence = re.compile(r"^```(\w+)(.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+    for match in fence.finditer(text):
+        line = text.count("\n", 0, match.start(3)) + 1
+        found.append(Block(page, line, match[1], match[2], match[3]))
+    return found
+
+
+def runnable(page):
+    blocks = blocks_of(page, PAGES[page].read_text(encoding="utf-8"))
+    return [
+        b for b in blocks if b.language in ("python", "bash", "text") and NOT_RUN not in b.title
+    ]
+
+
+class Reader:
+    """Someone who types in the blocks of a page one after the other, in one folder."""
+
+    def __init__(self):
+        self.names = {"__name__": "__main__"}
+        self.said = ""
+
+    def run(self, block):
+        getattr(self, f"run_{block.language}")(block)
+
+    def run_text(self, block):
+        """Compare what a page says that the last command printed; … stands for lines left out."""
+        said = {line.rstrip() for line in self.said.splitlines()}
+        for number, line in enumerate(block.code.splitlines(), block.line):
+            if line.strip() != "…" and line not in said:
+                pytest.fail(f"{block.page}:{number}: not printed: {line}")
+
+    def run_python(self, block):
+        code = compile("\n" * (block.line - 1) + block.code, block.page, "exec")
+        try:
+            exec(code, self.names)
+        except BaseException as error:
+            lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)]
+            files = [f.filename for f in traceback.extract_tb(error.__traceback__)]
+            at = [n for n, name in zip(lines, files, strict=True) if name == block.page]
+            pytest.fail(f"{block.page}:{at[-1] if at else block.line}: {error!r}")
+
+    def run_bash(self, block):
+        told = f"trap 'echo at line $((LINENO + {block.line - 1})) >&2' ERR; "
+        environment = os.environ | {
+            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", told + block.code],
+            capture_output=True,
+            text=True,
+            env=environment,
+            timeout=300,
+            check=False,
+        )
+        if done.returncode != 0:
+            at = re.findall(r"^at line (\d+)$", done.stderr, re.MULTILINE)
+            where = at[-1] if at else block.line
+            pytest.fail(f"{block.page}:{where}: exit code {done.returncode}\n{done.stderr}")
+        self.said = done.stdout
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path / "matplotlib"))
+    return tmp_path
+
+
+def make_small_demo(reader):
+    """Run folder `out` of a demo with one test, where the pages have one with eight."""
+    truth = Truth(pressures=(500.0,), frequencies=(0.5,), cycles=(2,))
+    write_campaign(Path("out_campaign"), 1, truth)
+    command = "mfd-bayes calibrate out_campaign/campaign.toml -o out --effort quick --jobs 1"
+    reader.run(Block("demo.md", 1, "bash", "", command))
+
+
+# ArviZ 0.23 calls Matplotlib in a way that 3.11 deprecates.
+@pytest.mark.filterwarnings("ignore:.*alias_mapping:DeprecationWarning")
+@pytest.mark.parametrize("pages", SERIES, ids=lambda pages: pages[0])
+def test_the_blocks_of_a_page_run_in_order(pages, folder):
+    reader = Reader()
+    if "demo.md" in pages:
+        make_small_demo(reader)
+    for page in pages:
+        for block in runnable(page):
+            reader.run(block)
+
+
+def test_every_page_with_blocks_is_run():
+    with_blocks = {page for page in PAGES if runnable(page)}
+    assert with_blocks == {page for pages in SERIES for page in pages}
+
+
+@pytest.mark.parametrize(
+    ("language", "code", "line"),
+    [("python", "fine = 1\n1 / 0\n", 5), ("bash", "true\nmfd-bayes inspect nothing.csv\n", 5)],
+)
+def test_a_broken_block_fails_with_its_page_and_line(folder, language, code, line):
+    text = f"# A page\n\n```{language}\n{code}```\n"
+    (block,) = blocks_of("page.md", text)
+    with pytest.raises(pytest.fail.Exception, match=f"^page.md:{line}: "):
+        Reader().run(block)
+
+
+def test_words_that_no_command_printed_fail_with_their_line(folder):
+    text = "```bash\necho one; echo two\n```\n\n```text\none\n…\nthree\n```\n"
+    command, words = blocks_of("page.md", text)
+    reader = Reader()
+    reader.run(command)
+    with pytest.raises(pytest.fail.Exception, match=r"^page\.md:8: not printed: three"):
+        reader.run(words)
+
+
+def test_a_title_that_says_so_keeps_a_block_from_being_run():
+    text = f'```bash title="takes hours, {NOT_RUN}"\nfalse\n```\n'
+    (block,) = blocks_of("page.md", text)
+    assert NOT_RUN in block.title
+
+
+def documented_keys(text, section):
+    """Key → default, of the table under the heading of a section of the campaign file."""
+    part = text.split(f"\n## `{section}`\n")[1].split("\n## ")[0]
+    return dict(re.findall(r"^\| `(\w+)` \| (.+?) \|", part, re.MULTILINE))
+
+
+def shown(field):
+    if field.is_required():
+        return "required"
+    default = field.default
+    if default is None:
+        return "none"
+    if default == () or isinstance(default, campaign_file.Columns):
+        return "`[]`" if default == () else "`{}`"
+    return f'`"{default}"`'
+
+
+@pytest.mark.parametrize(
+    ("section", "model"),
+    [
+        ("[campaign]", campaign_file.Settings),
+        ("[columns]", campaign_file.Columns),
+        ("[laws]", campaign_file.Laws),
+        ("[dependence]", campaign_file.Dependence),
+        ("[[test]]", campaign_file._Entry),
+    ],
+)
+def test_every_key_of_the_campaign_file_is_there_with_its_default(section, model):
+    text = PAGES["campaign.md"].read_text(encoding="utf-8")
+    known = {name: shown(field) for name, field in model.model_fields.items()}
+    assert documented_keys(text, section) == known
+
+
+@pytest.mark.parametrize("page", ["README.md", "campaign.md"])
+def test_campaign_files_that_are_shown_are_accepted(page, tmp_path):
+    text = PAGES[page].read_text(encoding="utf-8")
+    (block,) = (b for b in blocks_of(page, text) if b.code.startswith("[campaign]"))
+    path = tmp_path / "campaign.toml"
+    path.write_text(block.code)
+    for name in re.findall(r'^file = "(.+?)"', block.code, re.MULTILINE):
+        (tmp_path / name).touch()
+    assert campaign_file.load_campaign(path).tests
+
+
+@pytest.mark.parametrize("target", ["r_hat", "ess", "length"])
+def test_the_targets_of_sampling_are_the_efforts(target):
+    stated = " / ".join(f"{getattr(EFFORTS[name], target):g}" for name in EFFORTS)
+    assert f"| {stated} |" in PAGES["report.md"].read_text(encoding="utf-8")
+
+
+def test_every_public_name_is_in_the_reference():
+    text = PAGES["python.md"].read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^::: .*\.(\w+)$", text, re.MULTILINE)) == sorted(mb.__all__)
+
+
+@pytest.mark.parametrize("page", sorted(PAGES))
+def test_names_and_commands_exist(page):
+    text = PAGES[page].read_text(encoding="utf-8")
+    names = set(re.findall(r"\bmb\.([A-Za-z_]\w*)", text))
+    assert names <= {*mb.__all__, "__all__", "__version__"}
+    commands = set(re.findall(r"(?:^|`)mfd-bayes ([a-z][a-z-]+)", text, re.MULTILINE))
+    assert commands <= set(get_command(app).commands)
+
+
+@pytest.mark.parametrize("page", sorted(PAGES.keys() - {"README.md"}))
+def test_files_of_the_project_that_are_linked_are_there(page):
+    text = PAGES[page].read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(\.\./\.\./([^)]+)\)", text):
+        assert (ROOT / target).is_file(), target
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built as `.ci/run` builds it."""
+    out = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "mkdocs", "build", "--strict"),
+            *("-f", ROOT / "docs/mkdocs.yml", "-d", out),
+        ],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+@needs_docs
+def test_the_site_is_built_without_a_warning(site):
+    assert (site / "index.html").is_file()
+    assert {path.with_suffix(".md").name for path in site.glob("*.html")} >= PAGES.keys() - {
+        "README.md"
+    }
+
+
+@needs_docs
+def test_no_page_loads_anything_from_elsewhere(site):
+    loads = r'<(?:script|img|iframe|link)\b[^>]*(?:src|href)="(?:https?:)?//[^"]+"'
+    for page in site.glob("*.html"):
+        assert not re.findall(loads, page.read_text(encoding="utf-8")), page.name
+
+
+@needs_docs
+def test_formulas_are_shown_without_a_script(site):
+    html = (site / "model.html").read_text(encoding="utf-8")
+    assert html.count("<math") > 30
+    assert "arithmatex" not in html
+
+
+@needs_docs
+def test_the_commands_are_those_there_are(site):
+    html = (site / "commands.html").read_text(encoding="utf-8")
+    for command in get_command(app).commands:
+        assert f"<code>mfd-bayes {command}</code>" in html
+
+
+@needs_docs
+@pytest.mark.parametrize("wish", ["lines of benchmarks/sbc.txt with no such words", "nonsense"])
+def test_a_page_that_asks_for_what_is_not_there_stops_the_build(wish):
+    from mkdocs.exceptions import PluginError
+
+    spec = importlib.util.spec_from_file_location("docs_hooks", ROOT / "docs/hooks.py")
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    with pytest.raises(PluginError, match=r"page\.md"):
+        hooks._fill(wish, "page.md")
