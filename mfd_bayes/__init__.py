@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -53,6 +52,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
+        from importlib.metadata import version  # it takes as long to import as all else here
+
         return version("mfd_bayes")
     if name not in _HOMES:
         raise AttributeError(f"module 'mfd_bayes' has no attribute {name!r}")

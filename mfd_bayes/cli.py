@@ -2,114 +2,132 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shlex
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
-from mfd_bayes import console
-from mfd_bayes.interruption import end_on_signals, hinting
+from mfd_bayes import console, progress
+from mfd_bayes.arguments import Campaign, Effort, EffortName, Force, Jobs, Kind, Out, Quiet, Seed
+from mfd_bayes.ending import mistakes, resumption, this_command
+from mfd_bayes.interruption import end_on_signals
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode="rich",  # keeps the lines of examples apart
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Bayesian calibration, with honest uncertainty, of variable-friction dampers with a gap.",
+    epilog="New here? mfd-bayes demo out --quick takes about a minute; each command has --help.",
 )
 
 
-class EffortName(StrEnum):
-    """How far a sampling goes."""
-
-    quick = "quick"
-    standard = "standard"
-    thorough = "thorough"
-
-
-class Kind(StrEnum):
-    """What a band holds."""
-
-    device = "device"
-    new_test = "new_test"
-    observation = "observation"
+_LOOK, _FIT, _USE, _TRY = (
+    "Look at your data",
+    "Calibrate",
+    "Predict and compare",
+    "See it work on synthetic data",
+)
+"""Commands in the order of work."""
 
 
-Out = Annotated[Path, typer.Argument(help="The run folder.")]
-Campaign = Annotated[Path, typer.Argument(help="The campaign file, campaign.toml.")]
-Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same draws.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace a run that is there.")]
-
-
-@contextmanager
-def _mistakes(resume: str = "") -> Iterator[None]:
-    """Turn errors that a user can cause into one sentence and exit code 2.
-
-    Parameters
-    ----------
-    resume : str
-        The command that goes on where this one is interrupted.
-    """
-    from mfd_bayes.errors import MfdError
-
-    try:
-        with hinting(f"; what is finished is kept, go on with: {resume}" if resume else ""):
-            yield
-    except MfdError as error:
-        _fail(str(error))
-    except OSError as error:
-        if error.errno == errno.EPIPE:  # whoever read the output has enough
-            raise
-        _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
-
-
-def _fail(sentence: str) -> NoReturn:
-    with suppress(OSError):
-        typer.echo(f"mfd-bayes: {sentence}", err=True)
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError:  # a full disk, and Python would complain of it once more at its end
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    raise typer.Exit(2)
-
-
-@app.command()
-def demo(
-    out: Out,
-    quick: Annotated[bool, typer.Option("--quick", help="A look in about a minute.")] = False,
-    jobs: Jobs = 0,
-    seed: Seed = 1,
-    force: Force = False,
+@app.command(
+    rich_help_panel=_LOOK,
+    epilog="Next: mend what is marked in campaign.toml, then mfd-bayes inspect campaign.toml",
+)
+def init(
+    folder: Annotated[Path, typer.Argument(help="The folder of your test files.")],
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace a campaign.toml that is there.")
+    ] = False,
 ) -> None:
-    """Calibrate a synthetic campaign after the MFD paper's test matrix.
+    """Write a first campaign.toml for a folder of test files.
 
-    Writes its CSV files under OUT/campaign, calibrates them, writes OUT/report.html and
-    compares the posterior with the stated truth.
+    Guesses columns, units, actuations and ids from the names and numbers of the
+    files; what is not certain is marked "unsure" in the file, with the
+    alternatives, and what is missing "FIXME". Writes FOLDER/campaign.toml.
 
-    Example: mfd-bayes demo out --quick
+    Example:
+      mfd-bayes init tests
+      mfd-bayes init tests --force
     """
-    effort = "quick" if quick else "standard"
-    resume = ["mfd-bayes", "calibrate", str(out / "campaign" / "campaign.toml"), "-o", str(out)]
-    resume += ["--effort", effort, "--seed", str(seed), "--resume"]
-    with _mistakes(shlex.join(resume)):
-        from mfd_bayes import pipeline
+    from mfd_bayes import pipeline
 
-        options = pipeline.Options(effort, seed, jobs, force=force, command=_command())
-        with console.watch() as observe:
-            view = pipeline.demo(out, options, observe)
-        console.print_truth(view)
-        console.print_end(view, out)
+    with mistakes():
+        path, draft = pipeline.init(folder, force=force)
+    for name, reason in draft.left_out:
+        console.say(f"left out: {name}: {reason}")
+    for doubt in pipeline.doubts(draft):
+        console.say(f"unsure: {doubt}")
+    missing = pipeline.gaps(draft)
+    for gap in missing:
+        console.say(f"FIXME: {gap}")
+    left_out = f"{len(draft.left_out)} left out" if draft.left_out else "none left out"
+    console.say(f"{path} written: tests {len(draft.tests)}, {left_out}")
+    if missing:
+        console.say("warning: complete what is marked FIXME before you calibrate")
+    else:
+        console.say(f"look next: {shlex.join(['mfd-bayes', 'inspect', str(path)])}")
 
 
-@app.command()
+@app.command(
+    rich_help_panel=_LOOK,
+    epilog="Next: mfd-bayes prior-check campaign.toml, or mfd-bayes calibrate --help",
+)
+def inspect(
+    file: Annotated[Path, typer.Argument(help="A test file or a campaign.toml.")],
+    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNG.")] = Path(),
+) -> None:
+    """Show what was read, warn of what would spoil a fit, and draw it.
+
+    Columns, units, rate, peaks, cycles, energy and drifts; then warnings: swapped
+    signs, lags, clipping, spikes, lost samples and the like. Warnings are no errors.
+
+    Writes a PNG of every test: NAME_inspect.png, here or in the folder of -o.
+
+    Example:
+      mfd-bayes inspect test.csv
+      mfd-bayes inspect campaign.toml -o looks
+    """
+    from mfd_bayes import pipeline
+
+    with mistakes():
+        found = pipeline.inspect(file, folder)
+    for inspection, picture in found:
+        console.say(inspection.name)
+        for key, fact in inspection.facts.items():
+            console.say(f"  {key:21s}{fact}")
+        for fault in inspection.faults:
+            console.say(f"  {'warning':21s}{fault.name}: {fault.sentence}")
+        console.say(f"  {'picture':21s}{picture}")
+
+
+@app.command(rich_help_panel=_LOOK, epilog="Next: mfd-bayes calibrate campaign.toml -o out")
+def prior_check(
+    campaign: Campaign,
+    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNGs.")] = Path(),
+) -> None:
+    """Draw what the priors allow beside the data of every test.
+
+    Where most of a test's force lies outside the band, mend the priors before
+    calibrating. Writes a PNG of every test: CAMPAIGN_ID_prior.png, here or in
+    the folder of -o.
+
+    Example:
+      mfd-bayes prior-check campaign.toml
+      mfd-bayes prior-check campaign.toml -o looks
+    """
+    from mfd_bayes import pipeline
+
+    with mistakes():
+        found = pipeline.prior_check(campaign, folder)
+    for name, share, picture in found:
+        console.say(f"{name}: {share:.0%} of the force inside the 95 % prior band; {picture}")
+
+
+@app.command(rich_help_panel=_FIT, epilog="Next: open out/report.html, then mfd-bayes check out")
 def calibrate(
     campaign: Campaign,
     out: Annotated[Path, typer.Option("-o", "--out", help="The run folder to make.")],
@@ -117,32 +135,126 @@ def calibrate(
     force: Force = False,
     jobs: Jobs = 0,
     seed: Seed = 1,
-    effort: Annotated[EffortName, typer.Option(help="How far to sample.")] = EffortName.standard,
+    effort: Effort = EffortName.standard,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check only.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 1 if a check fails.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Calibrate every test of a campaign, infer the laws, and write the report.
 
-    Example: mfd-bayes calibrate campaign.toml -o out
+    Writes the run folder OUT: report.html, tables of parameters and laws (CSV,
+    JSON, LaTeX), checks.csv, pictures, and a posterior.nc of every test, which
+    ArviZ opens. Ctrl-C loses nothing that is finished: --resume goes on.
+
+    Example:
+      mfd-bayes calibrate campaign.toml -o out --dry-run
+      mfd-bayes calibrate campaign.toml -o out
+      mfd-bayes calibrate campaign.toml -o out --resume
     """
-    with _mistakes("" if dry_run else _resumption()):
+    with mistakes("" if dry_run else resumption()):
         from mfd_bayes import pipeline
 
-        options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
+        options = pipeline.Options(effort.value, seed, jobs, resume, force, this_command())
         if dry_run:
             plan = pipeline.plan_campaign(campaign, options)
             samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
-            typer.echo(f"{campaign} is fine: would calibrate {samples}")
-            typer.echo(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
+            console.say(f"{campaign} is fine: would calibrate {samples}")
+            console.say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
+            for name, sentence in pipeline.find_warnings(plan):
+                console.say(f"warning: {name}: {sentence}")
             return
-        with console.watch() as observe:
+        with progress.watch(quiet=quiet) as observe:
             view = pipeline.calibrate_campaign(campaign, out, options, observe)
-        console.print_end(view, out)
+        console.print_end(view, out, quiet=quiet)
     if strict and pipeline.fails(view):
         raise typer.Exit(1)
 
 
-@app.command()
+@app.command(
+    rich_help_panel=_FIT,
+    epilog="Next: mfd-bayes predict --help, or mfd-bayes calibrate --help if a check failed",
+)
+def check(out: Out, quiet: Quiet = False) -> None:
+    """Show convergence and predictive checks as a table; exit 1 where one fails.
+
+    Writes nothing; OUT/checks.csv holds the same.
+
+    Example:
+      mfd-bayes check out
+      mfd-bayes check out --quiet && echo fit to use
+    """
+    from mfd_bayes import pipeline
+
+    with mistakes():
+        view = pipeline.check(out)
+    if not quiet:
+        console.print_checks(view)
+    console.say(view.sentence)
+    if pipeline.fails(view):
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=_FIT, epilog="Next: open out/report.html, then mfd-bayes check out")
+def report(
+    out: Out,
+    quiet: Quiet = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print it too; needs a Chromium.")] = False,
+) -> None:
+    """Remake the report, tables and figures of a run from what is stored, without sampling.
+
+    Writes OUT/report.html, the tables beside it, OUT/figures and the pictures
+    of every test; with --pdf OUT/report.pdf too.
+
+    Example:
+      mfd-bayes report out
+      mfd-bayes report out --pdf
+    """
+    with mistakes(this_command()):
+        from mfd_bayes import pipeline
+
+        with progress.watch(quiet=quiet) as observe:
+            view = pipeline.report(out, observe, pdf=pdf)
+        console.print_end(view, out, quiet=quiet)
+
+
+@app.command(
+    rich_help_panel=_USE, epilog="Next: look at bands.png, then mfd-bayes crossvalidate --help"
+)
+def predict(
+    out: Out,
+    motion: Annotated[Path, typer.Option(help="A file with time_s and displacement_in, …")],
+    actuation: Annotated[str, typer.Option(help='Such as "1000 psi".')],
+    bands: Annotated[Path, typer.Option("-o", "--out", help="CSV to write; a PNG beside it.")],
+    kind: Annotated[Kind, typer.Option(help="What the band holds.")] = Kind.new_test,
+    probability: Annotated[float, typer.Option(help="Of the equal-tailed band.")] = 0.95,
+    quiet: Quiet = False,
+) -> None:
+    """Predict the force of a motion at an actuation, tested or not.
+
+    Writes the band as CSV where -o says, a PNG beside it, and what derives from
+    the force, such as energy and peaks, as ..._derived.csv.
+
+    Example:
+      mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
+    """
+    from mfd_bayes import pipeline
+
+    question = pipeline.Question(motion, actuation, kind.value, probability, bands)
+    with mistakes():
+        band, derived = pipeline.predict(out, question)
+    console.say(
+        f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
+        f"{band.source}: {bands} and {bands.with_suffix('.png')}"
+    )
+    if quiet:
+        return
+    console.print_derived(derived, band.probability)
+    console.say(f"look next at {question.derived}")
+
+
+@app.command(
+    rich_help_panel=_USE, epilog="Next: open out/report.html, then mfd-bayes compare --help"
+)
 def crossvalidate(
     campaign: Campaign,
     out: Annotated[Path, typer.Option("-o", "--out", help="The run folder to make.")],
@@ -151,27 +263,32 @@ def crossvalidate(
     force: Force = False,
     jobs: Jobs = 0,
     seed: Seed = 1,
-    effort: Annotated[EffortName, typer.Option(help="How far to sample.")] = EffortName.standard,
+    effort: Effort = EffortName.standard,
+    quiet: Quiet = False,
 ) -> None:
     """Predict every part of a campaign from all the others, and score the predictions.
 
-    Calibrates the campaign first; with --resume it takes the posteriors that OUT has. Then it
-    leaves out one test, level of actuation or session after another, infers the population of
-    the others, and writes OUT/crossvalidation.csv and the report.
+    Calibrates the campaign first; with --resume it takes the posteriors that
+    OUT has. Then it leaves out one test, level of actuation or session after
+    another and infers the population of the others. Writes
+    OUT/crossvalidation.csv and the report.
 
-    Example: mfd-bayes crossvalidate campaign.toml -o out --by level --resume
+    Example:
+      mfd-bayes crossvalidate campaign.toml -o out --by level --resume
     """
-    with _mistakes(_resumption()):
+    with mistakes(resumption()):
         from mfd_bayes import pipeline
 
-        options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
-        with console.watch() as observe:
+        options = pipeline.Options(effort.value, seed, jobs, resume, force, this_command())
+        with progress.watch(quiet=quiet) as observe:
             view = pipeline.crossvalidate(campaign, out, by, options, observe)
-        console.print_left_out(view)
-        console.print_end(view, out)
+        console.print_left_out(view, quiet=quiet)
+        console.print_end(view, out, quiet=quiet)
 
 
-@app.command()
+@app.command(
+    rich_help_panel=_USE, epilog="Next: open out/MODEL/report.html of the model that is favoured"
+)
 def compare(
     campaign: Campaign,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of one run for each model.")],
@@ -185,119 +302,65 @@ def compare(
     force: Force = False,
     jobs: Jobs = 0,
     seed: Seed = 1,
-    effort: Annotated[EffortName, typer.Option(help="How far to sample.")] = EffortName.standard,
+    effort: Effort = EffortName.standard,
+    quiet: Quiet = False,
 ) -> None:
     """Calibrate a campaign under several models and say which one its records favour.
 
-    Makes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each model predicts
-    every cycle of a record from all others (PSIS-LOO). The campaign's own model does not count.
+    Writes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each
+    model predicts every cycle of a record from all others (PSIS-LOO). The
+    campaign's own model does not count.
 
-    Example: mfd-bayes compare campaign.toml -o out --models three_stage,lugre
+    Example:
+      mfd-bayes compare campaign.toml -o out
+      mfd-bayes compare campaign.toml -o out --models three_stage,lugre
     """
-    with _mistakes(_resumption()):
+    with mistakes(resumption()):
         from mfd_bayes import pipeline
 
         names = [name.strip() for name in models.split(",") if name.strip()]
-        options = pipeline.Options(effort.value, seed, jobs, resume, force, _command())
-        with console.watch() as observe:
+        options = pipeline.Options(effort.value, seed, jobs, resume, force, this_command())
+        with progress.watch(quiet=quiet) as observe:
             found, left_out = pipeline.compare(campaign, out, names, options, observe, by)
-        console.print_comparison(found)
+        console.print_comparison(found, quiet=quiet)
         for model, view in left_out.items():
-            typer.echo(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} kip.")
-        typer.echo(f"look next at {out / 'comparison.csv'}")
+            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} kip.")
+        if not quiet:
+            console.say(f"look next at {out / 'comparison.csv'}")
 
 
-@app.command()
-def report(out: Out) -> None:
-    """Remake the report, tables and figures of a run from what is stored, without sampling.
+@app.command(
+    rich_help_panel=_TRY,
+    epilog="Next: open out/report.html, then mfd-bayes inspect test.csv with a file of yours",
+)
+def demo(
+    out: Out,
+    quick: Annotated[bool, typer.Option("--quick", help="A look in about a minute.")] = False,
+    jobs: Jobs = 0,
+    seed: Seed = 1,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a synthetic campaign after the MFD paper's test matrix.
 
-    Example: mfd-bayes report out
+    Writes its CSV files and campaign.toml under OUT/campaign, which are a
+    pattern for your own, calibrates them, writes OUT/report.html and compares
+    the posterior with the stated truth.
+
+    Example:
+      mfd-bayes demo out --quick
     """
-    with _mistakes(_command()):
+    effort = "quick" if quick else "standard"
+    resume = ["mfd-bayes", "calibrate", str(out / "campaign" / "campaign.toml"), "-o", str(out)]
+    resume += ["--effort", effort, "--seed", str(seed), "--resume"]
+    with mistakes(shlex.join(resume)):
         from mfd_bayes import pipeline
 
-        with console.watch() as observe:
-            view = pipeline.report(out, observe)
-        console.print_end(view, out)
-
-
-@app.command()
-def predict(
-    out: Out,
-    motion: Annotated[Path, typer.Option(help="A file with time_s and displacement_in, …")],
-    actuation: Annotated[str, typer.Option(help='Such as "1000 psi".')],
-    bands: Annotated[Path, typer.Option("-o", "--out", help="CSV to write; a PNG beside it.")],
-    kind: Annotated[Kind, typer.Option(help="What the band holds.")] = Kind.new_test,
-    probability: Annotated[float, typer.Option(help="Of the equal-tailed band.")] = 0.95,
-) -> None:
-    """Predict the force of a motion at an actuation, tested or not.
-
-    Example: mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
-    """
-    from mfd_bayes import pipeline
-
-    question = pipeline.Question(motion, actuation, kind.value, probability, bands)
-    with _mistakes():
-        band, derived = pipeline.predict(out, question)
-    typer.echo(
-        f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
-        f"{band.source}: {bands} and {bands.with_suffix('.png')}"
-    )
-    console.print_derived(derived, band.probability)
-    typer.echo(f"look next at {question.derived}")
-
-
-@app.command()
-def check(out: Out) -> None:
-    """Show convergence and predictive checks as a table; exit 1 where one fails.
-
-    Example: mfd-bayes check out
-    """
-    from mfd_bayes import pipeline
-
-    with _mistakes():
-        view = pipeline.check(out)
-    console.print_checks(view)
-    typer.echo(view.sentence)
-    if pipeline.fails(view):
-        raise typer.Exit(1)
-
-
-@app.command()
-def inspect(
-    file: Annotated[Path, typer.Argument(help="A test file or a campaign.toml.")],
-    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNG.")] = Path(),
-) -> None:
-    """Show what was read: columns, units, rate, turning points, loops; and draw it.
-
-    Example: mfd-bayes inspect test.csv
-    """
-    from mfd_bayes import pipeline
-
-    with _mistakes():
-        found = pipeline.inspect(file, folder)
-    for inspection, picture in found:
-        typer.echo(inspection.name)
-        for key, fact in inspection.facts.items():
-            typer.echo(f"  {key:21s}{fact}")
-        typer.echo(f"  {'picture':21s}{picture}")
-
-
-@app.command()
-def prior_check(
-    campaign: Campaign,
-    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNGs.")] = Path(),
-) -> None:
-    """Draw what the priors allow beside the data of every test.
-
-    Example: mfd-bayes prior-check campaign.toml
-    """
-    from mfd_bayes import pipeline
-
-    with _mistakes():
-        found = pipeline.prior_check(campaign, folder)
-    for name, share, picture in found:
-        typer.echo(f"{name}: {share:.0%} of the force inside the 95 % prior band; {picture}")
+        options = pipeline.Options(effort, seed, jobs, force=force, command=this_command())
+        with progress.watch(quiet=quiet) as observe:
+            view = pipeline.demo(out, options, observe)
+        console.print_truth(view, quiet=quiet)
+        console.print_end(view, out, quiet=quiet)
 
 
 def _version(wanted: bool) -> None:
@@ -315,16 +378,6 @@ def _main(
     ] = False,
 ) -> None:
     """Bayesian calibration, with honest uncertainty, of variable-friction dampers with a gap."""
-
-
-def _command() -> str:
-    return shlex.join(["mfd-bayes", *sys.argv[1:]])
-
-
-def _resumption() -> str:
-    """The command that goes on where this one is interrupted."""
-    given = [word for word in sys.argv[1:] if word not in ("--force", "--resume")]
-    return shlex.join(["mfd-bayes", *given, "--resume"])
 
 
 def main() -> None:

@@ -77,7 +77,7 @@ class Fold:
     @property
     def id(self) -> str:
         """What it is called."""
-        return f"without {self.part}"
+        return fold_id(self.part)
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Predict the part, and store its scores.
@@ -106,6 +106,11 @@ class Fold:
         file = out / FOLDER / self.file
         key = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
         return file.is_file() and read_json(file).get("key") == key  # as JSON gives it back
+
+
+def fold_id(part: str) -> str:
+    """What the prediction of a part from all the others is called."""
+    return f"without {part}"
 
 
 def parts_of(
@@ -246,6 +251,9 @@ def run_folds(
     """
     out = run.folder
     todo = [fold for fold in folds if not fold.stored(out)]
+    for fold in folds:
+        if fold not in todo:
+            observe(Step(fold.id, "kept"))
     with closing(run_tasks(todo, out, jobs, observe)) as outcomes:
         for outcome in outcomes:
             if outcome.error:

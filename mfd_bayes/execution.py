@@ -42,9 +42,10 @@ Observe = Callable[[Step], None]
 
 _TABLES = (
     *("parameters.csv", "derived.csv", "laws.csv", "law_scores.csv", "checks.csv", "scores.csv"),
+    *("parameters.json", "laws.json", "parameters.tex", "laws.tex"),
     "crossvalidation.csv",
 )
-_OUTPUTS = ("population.nc", *_TABLES, "report.html", "campaign.toml", "priors.toml")
+_OUTPUTS = ("population.nc", *_TABLES, "report.html", "report.pdf", "campaign.toml", "priors.toml")
 _FOLDERS = ("tests", "figures", "crossvalidation")
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """What the manifest holds of the population."""
@@ -106,6 +107,7 @@ def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) 
     for task in plan.tasks:
         if task not in todo:
             manifest["tests"][task.id]["status"] = "done"
+            observe(Step(task.id, "kept"))
     began = time.perf_counter()
     with closing(run_tasks(todo, out, options.processes, observe)) as outcomes:
         for outcome in outcomes:

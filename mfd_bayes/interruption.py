@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import NoReturn
@@ -46,6 +46,25 @@ def hinting(hint: str) -> Iterator[None]:
             signal.signal(number, _end)
 
 
+@contextmanager
+def before_end(prepare: Callable[[], object]) -> Iterator[None]:
+    """Do something first where this process ends on signals, such as to clear the terminal."""
+    handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+    ours = {number: handler for number, handler in handlers.items() if callable(handler)}
+
+    def end(number: int, frame: FrameType | None) -> None:
+        prepare()
+        ours[number](number, frame)
+
+    for number in ours:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+
+
 def end_children() -> None:
     """End every process that this one has started, at once; what they have stored is whole."""
     children = multiprocessing.active_children()
@@ -67,6 +86,6 @@ def _end(number: int, _frame: FrameType | None = None, *, hint: str = "") -> NoR
     by = "" if number == signal.SIGINT else f" by {signal.Signals(number).name}"
     with suppress(OSError, AttributeError):
         if sys.stdout.isatty():
-            os.write(1, b"\x1b[?25h\n")  # progress bars hide the cursor
-        os.write(2, f"mfd-bayes: interrupted{by}{hint}\n".encode())
+            os.write(1, b"\x1b[0m\x1b[?25h\n")  # the table of what goes on hides the cursor
+        os.write(2, f"mfd-bayes: interrupted{by}{hint}\n".encode(errors="backslashreplace"))
     os._exit(128 + number)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -11,15 +11,18 @@ from mfd_bayes.assessment.derived import predicted_rows
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign import load_campaign
 from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
-from mfd_bayes.crossvalidation import folds_of, parts_of, run_folds
+from mfd_bayes.crossvalidation import fold_id, folds_of, parts_of, run_folds
 from mfd_bayes.demo import write_campaign
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import alone_in, calibrate, discard
+from mfd_bayes.initiation import Draft, campaign_text, doubts, draft_campaign, gaps
 from mfd_bayes.inspection import Inspection, inspect_record, inspect_test, prior_fan, share_inside
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
+from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import (
     CROSSVALIDATION,
     bands_csv,
@@ -37,7 +40,15 @@ from mfd_bayes.reporting.views import (
     LeftOutView,
 )
 from mfd_bayes.run import Run, open_run
-from mfd_bayes.store import MANIFEST, sweep, write_atomically, write_bytes, write_json, write_text
+from mfd_bayes.store import (
+    MANIFEST,
+    read_json,
+    sweep,
+    write_atomically,
+    write_bytes,
+    write_json,
+    write_text,
+)
 from mfd_bayes.task import Step
 from mfd_bayes.units import parse_actuation
 
@@ -56,7 +67,11 @@ __all__ = [
     "compare",
     "crossvalidate",
     "demo",
+    "doubts",
     "fails",
+    "find_warnings",
+    "gaps",
+    "init",
     "inspect",
     "plan_campaign",
     "predict",
@@ -100,16 +115,19 @@ def crossvalidate(
     MfdError
         When something cannot be used, or there are too few parts; nothing is written then.
     """
-    _check_parts(plan_campaign(campaign, options), by)
+    plan = plan_campaign(campaign, options)
+    parts = _check_parts(plan, by)
+    for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
+        observe(Step(name, "waiting"))
     _leave_out_parts(calibrate(campaign, out, options, observe), by, options, observe)
     return report(out, observe)
 
 
-def _check_parts(plan: Plan, by: str) -> None:
-    """Refuse what cannot be cross-validated before anything is sampled."""
+def _check_parts(plan: Plan, by: str) -> Collection[str]:
+    """Refuse what cannot be cross-validated before anything is sampled; names of the parts."""
     sessions = {test.id: test.session for test in plan.campaign.tests}
     settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
-    parts_of(settings, by, plan.campaign.actuation_unit, plan.campaign.path)
+    return parts_of(settings, by, plan.campaign.actuation_unit, plan.campaign.path)
 
 
 def _leave_out_parts(run: Run, by: str, options: Options, observe: Observe) -> None:
@@ -162,6 +180,7 @@ def compare(
             _check_parts(plan, by)
         for task in plan.tasks:
             check_cycles(task)
+            observe(Step(f"{model}/{task.id}", "waiting"))
         if (out / model).exists() and not (options.resume or options.force):
             raise StoreError(
                 f"{out / model} exists: give --resume to finish it or --force to replace it"
@@ -169,21 +188,26 @@ def compare(
     runs: dict[str, Run] = {}
     left_out: dict[str, LeftOutView] = {}
     for model in chosen:
-
-        def tell(step: Step, model: str = model) -> None:
-            observe(replace(step, id=f"{model}/{step.id}"))
-
+        tell = _named(observe, model)
         runs[model] = calibrate(campaign, out / model, replace(options, model=model), tell)
         if by:
             _leave_out_parts(runs[model], by, options, tell)
-        view = report(out / model, tell)
-        if by and view.left_out:
-            left_out[model] = view.left_out
     observe(Step("comparison", "leaving out one cycle after another"))
     found = compare_runs(runs)
     write_text(out / "comparison.csv", comparison_csv(found.rows))
     observe(Step("comparison", "done"))
+    for model in chosen:
+        manifest = read_json(out / model / MANIFEST)
+        write_json(out / model / MANIFEST, manifest | {"comparison": asdict(found)})
+        view = report(out / model, _named(observe, model))
+        if by and view.left_out:
+            left_out[model] = view.left_out
     return found, left_out
+
+
+def _named(observe: Observe, model: str) -> Observe:
+    """Observe the steps of one model's run, by its name."""
+    return lambda step: observe(replace(step, id=f"{model}/{step.id}"))
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
@@ -204,23 +228,30 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     return report(out, observe)
 
 
-def report(out: Path, observe: Observe = lambda _: None) -> CampaignView:
-    """Make the tables, figures and page of a finished run from what is stored.
+def report(out: Path, observe: Observe = lambda _: None, *, pdf: bool = False) -> CampaignView:
+    """Make the tables, figures and pages of a finished run from what is stored.
 
     Raises
     ------
     StoreError
         When the folder is no finished run.
+    ReportError
+        When a PDF is asked for and no browser can print it; nothing is written then.
     """
+    from mfd_bayes.reporting.pdf import find_browser, print_page
+
+    if pdf:
+        find_browser()
     observe(Step("report", "checks and bands"))
     run = open_run(out)
     view = assess(run)
     write_json(out / MANIFEST, run.manifest | {"verdicts": verdicts(view)})
-    for name, text in report_tables(view).items():
+    for name, text in (report_tables(view) | export_tables(view)).items():
         write_text(out / name, text)
     if view.left_out is None:  # of tests that have changed since
         (out / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "figures"))
+    from mfd_bayes.reporting.figure_data import figure_tables
     from mfd_bayes.reporting.figures import draw_all
     from mfd_bayes.reporting.html import render
 
@@ -228,7 +259,13 @@ def report(out: Path, observe: Observe = lambda _: None) -> CampaignView:
     for key, png in images.items():
         folder = out if key.startswith("tests/") else out / "figures"
         write_bytes(folder / f"{key}.png", png)
-    write_text(out / "report.html", render(view, images))
+    for name, text in figure_tables(view):
+        write_text(out / name, text)
+    for name, page in render(view, images).items():
+        write_text(out / name, page)
+    if pdf:
+        observe(Step("report", "PDF"))
+        write_bytes(out / "report.pdf", print_page(out / "report.html"))
     observe(Step("report", "done"))
     return view
 
@@ -304,6 +341,23 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     return band, rows
 
 
+def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
+    """Write a first campaign.toml of the test files in a folder: its path, and what it says.
+
+    Raises
+    ------
+    MfdError
+        When the folder holds no test, or a campaign.toml that is not to be replaced; nothing is
+        written then.
+    """
+    path = folder / "campaign.toml"
+    if path.exists() and not force:
+        raise CampaignError(f"{path} exists: give --force to replace it")
+    draft = draft_campaign(folder)
+    write_text(path, campaign_text(draft))
+    return path, draft
+
+
 def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
     """What a test file, or every test of a campaign, holds; with a PNG each in `folder`.
 
@@ -313,19 +367,31 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
         When the file cannot be read or used.
     """
     if path.suffix.lower() == ".toml":
-        found = [(inspect_test(t), f"{path.stem}_{t.id}") for t in load_campaign(path).tests]
+        campaign = load_campaign(path)
+        gap = load_priors(campaign.priors, campaign.folder).gap
+        found = [(inspect_test(t, gap), f"{path.stem}_{t.id}") for t in campaign.tests]
     else:
         found = [(inspect_record(path.name, read_record(path)), path.stem)]
-    from mfd_bayes.reporting.figures import draw_history, draw_loops, save_png
+    from mfd_bayes.reporting.figures import draw_inspection, save_png
 
     pictures = []
     for inspection, name in found:
         picture = folder / f"{name}_inspect.png"
-        draw = draw_history if inspection.trace.force is None else draw_loops
-        figure = draw(f"{inspection.name}: as read", inspection.trace)
+        title = f"{inspection.name}: as read"
+        figure = draw_inspection(title, inspection.trace, inspection.loops, inspection.faults)
         write_atomically(picture, lambda part, f=figure: save_png(f, part))  # type: ignore[misc]
         pictures.append((inspection, picture))
     return pictures
+
+
+def find_warnings(plan: Plan) -> list[tuple[str, str]]:
+    """What would spoil a fit of each test of a campaign: test's id and sentence."""
+    gap = plan.priors.gap
+    return [
+        (test.id, fault.sentence)
+        for test in plan.campaign.tests
+        for fault in find_faults(test.read().trace(), gap)
+    ]
 
 
 def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:

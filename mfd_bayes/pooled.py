@@ -93,7 +93,8 @@ def pool_tests(
     def tell(sweeps: int, found: Convergence) -> None:
         seconds = time.perf_counter() - began
         worst = found.worst_r_hat, found.worst_ess
-        report(Progress(sweeps, max(limit, sweeps), *worst, seconds))
+        share = found.share(chosen.r_hat, chosen.ess)
+        report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
     inference = infer(
         replace(pooling, weights=weights),

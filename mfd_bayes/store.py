@@ -170,6 +170,7 @@ def save_test(
 
     posterior = xr.Dataset(
         {name: (_CHAINS, value, {"units": units[name]}) for name, value in values.items()},
+        coords=_numbers(values),
         attrs={"facts": json.dumps(_plain(facts), allow_nan=False)},
     )
     replicas = {
@@ -177,8 +178,12 @@ def save_test(
     }
     groups = {
         "posterior": posterior,
-        "sample_stats": xr.Dataset({name: (_CHAINS, value) for name, value in stats.items()}),
-        "posterior_predictive": xr.Dataset(replicas, coords={"time": trace.time}),
+        "sample_stats": xr.Dataset(
+            {name: (_CHAINS, value) for name, value in stats.items()}, coords=_numbers(stats)
+        ),
+        "posterior_predictive": xr.Dataset(
+            replicas, coords={"time": trace.time, **_numbers({"force": predictive})}
+        ),
         **_trace_groups(trace),
     }
     write_atomically(path, lambda part: _write_groups(part, groups))
@@ -238,7 +243,11 @@ def save_arrays(
         extra = tuple(f"{name}_dim_{i}" for i in range(values.ndim - 2))
         about = {"units": units[name]} if units and name in units else {}
         data[name] = ((*_CHAINS, *extra), values, about)
-    posterior = xr.Dataset(data, attrs={"facts": json.dumps(_plain(facts), allow_nan=False)})
+    posterior = xr.Dataset(
+        data,
+        coords=_numbers(arrays),
+        attrs={"facts": json.dumps(_plain(facts), allow_nan=False)},
+    )
     write_atomically(path, lambda part: _write_groups(part, {"posterior": posterior}))
 
 
@@ -254,6 +263,12 @@ def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         posterior = _read_groups(path, ("posterior",))["posterior"]
         arrays = {str(k): v.to_numpy() for k, v in posterior.data_vars.items()}
         return arrays, json.loads(posterior.attrs["facts"])
+
+
+def _numbers(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Numbers of the chains and draws: ArviZ 1 draws no trace plot without them."""
+    shape = next((values.shape[:2] for values in arrays.values()), (0, 0))
+    return {name: np.arange(size) for name, size in zip(_CHAINS, shape, strict=True)}
 
 
 def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:

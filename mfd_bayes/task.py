@@ -47,7 +47,17 @@ class Task:
 
 @dataclass(frozen=True)
 class Step:
-    """News of a test: where its sampling stands, or that it began or ended."""
+    """News of a test: where its sampling stands, or that it began or ended.
+
+    Attributes
+    ----------
+    id : str
+    stage : str
+        "waiting" before it begins, and at its end "done", "failed", or "kept" where an earlier
+        session did it; what it is at in between.
+    progress : Progress or None
+    message : str
+    """
 
     id: str
     stage: str

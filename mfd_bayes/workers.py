@@ -42,7 +42,8 @@ def run_tasks(
 ) -> Generator[Outcome, None, None]:
     """Outcomes of tests as they come, so many at a time, each in a process of its own.
 
-    A test whose process is killed begins again from its seed, in another.
+    All are first said to be waiting. A test whose process is killed begins again from its
+    seed, in another.
 
     Raises
     ------
@@ -51,6 +52,8 @@ def run_tasks(
     FitError
         When the processes of a test are killed again and again.
     """
+    for task in tasks:
+        observe(Step(task.id, "waiting"))
     crew = _Crew(out, deque(tasks))
     try:
         while crew.waiting or crew.members:

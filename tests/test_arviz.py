@@ -1,0 +1,81 @@
+"""posterior.nc as a user opens it, with the ArviZ that is installed: 0.2x or 1.x."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mfd_bayes.friction.model import UNITS
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store import save_test
+
+NAMES = ("Fc_fwd", "k3", "gamma2")
+
+# What the user types; only what ArviZ says of its own future is not minded.
+SESSION = """\
+import sys
+import warnings
+
+import matplotlib
+
+matplotlib.use("Agg")
+warnings.filterwarnings("ignore", category=FutureWarning, message="(?s).*ArviZ is undergoing")
+import arviz as az
+import matplotlib.pyplot as plt
+
+path, picture, *names = sys.argv[1:]
+data = az.from_netcdf(path)
+summary = az.summary(data, var_names=names, round_to="none")
+for name in names:
+    print(name, summary.loc[name, "mean"], summary.loc[name, "ess_bulk"])
+az.plot_trace(data, var_names=names)
+plt.savefig(picture + "_trace.png")
+plt.close("all")
+az.plot_forest(data, var_names=names)
+plt.savefig(picture + "_forest.png")
+print(data["posterior"][names[0]].attrs["units"], sorted(data["posterior"].dims))
+"""
+
+
+@pytest.fixture(scope="module")
+def values():
+    rng = np.random.default_rng(0)
+    return {name: np.exp(0.1 * rng.normal(size=(4, 120))) for name in UNITS}
+
+
+@pytest.fixture(scope="module")
+def session(values, tmp_path_factory):
+    """What a session printed, and the folder of its pictures."""
+    folder = tmp_path_factory.mktemp("arviz")
+    time = np.arange(0, 4, 0.02)
+    motion = np.sin(np.pi * time)
+    trace = Trace.from_arrays(time, motion, 0.8, force=np.sign(motion))
+    stats = dict.fromkeys(("lp", "log_prior", "log_likelihood"), values["k3"])
+    predictive = np.zeros((4, 5, time.size))
+    save_test(folder / "posterior.nc", values, UNITS, stats, trace, predictive, {})
+    words = [sys.executable, "-c", SESSION, str(folder / "posterior.nc"), str(folder / "look")]
+    done = subprocess.run(
+        [*words, *NAMES], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines(), folder
+
+
+def test_a_summary_has_every_quantity_by_name(session, values):
+    for name, line in zip(NAMES, session[0], strict=False):
+        shown, mean, ess = line.split()
+        assert shown == name
+        assert float(mean) == pytest.approx(values[name].mean(), rel=1e-3)
+        assert 200 < float(ess) < 1000  # of 480 independent draws
+
+
+def test_units_and_chains_are_there(session):
+    assert session[0][-1] == "kip ['chain', 'draw']"
+
+
+@pytest.mark.parametrize("picture", ["trace", "forest"])
+def test_its_plots_are_drawn(session, picture):
+    path = session[1] / f"look_{picture}.png"
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.stat().st_size > 5000
