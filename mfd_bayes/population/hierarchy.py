@@ -260,48 +260,80 @@ def infer(
         joint.resume(chains)
         for _ in range(SETTLE):
             joint.sweep(chains)
-    limit = most_sweeps(effort)
     hyper: list[Array] = []
-    latent: list[Array] = []
-    x: list[list[Array]] = [[] for _ in tests]
-    places: list[Array] = []
-    wait = min(40, limit)
-    while True:
-        for _ in range(wait):
+    levels: list[Array] = []
+    states: dict[int, _State] = {}  # those alone that some look would keep: they grow with tests
+    looks = _looks(most_sweeps(effort))
+    for number, end in enumerate(looks):
+        wanted = {i for later in looks[number:] for i in _kept(later, effort)}
+        states = {i: state for i, state in states.items() if i in wanted}
+        for i in range(len(hyper), end):
             joint.sweep(chains)
             hyper.append(chains.h.copy())
-            latent.append(chains.latent.copy())
-            places.append(joint.places(chains))
-            for j in range(len(tests)):
-                x[j].append(chains.x[j].copy())
-        late = len(hyper) // 10
-        found = _measure(pooling, hyper[late:], latent[late:], effort.ensembles)
-        report(len(hyper), found)
-        if found.reached(effort.r_hat, effort.ess) or len(hyper) >= limit:
+            levels.append(chains.latent[:, 0].copy())
+            if i in wanted:
+                x = [own.copy() for own in chains.x]
+                states[i] = _State(chains.latent.copy(), joint.places(chains), x)
+        late = end // 10
+        found = _measure(pooling, hyper[late:], levels[late:], effort.ensembles)
+        report(end, found)
+        if found.reached(effort.r_hat, effort.ess):
             break
-        wait = min(max(20, len(hyper) // 2), limit - len(hyper))
-    stored = max(KEPT, int(effort.ess))
-    thin = max(1, (len(hyper) - late) * WALKERS // stored)
+    chosen = _kept(end, effort)
 
-    def ordered(steps: Sequence[Array]) -> Array:
-        return _by_walker(steps[late + thin - 1 :: thin], effort.ensembles)
+    def ordered(part: Callable[[_State], Array]) -> Array:
+        return _by_walker([part(states[i]) for i in chosen], effort.ensembles)
 
-    kept = ordered(hyper)
+    kept = _by_walker([hyper[i] for i in chosen], effort.ensembles)
     choice = np.repeat(chains.choice[:, None], kept.shape[1] // WALKERS, axis=1)
     population = Population(
         pooling=pooling,
         h=kept,
-        latent=ordered(latent),
+        latent=ordered(lambda state: state.latent),
         choice=choice.reshape(*kept.shape[:2], -1),
-        together=_correlate(ordered(places)),
+        together=_correlate(ordered(lambda state: state.places)),
         priors=priors,
         actuation_unit=actuation_unit,
         walkers=WALKERS,
         convergence=found,
     )
     accepted = {name: float(np.mean(shares)) for name, shares in joint.accepted.items()}
-    tests_after = tuple(ordered(draws) for draws in x)
-    return Inference(population, tests_after, accepted, len(hyper))
+    tests_after = tuple(ordered(lambda state, j=j: state.x[j]) for j in range(len(tests)))  # type: ignore[misc]
+    return Inference(population, tests_after, accepted, end)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """What the chains say of the tests after a sweep.
+
+    Attributes
+    ----------
+    latent : (n, 1 + cells, d)
+    places : (n, J, d)
+        As of `Joint.places`.
+    x : list of (n, D)
+        Of each test.
+    """
+
+    latent: Array
+    places: Array
+    x: list[Array]
+
+
+def _looks(limit: int) -> list[int]:
+    """Sweeps after which convergence is looked at, each half as many again; the limit last."""
+    looks = [min(40, limit)]
+    while looks[-1] < limit:
+        looks.append(min(looks[-1] + max(20, looks[-1] // 2), limit))
+    return looks
+
+
+def _kept(sweeps: int, effort: Effort) -> range:
+    """Which of so many sweeps are kept, if they are the last."""
+    late = sweeps // 10
+    stored = max(KEPT, int(effort.ess))
+    thin = max(1, (sweeps - late) * WALKERS // stored)
+    return range(late + thin - 1, sweeps, thin)
 
 
 def most_sweeps(effort: Effort) -> int:
@@ -340,9 +372,9 @@ def _by_walker(steps: Sequence[Array], ensembles: int) -> Array:
 
 
 def _measure(
-    pooling: Pooling, hyper: Sequence[Array], latent: Sequence[Array], ensembles: int
+    pooling: Pooling, hyper: Sequence[Array], levels: Sequence[Array], ensembles: int
 ) -> Convergence:
-    everything = np.concatenate([np.stack(hyper), np.stack(latent)[:, :, 0]], axis=2)
+    everything = np.concatenate([np.stack(hyper), np.stack(levels)], axis=2)
     active = _active(pooling)
     shaped = everything.reshape(len(hyper), ensembles, -1, everything.shape[2])
     return measure(np.swapaxes(shaped, 0, 1)[..., active])

@@ -1,5 +1,6 @@
 """The population by `infer` against brute force, and what a population says of itself."""
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.population import hierarchy
 from mfd_bayes.population.hierarchy import WALKERS, Population, _correlate, infer
 from mfd_bayes.population.pooling import Setting, pool
 
@@ -108,6 +110,33 @@ def test_draws_are_laid_out_by_chain_and_walker(make_linear, priors):
     assert [x.shape for x in found.tests] == [(chains, draws, 2)] * 4
     assert found.sweeps >= 40
     assert all(0.0 <= share <= 1.0 for share in found.accepted.values())
+
+
+LONG = Effort(ess=400, limit=1000, r_hat=1.0, ensembles=2, kept=300)
+
+
+def test_only_the_states_that_may_be_kept_are_held(make_linear, priors, monkeypatch):
+    alive, most = weakref.WeakSet(), []
+
+    class State(hierarchy._State):
+        def __init__(self, *parts):
+            super().__init__(*parts)
+            alive.add(self)
+            most.append(len(alive))
+
+    monkeypatch.setattr(hierarchy, "_State", State)
+    found = run(make_linear(*CASES["one quantity"]), priors, effort=LONG)
+    kept = found.population.h.shape[1] // WALKERS
+    assert found.sweeps == hierarchy.SWEEPS[400.0]  # it cannot converge to this
+    assert kept <= max(most) < found.sweeps / 4
+
+
+def test_the_sweeps_that_are_kept_are_even_and_late():
+    kept = hierarchy._kept(1200, LONG)
+    assert kept == range(120 + 22, 1200, 23)
+    assert hierarchy._kept(40, LONG) == range(4, 40)
+    assert hierarchy._looks(160) == [40, 60, 90, 135, 160]
+    assert hierarchy._looks(30) == [30]
 
 
 def test_chains_keep_their_laws(make_linear, priors):

@@ -1,0 +1,403 @@
+"""Real schedulers and workers of dask.distributed: what comes of them, and of their losses."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes.calibration.sampling import Progress
+from mfd_bayes.cli import app
+from mfd_bayes.crossvalidation import folds_of, run_folds
+from mfd_bayes.demo import Truth, write_campaign
+from mfd_bayes.errors import FitError
+from mfd_bayes.execution import calibrate
+from mfd_bayes.plan import Options, plan_campaign
+from mfd_bayes.task import Outcome
+from mfd_bayes.workers import run_tasks
+
+pytestmark = [
+    pytest.mark.skipif(
+        not (importlib.util.find_spec("distributed") and importlib.util.find_spec("threadpoolctl")),
+        reason='needs the extra "cluster": pip install ".[cluster]"',
+    ),
+    pytest.mark.skipif(not Path("/proc").is_dir(), reason="kills processes as Linux has them"),
+]
+
+THREADS = {f"{name}_NUM_THREADS": "2" for name in ("OPENBLAS", "OMP", "MKL")}
+ODD = 'p500 "ü" $(x); 1'
+TIMEOUT = 120.0
+
+
+def until(found, what):
+    """Wait until something is found; it."""
+    limit = time.monotonic() + TIMEOUT
+    while time.monotonic() < limit:
+        answer = found()
+        if answer:
+            return answer
+        time.sleep(0.1)
+    raise TimeoutError(what)
+
+
+def start(log, module, *words, **environment):
+    """Start a command of dask, its words going to a file."""
+    with log.open("w") as file:
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words)],
+            stdout=file,
+            stderr=file,
+            env=os.environ | environment,
+            start_new_session=True,
+        )
+
+
+def end(process):
+    """End a process and those that it has started."""
+    process.terminate()
+    try:
+        process.wait(20)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def start_scheduler(folder, **environment):
+    """A scheduler that gives up a test whose workers are lost twice; it, and its address."""
+    file = folder / "scheduler.json"
+    words = ("--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", file)
+    environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "1"
+    process = start(folder / "scheduler.log", "dask_scheduler", *words, **environment)
+
+    def address():
+        try:
+            return json.loads(file.read_text())["address"]
+        except (OSError, ValueError):
+            return ""
+
+    return process, until(address, (folder / "scheduler.log").read_text)
+
+
+def start_worker(folder, address):
+    """A worker that does two tests at a time, and is told to compute with several threads."""
+    words = (address, "--nthreads", 2, "--no-dashboard", "--local-directory", folder)
+    return start(folder / "worker.log", "dask_worker", *words, **THREADS)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Address of a scheduler with one worker."""
+    folder = tmp_path_factory.mktemp("cluster")
+    scheduler, address = start_scheduler(folder)
+    worker = start_worker(folder, address)
+    with ask(address) as client:
+        until(lambda: client.nthreads(), "no worker")
+    yield address
+    end(worker)
+    end(scheduler)
+
+
+def ask(address):
+    from distributed import Client
+
+    return Client(address, set_as_default=False)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """Campaign of two tests that take a second or two each."""
+    folder = tmp_path_factory.mktemp("campaign")
+    truth = Truth(pressures=(500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5))
+    write_campaign(folder, 1, truth)
+    path = folder / "campaign.toml"
+    text = path.read_text().replace('"three_stage"', '"lugre"')
+    path.write_text(text.replace('"ou"', '"iid"\nrate = "25 Hz"'))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tasks(campaign):
+    """The tests, one with a name that is hard to bear."""
+    first, second = plan_campaign(campaign, Options("quick")).tasks
+    return replace(first, id=ODD), second
+
+
+@pytest.fixture(scope="module")
+def reference(tasks, tmp_path_factory):
+    """Posteriors of the tests by one process of this machine."""
+    out = tmp_path_factory.mktemp("reference")
+    assert [o.status for o in run_tasks(tasks, out, 1, lambda _: None)] == ["done", "done"]
+    return out
+
+
+@pytest.fixture(scope="module")
+def whole(campaign, tmp_path_factory):
+    """A whole run by one process of this machine."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    calibrate(campaign, out, Options("quick", jobs=1), lambda _: None)
+    return out
+
+
+def arrays(path):
+    """Every array of a NetCDF file, as bytes."""
+    found = {}
+
+    def visit(name, item):
+        if isinstance(item, h5py.Dataset):
+            found[name] = np.asarray(item[()]).tobytes()
+
+    with h5py.File(path) as file:
+        file.visititems(visit)
+    return found
+
+
+def stored(out):
+    return {p.relative_to(out).as_posix(): arrays(p) for p in sorted(out.rglob("*.nc"))}
+
+
+def command(campaign, out, address, *options):
+    words = ("calibrate", campaign, "-o", out, "--effort", "quick", "--scheduler", address)
+    return [str(word) for word in (*words, *options)]
+
+
+def refused(outcome, *words):
+    assert outcome.exit_code == 2, (outcome.output, outcome.exception)
+    (sentence,) = outcome.stderr.splitlines()
+    for word in words:
+        assert word in sentence
+
+
+def on_cluster(*arguments):
+    from mfd_bayes.cluster.crew import run_on_cluster
+
+    return run_on_cluster(*arguments)
+
+
+# --- what comes of it
+
+
+def test_draws_are_those_of_one_process_to_the_last_bit(address, tasks, reference, tmp_path):
+    seen = []
+    outcomes = list(on_cluster(tasks, tmp_path, address, seen.append))
+    assert {(o.id, o.status) for o in outcomes} == {(task.id, "done") for task in tasks}
+    assert stored(tmp_path) == stored(reference)
+    assert not list(tmp_path.rglob("*.part"))
+    for task in tasks:  # as a table shows them
+        steps = [step for step in seen if step.id == task.id]
+        assert [s.stage for s in steps[:2]] == ["waiting", "finding modes"]
+        assert {s.stage for s in steps[2:-1]} == {"sampling"}
+        assert steps[-1].stage == "done"
+        assert isinstance(steps[-1].progress, Progress)
+        assert steps[-1].progress.steps == steps[-2].progress.steps
+
+
+def test_another_seed_would_be_noticed(address, tasks, reference, tmp_path):
+    changed = replace(tasks[1], seed=(7, 7))
+    list(on_cluster([changed], tmp_path, address, lambda _: None))
+    name = f"tests/{changed.id}/posterior.nc"
+    assert stored(tmp_path)[name] != stored(reference)[name]
+
+
+def test_folds_of_a_cross_validation_need_no_shared_folder(address, whole):
+    from mfd_bayes.run import open_run
+
+    run = open_run(whole)
+    folds = folds_of(run, "test", "quick")
+    found = run_folds(run, folds, Options("quick", scheduler=address), lambda _: None)
+    for fold in folds:
+        (whole / "crossvalidation" / fold.file).unlink()
+    assert found == run_folds(run, folds, Options("quick", jobs=1), lambda _: None)
+
+
+# --- losses
+
+
+def pids_of_workers(address):
+    with ask(address) as client:
+        return list(client.run(os.getpid).values())
+
+
+def kill_worker(address, times):
+    """Observer that kills the worker when a test begins, so many times; and what it saw."""
+    seen = []
+
+    def observe(step):
+        seen.append(step)
+        if step.stage == "finding modes" and sum(s.stage == step.stage for s in seen) <= times:
+            for pid in pids_of_workers(address):
+                os.kill(pid, signal.SIGKILL)
+
+    return observe, seen
+
+
+def test_a_test_whose_worker_is_killed_begins_again(address, tasks, reference, tmp_path):
+    observe, seen = kill_worker(address, 1)
+    (outcome,) = on_cluster(tasks[:1], tmp_path, address, observe)
+    assert outcome.status == "done"
+    (again,) = [step for step in seen if step.stage == "begins again:"]
+    assert "was lost" in again.message
+    name = f"tests/{ODD}/posterior.nc"
+    assert stored(tmp_path)[name] == stored(reference)[name]
+
+
+def test_a_test_whose_workers_are_always_killed_is_given_up_alone(address, tasks, tmp_path):
+    observe, seen = kill_worker(address, 2)
+    (outcome,) = on_cluster(tasks[1:], tmp_path, address, observe)
+    assert outcome.status == "failed"
+    assert outcome.error.startswith("its workers were lost 2 times, the last one tcp://127")
+    assert seen[-1].stage == "failed"
+    assert not list(tmp_path.iterdir())
+
+
+def begun(campaign, out, address, folder):
+    """The command, when the cluster has begun with its tests."""
+    log = folder / "printed.txt"
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with log.open("w") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mfd_bayes", *command(campaign, out, address)],
+            stdout=file,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        )
+    until(lambda: "finding modes" in log.read_text() or process.poll() is not None, "not begun")
+    return process
+
+
+def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tmp_path):
+    scheduler, address = start_scheduler(tmp_path)
+    worker = start_worker(tmp_path, address)
+    out = tmp_path / "out"
+    try:
+        process = begun(campaign, out, address, tmp_path)
+        scheduler.kill()
+        _, complaint = process.communicate(timeout=60)
+    finally:
+        end(worker)
+        end(scheduler)
+    assert process.returncode == 2
+    (sentence,) = complaint.splitlines()
+    assert sentence.startswith(f"mfd-bayes: the scheduler at {address} was lost")
+    assert "--resume" in sentence
+    assert not list(out.glob(".*"))
+    calibrate(campaign, out, Options("quick", jobs=1, resume=True), lambda _: None)
+    assert stored(out) == stored(whole)
+
+
+def test_ctrl_c_cancels_what_is_outstanding(address, campaign, tmp_path):
+    process = begun(campaign, tmp_path / "out", address, tmp_path)
+    with ask(address) as client:
+        assert any(client.processing().values())
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate(timeout=60)
+        assert process.returncode == 130
+        assert complaint.startswith("mfd-bayes: interrupted")
+        until(lambda: not any(client.processing().values()), "still waiting")
+        at_work = "lambda dask_worker: dask_worker.state.executing_count"
+        until(lambda: not any(client.run(eval(at_work)).values()), "still at work")
+
+
+def test_what_cannot_be_sent_is_refused_in_a_sentence(address, tmp_path):
+    @dataclass
+    class Clenched:
+        id: str
+        lock: object
+        makes: tuple[str, ...] = ()
+
+        def needs(self, out):
+            return ()
+
+    with pytest.raises(FitError, match=r"^cannot send held to the workers: "):
+        list(on_cluster([Clenched("held", threading.Lock())], tmp_path, address, lambda _: None))
+
+
+# --- refusals
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("tcp://127.0.0.1:9", ("no scheduler answers at tcp://127.0.0.1:9", "dask scheduler")),
+        ("127.0.0.1:8786", ("must be like tcp://host:8786", "'127.0.0.1:8786'")),
+        ("tcp://127.0.0.1:87867", ("tcp://127.0.0.1:87867",)),
+    ],
+)
+def test_a_scheduler_that_is_not_there_is_said_at_once(campaign, tmp_path, address, words):
+    out = tmp_path / "out"
+    began = time.monotonic()
+    outcome = CliRunner().invoke(app, command(campaign, out, address))
+    assert time.monotonic() - began < 60.0
+    refused(outcome, *words)
+    assert not out.exists()
+
+
+def test_a_run_is_on_a_cluster_or_here(campaign, tmp_path):
+    outcome = CliRunner().invoke(app, command(campaign, tmp_path / "o", "tcp://x:1", "--jobs", "2"))
+    refused(outcome, "either --jobs", "or --scheduler")
+
+
+@pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "scipy", "emcee", "Python"])
+def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeypatch, name):
+    from mfd_bayes.cluster import crew
+
+    ours = crew.versions()
+    monkeypatch.setattr(crew, "versions", lambda: ours | {name: "0.0.1"})
+    words = f"^the worker tcp://127.* has {name} {ours[name]} and not 0.0.1"
+    with pytest.raises(FitError, match=words):
+        crew.check_cluster(address)
+    with (
+        pytest.raises(FitError, match=words),
+        closing(on_cluster(tasks, tmp_path, address, lambda _: None)) as outcomes,
+    ):
+        next(outcomes)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_cluster_of_the_same_versions_is_accepted(address):
+    from mfd_bayes.cluster.crew import check_cluster
+
+    check_cluster(address)
+
+
+def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
+    from mfd_bayes.cluster import work
+
+    pools = [{"num_threads": 1, "filepath": "libone.so"}]
+    monkeypatch.setattr(work, "threadpool_limits", lambda limits: None)
+    monkeypatch.setattr(work, "threadpool_info", lambda: pools)
+    monkeypatch.setattr(work, "get_worker", lambda: SimpleNamespace(address="tcp://w:1"))
+    assert work._limit_threads() == ""
+    pools.append({"num_threads": 4, "filepath": "libmany.so"})
+    assert "tcp://w:1" in work._limit_threads()
+    assert "libmany.so cannot be told" in work._limit_threads()
+    assert "OPENBLAS_NUM_THREADS=1" in work._limit_threads()
+
+
+def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
+    from mfd_bayes.cluster.crew import _Crew, _Place
+
+    answer = {"refused": "", "status": "done", "seconds": 1.0, "error": "", "steps": []}
+    future = SimpleNamespace(
+        status="finished",
+        exception=lambda: None,
+        result=lambda: answer | {"files": {"../beyond": b""}},
+        release=lambda: None,
+    )
+    crew = _Crew(None, "tcp://host:1", tmp_path / "out", lambda _: None)
+    outcome = crew._take(_Place(tasks[1], future))
+    sentence = "its worker sent files that are not this test's"
+    assert outcome == Outcome(tasks[1].id, "failed", 0.0, sentence)
+    assert not list(tmp_path.rglob("*"))

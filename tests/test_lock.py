@@ -1,0 +1,180 @@
+"""One process at a time in a run folder: what a second is told of the first, dead or alive."""
+
+import errno
+import fcntl
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from mfd_bayes import lock
+from mfd_bayes.errors import StoreError
+from mfd_bayes.lock import OWNER, Owner, alone_in
+
+HOLD = """\
+import sys, time
+from pathlib import Path
+from mfd_bayes.interruption import end_on_signals
+from mfd_bayes.lock import alone_in
+
+with end_on_signals(), alone_in(Path(sys.argv[1])):
+    print("in", flush=True)
+    time.sleep(120)
+"""
+
+
+@contextmanager
+def held(out):
+    """Another process that works in a folder."""
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(out)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout.readline() == "in\n"
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
+
+
+def leave(out, **changes):
+    """Leave the name of an owner in a folder."""
+    out.mkdir()
+    facts = {"host": socket.gethostname(), "boot": "", "pid": 2**22 + 1, "command": "mfd-bayes x"}
+    (out / OWNER).write_text(json.dumps(facts | {"since": "2026-01-02 03:04:05 UTC"} | changes))
+
+
+def test_a_second_process_is_told_whose_the_folder_is(out):
+    with held(out) as process:
+        with (
+            pytest.raises(StoreError, match="another process is calibrating into") as caught,
+            alone_in(out),
+        ):
+            pytest.fail("two are at work")
+        sentence = str(caught.value)
+        for word in (str(out), f"process {process.pid} on {socket.gethostname()} since ", "UTC"):
+            assert word in sentence
+        assert f"'-c {out}'" in sentence  # its command
+        assert (out / OWNER).is_file()  # the refused one takes no name away
+    with alone_in(out):
+        pass
+
+
+def test_nothing_is_left_of_it(out):
+    with alone_in(out):
+        assert json.loads((out / OWNER).read_text())["pid"] == os.getpid()
+    with pytest.raises(KeyError), alone_in(out):
+        raise KeyError
+    assert not list(out.iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_nothing_is_left_of_one_that_is_ended(out, number):
+    with held(out) as process:
+        process.send_signal(number)
+        assert process.wait(20) == 128 + number
+    assert not list(out.iterdir())
+
+
+def test_a_name_that_a_killed_process_left_is_no_lock(out):
+    with held(out) as process:
+        process.kill()
+        process.wait()
+    assert (out / OWNER).is_file()
+    with alone_in(out):
+        assert json.loads((out / OWNER).read_text())["pid"] == os.getpid()
+
+
+def test_another_machines_name_is_refused_with_what_to_do(out):
+    leave(out, host="node7", boot="another")
+    with pytest.raises(StoreError) as caught, alone_in(out):
+        pytest.fail("it may be at work")
+    sentence = str(caught.value)
+    for word in ("'mfd-bayes x', process 4194305 on node7 since 2026-01-02", "cannot see whether"):
+        assert word in sentence
+    assert f"where it is dead, remove {out / OWNER}" in sentence
+    (out / OWNER).unlink()
+    with alone_in(out):
+        pass
+
+
+@pytest.mark.skipif(not lock._BOOT.is_file(), reason="this system does not name its start")
+def test_another_container_of_this_machine_is_seen_to_be_dead(out):
+    leave(out, host="container", boot=lock._BOOT.read_text().strip())
+    with alone_in(out):
+        pass
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"host": "node7"}'])
+def test_a_name_that_cannot_be_read_is_none(out, content):
+    out.mkdir()
+    (out / OWNER).write_text(content)
+    with alone_in(out):
+        pass
+
+
+@pytest.fixture
+def without_locks(monkeypatch):
+    """A file system that knows no locks."""
+
+    def fail(handle, operation):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+
+
+@pytest.mark.parametrize("alive", [True, False])
+def test_without_locks_a_living_process_is_told_from_a_dead_one(out, without_locks, alive):
+    leave(out, pid=os.getppid() if alive else 2**22 + 1)
+    if alive:
+        with pytest.raises(StoreError, match=f"process {os.getppid()} on"), alone_in(out):
+            pytest.fail("it is at work")
+    else:
+        with alone_in(out):
+            pass
+
+
+def test_a_stale_name_is_not_told_as_the_owners(out):
+    leave(out)
+    folder = os.open(out, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    try:
+        with pytest.raises(StoreError) as caught, alone_in(out):
+            pytest.fail("it is locked")
+    finally:
+        os.close(folder)
+    assert "4194305" not in str(caught.value)
+
+
+def test_it_works_outside_the_main_thread(out):
+    found = []
+
+    def work():
+        with alone_in(out):
+            found.append(Owner(**json.loads((out / OWNER).read_text())))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found[0].near
+    assert found[0].alive
+
+
+def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(StoreError, match="cannot make the run folder"),
+        alone_in(Path(tmp_path / "file" / "out")),
+    ):
+        pytest.fail("there is no such folder")
