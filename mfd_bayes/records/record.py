@@ -16,7 +16,7 @@ from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.roles import roles_of, unit_of
-from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
+from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, turning_points
 from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
 
 Array = NDArray[np.float64]
@@ -27,6 +27,12 @@ SAMPLES = 20
 
 GAP = 10.0
 """A step longer than this many median steps is a gap in time."""
+
+SHORTEST = 1e-9
+"""Shortest step in time, s."""
+
+STILL = 1e-9
+"""Stroke, in, that is none."""
 
 JITTER = 0.01
 """Samples further than this share of a step from a uniform grid are interpolated onto one."""
@@ -228,9 +234,9 @@ def _internal(
             scale, internal = actuation_factor(unit, of=of)
         else:
             scale = factor(unit, role, of=of)
-        signals[role] = values[name] * scale
-        if not np.all(np.isfinite(signals[role])):
-            raise RecordError(f"{of} holds numbers too large to use")
+        with np.errstate(over="ignore"):  # it is refused right below
+            signals[role] = values[name] * scale
+        check_magnitude(of, signals[role])
     if "actuation" in signals:
         if np.mean(signals["actuation"]) < 0:
             raise RecordError(f"the actuation of {table.path} is negative on average")
@@ -253,6 +259,12 @@ def _check_time(table: Table, time: Array) -> tuple[float, float]:
             f"{time[row]:g} s after {time[row - 1]:g} s"
         )
     median, row = float(np.median(steps)), int(np.argmax(steps)) + 1
+    if steps.min() < SHORTEST:
+        at = int(np.argmin(steps)) + 1
+        raise RecordError(
+            f"time in {table.path} increases by {steps[at - 1]:.2g} s at {table.place(at)}; "
+            f"expected {SHORTEST:g} s or more"
+        )
     if steps[row - 1] > GAP * median:
         raise RecordError(
             f"time in {table.path} has a gap of {steps[row - 1]:.4g} s before {table.place(row)}, "
@@ -268,7 +280,7 @@ def _check_motion(record: Record) -> None:
     """Refuse a record, or a fit window, whose motion does not turn twice."""
     displacement = record.displacement[_slice(record, record.fit)]
     where = f"{record.path}" + (" in the fit window" if record.fit else "")
-    if np.ptp(displacement) == 0:
+    if np.ptp(displacement) <= STILL:
         raise RecordError(f"displacement in {where} is constant")
     count = _turns(displacement).size
     if count < 2:

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 HYSTERESIS = 1e-3
 """Reversals smaller than this share of the peak-to-peak displacement are sensor noise."""
 
+LARGEST = 1e10
+"""Largest number of a trace, in internal units: times since 1970 in seconds are below it."""
+
 SMOOTH = 0.1
 """Share of a step by which a smooth turn may differ from one of constant acceleration."""
 
@@ -126,7 +129,12 @@ class Trace:
         if not np.all(steps > 0):
             at = int(np.argmax(~(steps > 0))) + 1
             raise RecordError(f"time must increase; it does not at sample {at} (t = {t[at]:g} s)")
-        v = np.gradient(x, t) if velocity is None else _column("velocity", velocity, t.size)
+        if velocity is None:
+            with np.errstate(over="ignore", invalid="ignore"):  # it is refused right below
+                v = np.gradient(x, t)
+            check_magnitude("velocity", v, LARGEST**2)
+        else:
+            v = _column("velocity", velocity, t.size)
         span = HYSTERESIS * float(np.ptp(x)) if hysteresis is None else hysteresis
         turns = turning_points(x, span)
         return cls(
@@ -280,8 +288,23 @@ def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
     if not np.all(np.isfinite(column)):
         at = int(np.argmax(~np.isfinite(column)))
         raise RecordError(f"{name} must be finite; sample {at} is {column[at]}")
+    check_magnitude(name, column)
     column.flags.writeable = False
     return column
+
+
+def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
+    """Refuse numbers whose squares, or squares of squares, would not be numbers.
+
+    Raises
+    ------
+    RecordError
+        When one is beyond `most`, or not finite.
+    """
+    if not np.all(np.abs(values) <= most):
+        raise RecordError(
+            f"{name} holds numbers too large to use, beyond {most:g} in s, in, kip or ksi"
+        )
 
 
 def _actuation(values: ArrayLike | None, size: int) -> float | Array:
@@ -291,6 +314,7 @@ def _actuation(values: ArrayLike | None, size: int) -> float | Array:
         level = float(np.asarray(values, dtype=np.float64))
         if not np.isfinite(level) or level < 0:
             raise RecordError(f"actuation must be finite and not negative, got {level}")
+        check_magnitude("actuation", np.array([level]))
         return level
     history = _column("actuation", values, size)
     if np.any(history < 0):

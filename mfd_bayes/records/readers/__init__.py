@@ -42,6 +42,8 @@ def read_table(path: Path) -> Table:
         that is not installed.
     """
     suffix = path.suffix.lower()
+    if path.is_dir():
+        raise RecordError(f"{path} is a folder: give a test file or a campaign.toml")
     if suffix not in _FORMATS:
         raise RecordError(
             f"{path} has the unknown suffix {suffix!r}; expected {', '.join(SUFFIXES)}"
@@ -52,6 +54,8 @@ def read_table(path: Path) -> Table:
         return _FORMATS[suffix](path)
     except (OSError, csv.Error) as error:
         raise unreadable(path, error) from error
+    except MemoryError as error:
+        raise RecordError(f"{path} does not fit into this machine's memory") from error
 
 
 def column_names(path: Path) -> tuple[str, ...]:

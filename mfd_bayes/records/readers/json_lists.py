@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.bounds import CELLS, check_columns, read_json_text
 from mfd_bayes.records.readers.cells import bad_cell, is_number, sample
 from mfd_bayes.records.readers.table import Array, Table
 
@@ -23,11 +24,11 @@ def read_json(path: Path) -> Table:
         When the file is not JSON, or holds no columns.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
+        content = json.loads(read_json_text(path))
     except UnicodeDecodeError as error:
         raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
     except (ValueError, RecursionError) as error:
-        raise RecordError(f"{path} is not valid JSON: {error}") from error
+        raise RecordError(f"{path} is not valid JSON: {str(error)[:200]}") from error
     columns = _columns(path, content)
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
@@ -66,6 +67,12 @@ def _from_rows(path: Path, rows: list[Any]) -> dict[str, list[Any]]:
         if not isinstance(row, dict):
             raise RecordError(f"row {i + 1} of {path} must be an object with one value per column")
         names.update(dict.fromkeys(row))
+    check_columns(path, len(names))
+    if len(names) * len(rows) > CELLS:
+        raise RecordError(
+            f"{path} has {len(rows):,} rows of {len(names):,} columns; at most {CELLS:,} cells "
+            "are read"
+        )
     return {name: [row.get(name) for row in rows] for name in names}
 
 

@@ -1,18 +1,21 @@
-"""Columns out of MATLAB files, v5 and v7.3. scipy.io and h5py read .mat files here alone."""
+"""Columns out of MATLAB files, v5 and v7.3: vectors, and vectors in structs."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers import matlab_v5, matlab_v73
 from mfd_bayes.records.readers.cells import bad_cell, sample
 from mfd_bayes.records.readers.table import Array, Table
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_USER_BLOCK = 512
+"""Bytes of text that MATLAB writes before the HDF5 part of a v7.3 file."""
 
 
 def read_matlab(path: Path) -> Table:
@@ -21,48 +24,27 @@ def read_matlab(path: Path) -> Table:
     Raises
     ------
     RecordError
-        When the file is not MATLAB's, or holds no vector of numbers.
+        When the file is not MATLAB's, unpacks to too much, or holds no vector of numbers.
     """
-    from pymatreader import read_mat
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about objects that are no columns anyway
-            content = read_mat(path)
-    except Exception as error:  # scipy and h5py raise a dozen kinds on a broken file
-        raise RecordError(f"{path} is not a MATLAB file, v5 or v7.3, that can be read") from error
-    columns = _columns(content)
-    if not columns:
+    with path.open("rb") as file:
+        head = file.read(_USER_BLOCK + len(_HDF5))
+    is_v73 = head.startswith(_HDF5) or head.endswith(_HDF5)
+    names, read = (matlab_v73 if is_v73 else matlab_v5).open_columns(path)
+    if not names:
         raise RecordError(f"{path} holds no numeric column")
 
     def load(wanted: Sequence[str]) -> dict[str, Array]:
-        return {name: _numbers(path, name, columns[name]) for name in wanted}
+        return _checked(path, read(wanted))
 
-    return Table(path, tuple(columns), load, sample)
-
-
-def _columns(content: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Vectors, with the fields of a struct as ``struct.field``; anything else is left out."""
-    flat: dict[str, Any] = {}
-    for name, value in content.items():
-        if isinstance(value, dict):
-            flat |= {f"{name}.{field}": inner for field, inner in value.items()}
-        else:
-            flat[name] = value
-    return {
-        name: np.squeeze(value)
-        for name, value in flat.items()
-        if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and _is_vector(value)
-    }
+    return Table(path, names, load, sample)
 
 
-def _is_vector(value: NDArray[Any]) -> bool:
-    return value.size > 0 and np.squeeze(value).ndim == 1
-
-
-def _numbers(path: Path, name: str, values: NDArray[Any]) -> Array:
-    column = values.astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(column))
-    if bad.size:
-        raise bad_cell(sample(int(bad[0])), path, name, column[bad[0]])
-    return column
+def _checked(path: Path, columns: Mapping[str, NDArray[np.generic]]) -> dict[str, Array]:
+    """Columns as floats, all of them finite."""
+    found = {}
+    for name, values in columns.items():
+        found[name] = values.reshape(-1).astype(np.float64)
+        bad = np.flatnonzero(~np.isfinite(found[name]))
+        if bad.size:
+            raise bad_cell(sample(int(bad[0])), path, name, found[name][bad[0]])
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.bounds import check_names
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,9 @@ class Table:
     load: Callable[[Sequence[str]], dict[str, Array]]
     place: Callable[[int], str]
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_names(self.path, self.names)
 
     def columns(self, names: Sequence[str]) -> dict[str, Array]:
         """Columns by name, each (T,), in the file's units.

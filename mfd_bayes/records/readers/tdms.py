@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -107,6 +109,14 @@ def read_tdms(path: Path) -> Table:
     return Table(path, (*clocks, *channels), load, sample, units)
 
 
+class _Stream(BufferedReader):
+    """File of which no more is asked for at once than it has: texts may declare gigabytes."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = os.fstat(self.fileno()).st_size - self.tell()
+        return super().read(-1 if size is None else min(size, max(left, 0)))
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """File with its description read, and its data left where they are."""
@@ -118,11 +128,11 @@ def _opened(path: Path) -> Iterator[Any]:
     log_manager.set_level(logging.ERROR)  # what it warns of is refused here, in a sentence
     try:
         # Of a path nptdms would read an index beside the file, which may be another's.
-        with path.open("rb") as stream:
+        with path.open("rb", buffering=0) as file, _Stream(file) as stream:
             _check_parts(path, stream)
-            with TdmsFile.open(stream) as file:
-                _check_whole(path, file)
-                yield file
+            with TdmsFile.open(stream) as opened:
+                _check_whole(path, opened)
+                yield opened
     except RecordError:
         raise
     except OSError as error:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.bounds import check_columns, check_text
 from mfd_bayes.records.readers.cells import bad_cell, is_number
 from mfd_bayes.records.readers.layout import SEARCHED, Layout, find_layout, units_of
 from mfd_bayes.records.readers.table import Array, Table
@@ -163,11 +164,13 @@ def read_text(path: Path) -> Table:
     RecordError
         When the file is not text, is empty, has no names or a line with more cells than names.
     """
+    check_text(path)
     lines = _decoded(path).split("\n")
     kept = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
     if not kept:
         raise RecordError(f"{path} is empty")
     head = [lines[i] for i in kept[:SEARCHED]]
+    check_columns(path, 1 + max(line.count(sign) for line in head for sign in SEPARATORS[:-1]))
     separator, layout = _best(head) or (_written_in(head[0]), Layout(0, None, 1, 0.0, 0))
     names = _names(head, layout, separator)
     if all(is_number(name) for name in names):

@@ -1,4 +1,5 @@
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -206,3 +207,17 @@ def test_parts_that_repeat_too_many_channels_are_refused(tmp_path, refused):
         f"{path} lists channels more than 20,000,000 times over its parts, the most that is read; "
         "defragment it in LabVIEW"
     )
+
+
+def test_a_text_of_gigabytes_is_not_asked_for(tmp_path):
+    """A property's name that says it is 4 GB long: no more is read than the file has."""
+    path = tmp_path / "a.tdms"
+    listed = struct.pack("<L", 1) + text(b"/'G'/'x'") + struct.pack("<L", 0xFFFFFFFF)
+    listed += struct.pack("<LL", 1, 0xFFFFFFF0) + b"unit"
+    path.write_bytes(struct.pack("<4sLLQQ", b"TDSm", 14, 4713, len(listed), len(listed)) + listed)
+    tracemalloc.start()
+    with pytest.raises(RecordError, match=r"a\.tdms"):
+        read_table(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6

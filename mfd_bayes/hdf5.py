@@ -1,0 +1,113 @@
+"""Bounds on what reading an HDF5 file may take, and reach, checked before its data are read."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import h5py
+
+OBJECTS = 20_000
+"""Most groups and data sets of a file."""
+
+_NAMED = 60  # characters of a name that are shown
+# Of the filters that the library knows, those that MATLAB and NetCDF files have: a plugin is code.
+_DEFLATE, _SHUFFLE, _CHECKSUM = 1, 2, 3
+# Deflated data grow to at most 1032 times their size.
+_MOST_GROWTH = 1032
+_HARMLESS = 16 * 2**20  # bytes that a piece may unpack to whatever it declares
+
+
+class UnsafeError(Exception):
+    """Why a file is not read: words that follow its name."""
+
+
+def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
+    """Refuse a file whose data lie elsewhere, are linked in circles, or are declared without end.
+
+    Parameters
+    ----------
+    file : h5py.File
+    most : int
+        Bytes that all its numbers together may unpack to.
+    plain : bool
+        Whether it may hold nothing but numbers that are not packed, as this program writes them.
+
+    Raises
+    ------
+    UnsafeError
+    """
+    declared = 0
+    for dataset in _datasets(file):
+        shown = repr(str(dataset.name)[-_NAMED:])
+        layout = dataset.id.get_create_plist()
+        if layout.get_external_count() or dataset.is_virtual:
+            raise UnsafeError(f"takes {shown} from another file")
+        packed = [layout.get_filter(i)[0] for i in range(layout.get_nfilters())]
+        if packed.count(_DEFLATE) > 1 or set(packed) - {_DEFLATE, _SHUFFLE, _CHECKSUM}:
+            raise UnsafeError(f"packs {shown} in a way that is not read")
+        if plain and (packed or dataset.dtype.kind not in "fiub"):
+            raise UnsafeError(f"holds {shown}, which is packed or no numbers")
+        size = dataset.dtype.itemsize
+        chunk = math.prod(map(int, dataset.chunks or ())) * size
+        declared += max(math.prod(map(int, dataset.shape or ())) * size, chunk)
+        if declared > most:
+            raise UnsafeError(
+                f"declares {declared / 1e6:,.0f} MB of numbers, {shown} among them; at most "
+                f"{most / 1e6:,.0f} MB are read"
+            )
+
+
+def check_pieces(dataset: h5py.Dataset) -> None:
+    """Refuse a data set of which a piece unpacks to more than it declares.
+
+    The HDF5 library itself would unpack it whole before it sees that.
+
+    Raises
+    ------
+    UnsafeError
+    """
+    if dataset.chunks is None or dataset.compression is None:
+        return
+    whole = math.prod(map(int, dataset.chunks)) * dataset.dtype.itemsize
+    most = max(whole + 4, _HARMLESS)  # a checksum may follow
+    for number in range(dataset.id.get_num_chunks()):
+        piece = dataset.id.get_chunk_info(number)
+        if piece.size * _MOST_GROWTH <= most:
+            continue
+        if piece.size > 2 * most:
+            raise UnsafeError(f"holds a piece of {dataset.name!r} larger than it declares")
+        _, raw = dataset.id.read_direct_chunk(piece.chunk_offset)
+        try:
+            unpacked = zlib.decompressobj().decompress(raw, most + 1)
+        except zlib.error:
+            continue  # the HDF5 library will say so
+        if len(unpacked) > most:
+            raise UnsafeError(f"holds a piece of {dataset.name!r} larger than it declares")
+
+
+def _datasets(file: h5py.File) -> Iterator[h5py.Dataset]:
+    """Every data set, each object visited once and found in this file."""
+    import h5py
+
+    seen: set[int] = set()
+    groups: list[h5py.Group] = [file]
+    while groups:
+        group = groups.pop()
+        for name in group:
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise UnsafeError(f"has a link to elsewhere, {name[:_NAMED]!r}")
+            item = group[name]
+            address = h5py.h5o.get_info(item.id).addr
+            if address in seen or address == h5py.h5o.get_info(file.id).addr:
+                raise UnsafeError(f"holds {name[:_NAMED]!r} in two places")
+            seen.add(address)
+            if len(seen) > OBJECTS:
+                raise UnsafeError(f"has more than {OBJECTS:,} parts")
+            if isinstance(item, h5py.Group):
+                groups.append(item)
+            elif isinstance(item, h5py.Dataset):
+                yield item

@@ -1,0 +1,108 @@
+"""Bounds on what reading a text or JSON file may take, checked before anything parses it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from mfd_bayes.errors import RecordError
+
+TEXT = 256
+"""Most that a text file may hold, MB: an hour and a half of four columns at 1024 Hz."""
+
+LINE = 2**17
+"""Most characters of a line."""
+
+COLUMNS = 1000
+"""Most columns of a file."""
+
+NAME = 300
+"""Most characters of a column's name."""
+
+JSON = 64
+"""Most that a JSON file may hold, MB."""
+
+LISTS = 1_000_000
+"""Most lists and objects of a JSON file: each takes some hundred bytes to hold."""
+
+CELLS = 20_000_000
+"""Most cells of a JSON file whose rows are objects."""
+
+_MB = 2**20
+
+
+def check_text(path: Path) -> None:
+    """Refuse a text file that is too large, or has a line that no test's file has.
+
+    Raises
+    ------
+    RecordError
+    """
+    _check_size(path, TEXT)
+    # Every byte is a character of this encoding, and every sign of a line's end is known.
+    with path.open(encoding="latin-1") as file:
+        number = 0
+        while line := file.readline(LINE + 1):
+            number += 1
+            if len(line) > LINE:
+                raise RecordError(
+                    f"line {number} of {path} is longer than {LINE:,} characters, the most that is "
+                    "read; expected a line for every sample"
+                )
+
+
+def check_columns(path: Path, count: int) -> None:
+    """Refuse a file with more columns than are read.
+
+    Raises
+    ------
+    RecordError
+    """
+    if count > COLUMNS:
+        raise RecordError(
+            f"{path} has {count:,} columns; at most {COLUMNS:,} are read: expected a line for "
+            "every sample"
+        )
+
+
+def check_names(path: Path, names: Sequence[str]) -> None:
+    """Refuse a file with more columns, or longer names of them, than are read.
+
+    Raises
+    ------
+    RecordError
+    """
+    check_columns(path, len(names))
+    for number, name in enumerate(names, start=1):
+        if len(name) > NAME:
+            raise RecordError(
+                f"the name of column {number} of {path}, {name[:40] + '…'!r}, is longer than "
+                f"{NAME} characters, the most that is read"
+            )
+
+
+def read_json_text(path: Path) -> str:
+    """Text of a JSON file that is not too large and holds no endless lists of lists.
+
+    Raises
+    ------
+    RecordError
+    UnicodeDecodeError
+    """
+    _check_size(path, JSON)
+    text = path.read_text(encoding="utf-8-sig")
+    if text.count("[") + text.count("{") > LISTS:
+        raise RecordError(
+            f"{path} holds more than {LISTS:,} lists and objects, the most that are read; "
+            "expected one list for each column"
+        )
+    return text
+
+
+def _check_size(path: Path, most: int) -> None:
+    size = path.stat().st_size
+    if size > most * _MB:
+        raise RecordError(
+            f"{path} has {size / _MB:,.0f} MB; at most {most} MB of a {path.suffix} file are "
+            "read: save it as .mat or .tdms, or cut it"
+        )

@@ -1,0 +1,56 @@
+"""Some seeded inputs of benchmarks/fuzz.py: changed files end in a result or in a sentence."""
+
+import importlib
+import os
+import sys
+from collections import Counter
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="memory is limited by POSIX")
+
+
+@pytest.fixture(scope="module")
+def study() -> ModuleType:
+    folder = Path(__file__).parents[1] / "benchmarks"
+    if not folder.is_dir():
+        pytest.skip("benchmarks/ is not part of this distribution")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads take the memory
+    sys.path.insert(0, str(folder))
+    try:
+        return importlib.import_module("fuzz")
+    finally:
+        sys.path.remove(str(folder))
+
+
+def test_changed_files_end_in_a_result_or_a_sentence(study):
+    targets = study.targets()
+    counts = study.shares(targets, 1500)
+    tallies = study.run(study.targets, counts, seed=7, jobs=2)
+    found = [e for tally in tallies for e in tally.findings]
+    assert found == []
+    total = sum((tally.kinds for tally in tallies), Counter())
+    assert total.total() == sum(counts)
+    assert total["result"] > 50  # some changes are harmless
+    assert total["refused"] > 500
+
+
+def test_faulty_readers_are_found(study):
+    targets = study.controls()
+    tallies = study.run(study.controls, [1] * len(targets), seed=1, jobs=2, seconds=3.0)
+    words = {t.name: tally.findings[0].words for t, tally in zip(targets, tallies, strict=True)}
+    assert "ValueError" in words["raises"]
+    assert "more than 3 s" in words["hangs"]
+    assert "exit code -11" in words["dies"]
+    assert "MemoryError" in words["fills_memory"]
+    assert "elsewhere" in words["writes_elsewhere"]
+    assert "pickle.find_class" in words["unpickles"]
+    assert "subprocess.Popen" in words["starts"]
+
+
+def test_an_input_is_made_again_from_its_number(study):
+    target = next(t for t in study.targets() if t.name == "csv")
+    one, again, other = (study.make_input(target, 1, number)[1] for number in (5, 5, 6))
+    assert one == again != other

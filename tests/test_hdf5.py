@@ -1,0 +1,117 @@
+"""HDF5 files of strangers: nothing outside of them is read, and nothing twice."""
+
+import pickle
+
+import h5py
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import RecordError, StoreError
+from mfd_bayes.hdf5 import UnsafeError, check_objects, check_pieces
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.store import load_arrays, save_arrays
+
+TIME = np.arange(30) / 10
+
+
+@pytest.fixture
+def secret(tmp_path):
+    path = tmp_path / "elsewhere" / "secret.h5"
+    path.parent.mkdir()
+    with h5py.File(path, "w") as file:
+        file["time"] = TIME
+    return path
+
+
+def external_link(file, secret):
+    file["time"] = h5py.ExternalLink(str(secret), "time")
+
+
+def soft_link(file, secret):
+    file["other"] = TIME
+    file["time"] = h5py.SoftLink("/other")
+
+
+def virtual(file, secret):
+    layout = h5py.VirtualLayout((30,), "f8")
+    layout[:] = h5py.VirtualSource(str(secret), "time", (30,))
+    file.create_virtual_dataset("time", layout)
+
+
+def external_storage(file, secret):
+    file.create_dataset("time", (30,), "f8", external=[(str(secret), 0, h5py.h5f.UNLIMITED)])
+
+
+def circle(file, secret):
+    file.create_group("a")["again"] = file["/"]
+
+
+def twice(file, secret):
+    file["time"] = TIME
+    file["force"] = file["time"]
+
+
+def doubly_packed(file, secret):
+    file.create_dataset("time", data=TIME, chunks=(30,), compression="lzf")
+
+
+WORDS = {
+    external_link: "link to elsewhere",
+    soft_link: "link to elsewhere",
+    virtual: "from another file",
+    external_storage: "from another file",
+    circle: "in two places",
+    twice: "in two places",
+    doubly_packed: "packs",
+}
+
+
+@pytest.mark.parametrize("make", WORDS)
+def test_files_that_reach_outside_themselves_are_refused(tmp_path, secret, make):
+    path = tmp_path / "a.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        make(file, secret)
+    with pytest.raises(RecordError, match=WORDS[make]) as caught:
+        read_table(path).columns(["time"])
+    assert "a.mat" in str(caught.value)
+
+
+def test_without_the_check_the_secret_would_be_read(tmp_path, secret):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        external_link(file, secret)
+        virtual_of = file.create_group("v")
+        layout = h5py.VirtualLayout((30,), "f8")
+        layout[:] = h5py.VirtualSource(str(secret), "time", (30,))
+        virtual_of.create_virtual_dataset("time", layout)
+    with h5py.File(tmp_path / "a.h5") as file:
+        np.testing.assert_array_equal(file["time"][:], TIME)
+        np.testing.assert_array_equal(file["v/time"][:], TIME)
+
+
+@pytest.mark.parametrize("make", WORDS)
+def test_a_stored_file_reaches_nowhere_either(tmp_path, secret, make):
+    path = tmp_path / "population.nc"
+    save_arrays(path, {"mu": np.zeros((2, 3))}, {})
+    with h5py.File(path, "a") as file:
+        make(file.create_group("more") if make is not circle else file, secret)
+    with pytest.raises(StoreError, match=r"population\.nc"):
+        load_arrays(path)
+
+
+def test_objects_are_not_made(tmp_path):
+    """A pickle in a stored file is bytes that are refused, and never loaded."""
+    path = tmp_path / "population.nc"
+    save_arrays(path, {"mu": np.zeros((2, 3))}, {})
+    with h5py.File(path, "a") as file:
+        file["posterior"]["evil"] = np.void(pickle.dumps(print))
+    with pytest.raises(StoreError, match="no numbers"):
+        load_arrays(path)
+
+
+def test_pieces_and_sizes_within_bounds_pass(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("x", data=np.zeros(5_000_000), chunks=(2_500_000,), compression="gzip")
+        check_objects(file, 40_000_000)
+        check_pieces(file["x"])
+        with pytest.raises(UnsafeError, match="declares 40 MB"):
+            check_objects(file, 39_000_000)
