@@ -105,7 +105,7 @@ def one_level(run: Run, options: argparse.Namespace, judged: bool) -> None:
     header(title, "published", "fitted width", "MAE of LuGre")
     found, fitted, lugre = {}, {}, {}
     folds = folds_of(run, "test", options.fold_effort)
-    for p in run_folds(run, folds, options.jobs, lambda _: None):
+    for p in run_folds(run, folds, Options(jobs=options.jobs), lambda _: None):
         found[p.test], fitted[p.test] = p.score, p.fitted.width
         lugre[p.test] = records.lugre_error(run.tests[p.test].trace)
     for name, trace in run.held_out.items():
@@ -143,7 +143,7 @@ def many_levels(run: Run, options: argparse.Namespace, judged: bool) -> None:
     noise = run.manifest["settings"]["noise"]
     header(f"2022: each tension from the others ({noise} noise)", "fitted width", "fitted CRPS")
     folds = folds_of(run, "level", options.fold_effort)
-    predictions = run_folds(run, folds, options.jobs, lambda _: None)
+    predictions = run_folds(run, folds, Options(jobs=options.jobs), lambda _: None)
     for p in predictions:
         line(p.test, p.score, f"{p.fitted.width:12.2f}", f"{p.fitted.crps:.3f}")
     total, own = mean([p.score for p in predictions]), mean([p.fitted for p in predictions])
@@ -152,7 +152,7 @@ def many_levels(run: Run, options: argparse.Namespace, judged: bool) -> None:
     repeated = [p.test for p in predictions if parts.count(p.part) > 1]
     folds = folds_of(run, "test", options.fold_effort)
     again = [fold for fold in folds if fold.left_out[0] in repeated]
-    seen = run_folds(run, again, options.jobs, lambda _: None)
+    seen = run_folds(run, again, Options(jobs=options.jobs), lambda _: None)
     header(f"2022: each test whose tension another frequency shows ({noise} noise)", "fitted width")
     for p in seen:
         line(p.test, p.score, f"{p.fitted.width:12.2f}")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import difflib
 import re
 import reprlib
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -24,8 +24,10 @@ from pydantic import (
 
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.readers.bounds import NAME
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.roles import header_unit
+from mfd_bayes.toml_file import TomlError, read_toml
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,
@@ -40,6 +42,13 @@ ModelName = Literal["three_stage", "lugre", "bouc_wen"]
 Role = Literal["calibrate", "validate"]
 Covariate = Literal["velocity", "amplitude"]
 
+_TOLD = 10
+"""Most faults of a file that are told at once."""
+
+_LONGEST = 400
+"""Most characters of what is said of a fault."""
+
+_NAME = "campaign.toml"
 _ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
 
 
@@ -69,7 +78,8 @@ _rate = BeforeValidator(_parsed(lambda text: parse_quantity(text, "rate")))
 _area = BeforeValidator(_parsed(lambda text: parse_quantity(text, "area")))
 
 
-def _id(name: str) -> str:
+def check_id(name: str) -> str:
+    """A test's id, which names a folder; raises ValueError where it cannot."""
     if not _ID.fullmatch(name):
         raise ValueError(
             "a test's id names a folder: letters, digits and . _ - + only, at most 100 of them, "
@@ -85,7 +95,7 @@ class _Part(BaseModel):
 class Column(_Part):
     """A column of a test file; without a unit, the name's ending is taken."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1, max_length=NAME)]
     unit: str | None = None
 
 
@@ -125,8 +135,8 @@ class Dependence(_Part):
 class Settings(_Part):
     """The `[campaign]` table; `rate` in Hz, `area` in in²."""
 
-    title: str = ""
-    priors: Annotated[str, Field(min_length=1)] = "mfd"
+    title: Annotated[str, Field(max_length=1000)] = ""
+    priors: Annotated[str, Field(min_length=1, max_length=1000)] = "mfd"
     model: ModelName = "three_stage"
     noise: Literal["ou", "iid", "student_t", "staged"] = "ou"
     rate: Annotated[float, Field(gt=0, strict=True), _rate] | None = None
@@ -137,8 +147,8 @@ class Settings(_Part):
 class _Entry(_Part):
     """One `[[test]]`."""
 
-    id: Annotated[str, AfterValidator(_id)]
-    file: Annotated[str, Field(min_length=1)]
+    id: Annotated[str, AfterValidator(check_id)]
+    file: Annotated[str, Field(min_length=1, max_length=1000)]
     actuation: Annotated[
         Annotated[str, AfterValidator(_checked(parse_actuation)), Tag(":quantity")]
         | Annotated[Column, Tag(":column")],
@@ -263,7 +273,9 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
     try:
         content = _File.model_validate(raw)
     except ValidationError as error:
-        raise CampaignError("; ".join(_sentences(path, raw, error))) from None
+        told = [_cut(text) for text in islice(_sentences(path, raw, error), _TOLD + 1)]
+        more = "; and more" if len(told) > _TOLD else ""
+        raise CampaignError("; ".join(told[:_TOLD]) + more) from None
     try:
         folder = path.resolve().parent
     except (OSError, RuntimeError) as error:
@@ -293,12 +305,19 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
 
 
 def _toml(path: Path) -> dict[str, Any]:
+    if path.is_dir():
+        raise CampaignError(f"{path} is a folder: give the campaign file in it, {path / _NAME}")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return read_toml(path)
+    except FileNotFoundError as error:
+        beside = [file.name for file in path.parent.glob("*.toml")]
+        near = difflib.get_close_matches(path.name, beside, n=1)
+        hint = f"; did you mean {path.parent / near[0]}?" if near else ""
+        raise CampaignError(f"cannot read {path}: {error.strerror}{hint}") from error
     except OSError as error:
         raise CampaignError(f"cannot read {path}: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise CampaignError(f"{path} is not valid TOML: {error}") from error
+    except TomlError as error:
+        raise CampaignError(f"{path} {error}") from error
 
 
 def _test(path: Path, folder: Path, defaults: Columns, entry: _Entry) -> Test:
@@ -395,6 +414,11 @@ def _sentences(path: Path, raw: dict[str, Any], error: ValidationError) -> Itera
             yield f"{where} in {path} {expected}, got {came}"
         else:
             yield f"{where} in {path}: {fault['msg'].removeprefix('Value error, ')}, got {came}"
+
+
+def _cut(text: str) -> str:
+    """Sentence that a strange key or value makes no longer than can be read."""
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
 def _unknown_key(path: Path, raw: dict[str, Any], loc: list[int | str]) -> str:

@@ -10,7 +10,17 @@ from typing import Annotated
 import typer
 
 from mfd_bayes import console, progress
-from mfd_bayes.arguments import Campaign, Effort, EffortName, Force, Jobs, Kind, Out, Quiet, Seed
+from mfd_bayes.arguments import (
+    Campaign,
+    Effort,
+    Force,
+    Jobs,
+    Kind,
+    Out,
+    Quiet,
+    Scheduler,
+    Seed,
+)
 from mfd_bayes.ending import mistakes, resumption, this_command
 from mfd_bayes.interruption import end_on_signals
 
@@ -134,8 +144,9 @@ def calibrate(
     resume: Annotated[bool, typer.Option("--resume", help="Finish a run that is there.")] = False,
     force: Force = False,
     jobs: Jobs = 0,
+    scheduler: Scheduler = "",
     seed: Seed = 1,
-    effort: Effort = EffortName.standard,
+    effort: Effort = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check only.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 1 if a check fails.")] = False,
     quiet: Quiet = False,
@@ -154,7 +165,15 @@ def calibrate(
     with mistakes("" if dry_run else resumption()):
         from mfd_bayes import pipeline
 
-        options = pipeline.Options(effort.value, seed, jobs, resume, force, this_command())
+        options = pipeline.Options(
+            pipeline.effort_of(out, effort, resume=resume),
+            seed,
+            jobs,
+            resume,
+            force,
+            this_command(),
+            scheduler=scheduler,
+        )
         if dry_run:
             plan = pipeline.plan_campaign(campaign, options)
             samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
@@ -174,13 +193,19 @@ def calibrate(
     rich_help_panel=_FIT,
     epilog="Next: mfd-bayes predict --help, or mfd-bayes calibrate --help if a check failed",
 )
-def check(out: Out, quiet: Quiet = False) -> None:
+def check(
+    out: Out,
+    every: Annotated[bool, typer.Option("--all", help="Show those that passed too.")] = False,
+    quiet: Quiet = False,
+) -> None:
     """Show convergence and predictive checks as a table; exit 1 where one fails.
 
-    Writes nothing; OUT/checks.csv holds the same.
+    One line sums up each kind of check of each test, and what did not pass stands
+    in full; --all shows every one. Writes nothing; OUT/checks.csv holds them all.
 
     Example:
       mfd-bayes check out
+      mfd-bayes check out --all
       mfd-bayes check out --quiet && echo fit to use
     """
     from mfd_bayes import pipeline
@@ -188,7 +213,7 @@ def check(out: Out, quiet: Quiet = False) -> None:
     with mistakes():
         view = pipeline.check(out)
     if not quiet:
-        console.print_checks(view)
+        console.print_checks(view, every=every)
     console.say(view.sentence)
     if pipeline.fails(view):
         raise typer.Exit(1)
@@ -227,21 +252,27 @@ def predict(
     bands: Annotated[Path, typer.Option("-o", "--out", help="CSV to write; a PNG beside it.")],
     kind: Annotated[Kind, typer.Option(help="What the band holds.")] = Kind.new_test,
     probability: Annotated[float, typer.Option(help="Of the equal-tailed band.")] = 0.95,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Show the force that the motion's file holds beside.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Predict the force of a motion at an actuation, tested or not.
 
     Writes the band as CSV where -o says, a PNG beside it, and what derives from
-    the force, such as energy and peaks, as ..._derived.csv.
+    the force, such as energy and peaks, as ..._derived.csv. Where the actuation
+    was never tested, or the run did not pass its checks, it warns.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
     """
     from mfd_bayes import pipeline
 
-    question = pipeline.Question(motion, actuation, kind.value, probability, bands)
+    question = pipeline.Question(motion, actuation, kind.value, probability, bands, compare)
     with mistakes():
         band, derived = pipeline.predict(out, question)
+    for remark in band.remarks:
+        console.say(f"warning: {remark}", err=True)
     console.say(
         f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
         f"{band.source}: {bands} and {bands.with_suffix('.png')}"
@@ -262,8 +293,9 @@ def crossvalidate(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
     force: Force = False,
     jobs: Jobs = 0,
+    scheduler: Scheduler = "",
     seed: Seed = 1,
-    effort: Effort = EffortName.standard,
+    effort: Effort = None,
     quiet: Quiet = False,
 ) -> None:
     """Predict every part of a campaign from all the others, and score the predictions.
@@ -279,7 +311,15 @@ def crossvalidate(
     with mistakes(resumption()):
         from mfd_bayes import pipeline
 
-        options = pipeline.Options(effort.value, seed, jobs, resume, force, this_command())
+        options = pipeline.Options(
+            pipeline.effort_of(out, effort, resume=resume),
+            seed,
+            jobs,
+            resume,
+            force,
+            this_command(),
+            scheduler=scheduler,
+        )
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.crossvalidate(campaign, out, by, options, observe)
         console.print_left_out(view, quiet=quiet)
@@ -301,8 +341,9 @@ def compare(
     resume: Annotated[bool, typer.Option("--resume", help="Finish runs that are there.")] = False,
     force: Force = False,
     jobs: Jobs = 0,
+    scheduler: Scheduler = "",
     seed: Seed = 1,
-    effort: Effort = EffortName.standard,
+    effort: Effort = None,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate a campaign under several models and say which one its records favour.
@@ -319,7 +360,15 @@ def compare(
         from mfd_bayes import pipeline
 
         names = [name.strip() for name in models.split(",") if name.strip()]
-        options = pipeline.Options(effort.value, seed, jobs, resume, force, this_command())
+        options = pipeline.Options(
+            pipeline.effort_of(out, effort, resume=resume),
+            seed,
+            jobs,
+            resume,
+            force,
+            this_command(),
+            scheduler=scheduler,
+        )
         with progress.watch(quiet=quiet) as observe:
             found, left_out = pipeline.compare(campaign, out, names, options, observe, by)
         console.print_comparison(found, quiet=quiet)
@@ -337,6 +386,7 @@ def demo(
     out: Out,
     quick: Annotated[bool, typer.Option("--quick", help="A look in about a minute.")] = False,
     jobs: Jobs = 0,
+    scheduler: Scheduler = "",
     seed: Seed = 1,
     force: Force = False,
     quiet: Quiet = False,
@@ -353,10 +403,13 @@ def demo(
     effort = "quick" if quick else "standard"
     resume = ["mfd-bayes", "calibrate", str(out / "campaign" / "campaign.toml"), "-o", str(out)]
     resume += ["--effort", effort, "--seed", str(seed), "--resume"]
+    resume += ["--scheduler", scheduler] if scheduler else []
     with mistakes(shlex.join(resume)):
         from mfd_bayes import pipeline
 
-        options = pipeline.Options(effort, seed, jobs, force=force, command=this_command())
+        options = pipeline.Options(
+            effort, seed, jobs, force=force, command=this_command(), scheduler=scheduler
+        )
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.demo(out, options, observe)
         console.print_truth(view, quiet=quiet)

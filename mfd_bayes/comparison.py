@@ -123,11 +123,11 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
 
 
 def _score(test: TestResult) -> _Score:
-    rng = np.random.default_rng(test.stored.facts["seed"])
-    values, trace = test.stored.values(), test.trace
-    sizes = test.draws.sizes
+    stored, trace = test.stored, test.trace
+    rng = np.random.default_rng(stored.facts["seed"])
+    values, sizes = stored.values(), stored.draws.sizes
     validation = cross_validate(
-        test.posterior, values, sizes["chain"], test.stored.facts["walkers"], rng
+        test.posterior, values, sizes["chain"], stored.facts["walkers"], rng
     )
     pick = np.linspace(0, values["offset"].size - 1, _DRAWS).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}

@@ -138,13 +138,32 @@ def _left_out_table(found: Any) -> Any:
     return table
 
 
-def print_checks(view: Any) -> None:
-    """Print every check with its limit and verdict."""
-    table = _table("Checks")
+def print_checks(view: Any, *, every: bool) -> None:
+    """Print what failed, with its limit, and a line for each kind of check; or every check."""
+    if not every:
+        _print_kinds(view.checks)
+    shown = [c for c in view.checks if every or c.verdict == "fail"]
+    if not shown:
+        return
+    table = _table("Checks" if every else "Checks that failed")
     for name in ("subject", "check", "target", "value", "limit", "verdict"):
         table.add_column(name, overflow="fold")
-    for c in view.checks:
+    for c in shown:
         _add(table, c.subject, c.name, c.target, f"{c.value:.4g}", c.limit, c.verdict)
+    open_console().print(table)
+
+
+def _print_kinds(checks: Any) -> None:
+    """One line for each kind of check: how many passed, were noted, and failed."""
+    kinds: dict[str, Counter[str]] = {}
+    for check in checks:
+        kinds.setdefault(check.name, Counter())[check.verdict] += 1
+    table = _table("Checks of every test and of the population (--all shows each)")
+    table.add_column("check", overflow="fold")
+    for verdict in ("pass", "note", "fail"):
+        table.add_column(verdict, justify="right")
+    for name, count in kinds.items():
+        _add(table, name, *(str(count[verdict]) for verdict in ("pass", "note", "fail")))
     open_console().print(table)
 
 

@@ -16,15 +16,16 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.dispatch import run_jobs
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
+from mfd_bayes.plan import Options
 from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.pooling import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
 from mfd_bayes.population.scores import Score, score
 from mfd_bayes.run import Run, TestResult, open_run
-from mfd_bayes.store import read_json, write_json
+from mfd_bayes.store import MANIFEST, read_json, write_json
 from mfd_bayes.task import Outcome, Step
-from mfd_bayes.workers import run_tasks
 
 DRAWS = 800
 """Draws of a band that is scored."""
@@ -78,6 +79,17 @@ class Fold:
     def id(self) -> str:
         """What it is called."""
         return fold_id(self.part)
+
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """Its scores."""
+        return (f"{FOLDER}/{self.file}",)
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """Everything of a finished run that `open_run` reads."""
+        stored = (out / "tests").glob("*/*.nc")
+        records = [p for p in stored if p.name in ("posterior.nc", "record.nc")]
+        return MANIFEST, "priors.toml", *sorted(p.relative_to(out).as_posix() for p in records)
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Predict the part, and store its scores.
@@ -240,7 +252,7 @@ def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
 
 
 def run_folds(
-    run: Run, folds: Sequence[Fold], jobs: int, observe: Callable[[Step], None]
+    run: Run, folds: Sequence[Fold], options: Options, observe: Callable[[Step], None]
 ) -> tuple[Prediction, ...]:
     """Predictions of every part, so many at a time; those that are stored are not done again.
 
@@ -254,7 +266,7 @@ def run_folds(
     for fold in folds:
         if fold not in todo:
             observe(Step(fold.id, "kept"))
-    with closing(run_tasks(todo, out, jobs, observe)) as outcomes:
+    with closing(run_jobs(todo, out, options, observe)) as outcomes:
         for outcome in outcomes:
             if outcome.error:
                 raise CampaignError(f"cannot predict {outcome.id}: {outcome.error}")

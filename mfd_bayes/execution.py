@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from mfd_bayes.calibration.sampling import Progress
+from mfd_bayes.dispatch import check_workers, run_jobs
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.lock import OWNER, alone_in
+from mfd_bayes.manifest import check_stored, hash_stored
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
 from mfd_bayes.quantities import UNITS
-from mfd_bayes.run import Run, TestResult, load_result
+from mfd_bayes.run import (
+    POPULATION,
+    PRIORS,
+    Run,
+    TestResult,
+    load_result,
+    pooled_of,
+    posterior_of,
+    record_of,
+)
 from mfd_bayes.store import (
     MANIFEST,
     is_part,
@@ -31,12 +41,6 @@ from mfd_bayes.store import (
     write_json,
 )
 from mfd_bayes.task import Outcome, Step
-from mfd_bayes.workers import run_tasks
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system
-    fcntl = None  # type: ignore[assignment]
 
 Observe = Callable[[Step], None]
 
@@ -47,6 +51,7 @@ _TABLES = (
 )
 _OUTPUTS = ("population.nc", *_TABLES, "report.html", "report.pdf", "campaign.toml", "priors.toml")
 _FOLDERS = ("tests", "figures", "crossvalidation")
+_STORED = (posterior_of, pooled_of, record_of)
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """What the manifest holds of the population."""
 _DISCARDED = f".{MANIFEST}.discarded"
@@ -82,6 +87,7 @@ def calibrate(
         raise StoreError("give either --resume or --force, not both")
     plan = plan_campaign(path, options)
     plan.manifest.update(extra or {})
+    check_workers(options)
     with alone_in(out):
         before = _prepare_folder(plan, out, options)
         try:
@@ -109,9 +115,10 @@ def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) 
             manifest["tests"][task.id]["status"] = "done"
             observe(Step(task.id, "kept"))
     began = time.perf_counter()
-    with closing(run_tasks(todo, out, options.processes, observe)) as outcomes:
+    with closing(run_jobs(todo, out, options, observe)) as outcomes:
         for outcome in outcomes:
             manifest["tests"][outcome.id] |= _entry(outcome)
+            manifest["files"] |= hash_stored(out, [posterior_of(outcome.id)])
             write_json(out / MANIFEST, manifest)
     manifest["seconds"] = manifest.get("seconds", 0.0) + time.perf_counter() - began
     return bool(todo)
@@ -180,41 +187,12 @@ def _pool_tests(
 
 def _finish(plan: Plan, out: Path, results: Mapping[str, TestResult]) -> Run:
     manifest = plan.manifest
+    names = [path(test) for test in manifest["tests"] for path in _STORED]
+    manifest["files"] = hash_stored(out, [PRIORS, POPULATION, *names])
     manifest["status"] = "finished"
     manifest["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
     write_json(out / MANIFEST, manifest)
     return Run(out, manifest, plan.priors, results, plan.held_out)
-
-
-@contextmanager
-def alone_in(out: Path) -> Iterator[None]:
-    """Make the folder and keep other processes from working in it until the end.
-
-    The lock is the system's, so that no way to end leaves it behind.
-
-    Raises
-    ------
-    StoreError
-        When the folder cannot be made, or another process works in it.
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"cannot make the run folder {out}: {error.strerror}") from error
-    if fcntl is None:
-        yield
-        return
-    folder = os.open(out, os.O_RDONLY)
-    try:
-        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno == errno.EWOULDBLOCK:  # and not that the file system knows no locks
-            os.close(folder)
-            raise StoreError(f"another process is calibrating into {out}: let it end") from None
-    try:
-        yield
-    finally:
-        os.close(folder)
 
 
 def _prepare_folder(plan: Plan, out: Path, options: Options) -> dict[str, Any]:
@@ -246,6 +224,7 @@ def _prepare_folder(plan: Plan, out: Path, options: Options) -> dict[str, Any]:
                 "give --force to start again"
             )
     _keep(plan.manifest, before)
+    plan.manifest["files"] = _kept_files(plan.manifest["tests"], out, before.get("files") or {})
     return before
 
 
@@ -253,15 +232,30 @@ def _keep(manifest: dict[str, Any], before: dict[str, Any]) -> None:
     """Take over from an earlier session what this one will not find out again."""
     manifest |= {key: before[key] for key in ("truth", "started") if key in before}
     manifest["seconds"] = before.get("seconds") or 0.0
-    for name, entry in before.get("tests", {}).items():
-        if entry.get("status") == "done":
+    for name, entry in (before.get("tests") or {}).items():
+        if name in manifest["tests"] and entry.get("status") == "done":
             manifest["tests"][name] |= entry
+
+
+def _kept_files(tests: Iterable[str], out: Path, digests: Mapping[str, str]) -> dict[str, str]:
+    """Hashes of the posteriors that are gone on with, after a look whether they still hold.
+
+    Of other files none is kept, nor of one that is gone: they are written anew, and before
+    their hashes, so that a kill in between would leave a file that is not that of its hash.
+    """
+    names = [name for name in map(posterior_of, tests) if (out / name).is_file()]
+    for name in (*names, *([POPULATION] if (out / POPULATION).is_file() else [])):
+        check_stored(out, name, digests)
+    return {name: digests[name] for name in names if name in digests}
 
 
 def _is_free(plan: Plan, out: Path) -> bool:
     """Whether a folder holds nothing but the campaign itself, or what was to be its manifest."""
     return all(
-        entry.resolve() == plan.campaign.folder or is_part(entry, MANIFEST)
+        entry.resolve() == plan.campaign.folder
+        or entry.name == OWNER
+        or is_part(entry, MANIFEST)
+        or is_part(entry, OWNER)
         for entry in out.iterdir()
     )
 

@@ -13,6 +13,7 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign import Campaign, Test
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
+from mfd_bayes.records.readers import column_names
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import Fan
@@ -20,6 +21,9 @@ from mfd_bayes.reporting.views import Fan
 Array = NDArray[np.float64]
 
 PRIOR_DRAWS = 400
+
+SAME = 1e-4
+"""Share of its range by which a signal may differ in two files of one record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,19 @@ class Inspection:
     faults: tuple[Fault, ...]
 
 
+def same_record(one: Trace, other: Trace) -> bool:
+    """Whether two files hold one record, in whatever units and formats."""
+    if one.samples != other.samples or one.force is None or other.force is None:
+        return False
+    pairs = ((one.displacement, other.displacement), (one.force, other.force))
+    few = slice(None, None, max(1, one.samples // 20))  # which tells most records apart
+    return all(_same(a[few], b[few]) and _same(a, b) for a, b in pairs)
+
+
+def _same(a: Array, b: Array) -> bool:
+    return bool(np.max(np.abs(a - b)) <= SAME * max(float(np.ptp(a)), 1e-300))
+
+
 def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspection:
     """Columns, units, rate, loops and drifts of a record, and its faults.
 
@@ -60,9 +77,12 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
     x = trace.displacement
     columns = ", ".join(f"{role}: {n} [{unit}]" for role, (n, unit) in record.columns.items())
     turns = trace.turning_points.size
+    used = {n for n, _ in record.columns.values()}
+    others = [n for n in column_names(record.path) if n not in used]
     facts = {
         "file": record.path.name,
         "columns": columns,
+        **({"columns not used": ", ".join(others)} if others else {}),
         "samples": f"{trace.samples} over {trace.time[-1] - trace.time[0]:.6g} s",
         "rate": f"{record.rate:.6g} Hz, jitter {record.jitter:.2%} of a step",
         "displacement": f"{x.min():.4g} to {x.max():.4g} in",

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -49,7 +50,8 @@ def hinting(hint: str) -> Iterator[None]:
 @contextmanager
 def before_end(prepare: Callable[[], object]) -> Iterator[None]:
     """Do something first where this process ends on signals, such as to clear the terminal."""
-    handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+    main = threading.current_thread() is threading.main_thread()  # no other gets signals
+    handlers = {number: signal.getsignal(number) for number in _SIGNALS if main}
     ours = {number: handler for number, handler in handlers.items() if callable(handler)}
 
     def end(number: int, frame: FrameType | None) -> None:

@@ -13,10 +13,19 @@ from mfd_bayes.campaign import load_campaign
 from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
 from mfd_bayes.crossvalidation import fold_id, folds_of, parts_of, run_folds
 from mfd_bayes.demo import write_campaign
+from mfd_bayes.dispatch import check_workers
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
-from mfd_bayes.execution import alone_in, calibrate, discard
+from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.initiation import Draft, campaign_text, doubts, draft_campaign, gaps
-from mfd_bayes.inspection import Inspection, inspect_record, inspect_test, prior_fan, share_inside
+from mfd_bayes.inspection import (
+    Inspection,
+    inspect_record,
+    inspect_test,
+    prior_fan,
+    same_record,
+    share_inside,
+)
+from mfd_bayes.lock import alone_in
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
 from mfd_bayes.records.faults import find_faults
@@ -68,6 +77,7 @@ __all__ = [
     "crossvalidate",
     "demo",
     "doubts",
+    "effort_of",
     "fails",
     "find_warnings",
     "gaps",
@@ -94,6 +104,25 @@ def calibrate_campaign(
     """
     calibrate(campaign, out, options, observe)
     return report(out, observe)
+
+
+def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:
+    """Effort that is asked for, or else that of the run which is resumed, or "standard".
+
+    Parameters
+    ----------
+    out : Path
+        A run folder, or one that holds a run folder for each model.
+    asked : str or None
+    resume : bool
+    """
+    if asked is not None:
+        return asked
+    found = sorted(out.glob(f"*/{MANIFEST}"))
+    for path in [out / MANIFEST, *found] if resume else ():
+        if path.is_file():
+            return str(read_json(path).get("effort", {}).get("name", "standard"))
+    return "standard"
 
 
 def crossvalidate(
@@ -134,7 +163,7 @@ def _leave_out_parts(run: Run, by: str, options: Options, observe: Observe) -> N
     """Predict every part of a run from the others, and keep the scores in its manifest."""
     with alone_in(run.folder):
         try:
-            found = run_folds(run, folds_of(run, by, options.effort), options.processes, observe)
+            found = run_folds(run, folds_of(run, by, options.effort), options, observe)
             stored = {"by": by, "predictions": [asdict(prediction) for prediction in found]}
             write_json(run.folder / MANIFEST, run.manifest | {"crossvalidation": stored})
         finally:
@@ -218,6 +247,7 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     StoreError
         When the folder exists and is not to be replaced.
     """
+    check_workers(options)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         if not options.force:
             raise StoreError(f"{out} exists: give --force to replace it")
@@ -291,6 +321,8 @@ class Question:
     probability : float
     bands : Path
         CSV to write; a PNG and the derived quantities go beside it.
+    compare : bool
+        Whether the force that the motion's file holds is shown beside the prediction.
     """
 
     motion: Path
@@ -298,6 +330,7 @@ class Question:
     kind: str
     probability: float
     bands: Path
+    compare: bool = False
 
     @property
     def derived(self) -> Path:
@@ -328,7 +361,7 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     motion = record.trace(gap=run.priors.gap)
     trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
     band = run.predict(trace, question.kind, question.probability)
-    drawn = replace(trace, force=motion.force)
+    drawn = replace(trace, force=motion.force if question.compare else None)
     rows = predicted_rows(run, drawn, band)
     write_text(question.bands, bands_csv(trace, band, question.actuation))
     write_text(question.derived, predicted_csv(rows, question.actuation, question.probability))
@@ -387,11 +420,16 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
 def find_warnings(plan: Plan) -> list[tuple[str, str]]:
     """What would spoil a fit of each test of a campaign: test's id and sentence."""
     gap = plan.priors.gap
-    return [
-        (test.id, fault.sentence)
-        for test in plan.campaign.tests
-        for fault in find_faults(test.read().trace(), gap)
-    ]
+    found: list[tuple[str, str]] = []
+    known: dict[str, Trace] = {}
+    for test in plan.campaign.tests:
+        trace = test.read().trace()
+        found += [(test.id, fault.sentence) for fault in find_faults(trace, gap)]
+        twin = next((name for name, other in known.items() if same_record(trace, other)), None)
+        if twin is not None:
+            found.append((test.id, f"same record as {twin}: it would count twice"))
+        known[test.id] = trace
+    return found
 
 
 def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:

@@ -44,6 +44,9 @@ class Options:
         Kept for the record.
     model : {"three_stage", "lugre", "bouc_wen"}, optional
         Instead of the campaign's own.
+    scheduler : str
+        Address of a dask.distributed scheduler whose workers do the tests, such as
+        "tcp://host:8786"; "" for processes of this machine.
     """
 
     effort: str = "standard"
@@ -53,6 +56,7 @@ class Options:
     force: bool = False
     command: str = ""
     model: ModelName | None = None
+    scheduler: str = ""
 
     @property
     def processes(self) -> int:
@@ -146,6 +150,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
             test.id: {"role": test.role, "status": "waiting", **measured[test.id]}
             for test in campaign.tests
         },
+        "files": {},  # hashes, as files are written
     }
     held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     return Plan(campaign, priors, tasks, held_out, manifest)
@@ -176,6 +181,8 @@ def _read(campaign: Campaign, test: Test) -> Record:
         raise CampaignError(
             f"test {test.id!r} of {campaign.path} has no force: name its column in [columns]"
         )
+    if not np.any(record.force):
+        raise CampaignError(f"the force of test {test.id!r} of {campaign.path} is zero throughout")
     return record
 
 

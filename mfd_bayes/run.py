@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,17 +13,37 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.manifest import check_stored, read_manifest
 from mfd_bayes.population.hierarchy import Population
-from mfd_bayes.population.pooling import same_level
+from mfd_bayes.population.pooling import SAME_LEVEL, same_level
 from mfd_bayes.population.predict import Band, Forecast, predict
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store import MANIFEST, StoredTest, load_test, load_trace, read_json
+from mfd_bayes.store import StoredTest, load_test, load_trace
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
+
+
+PRIORS = "priors.toml"
+POPULATION = "population.nc"
+
+
+def posterior_of(test_id: str) -> str:
+    """Where a run folder holds the posterior of a test."""
+    return f"tests/{test_id}/posterior.nc"
+
+
+def pooled_of(test_id: str) -> str:
+    """Where a run folder holds the posterior of a test after pooling."""
+    return f"tests/{test_id}/pooled.nc"
+
+
+def record_of(test_id: str) -> str:
+    """Where a run folder holds the record of a test that is predicted, never fitted."""
+    return f"tests/{test_id}/record.nc"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +54,20 @@ class TestResult:
     ----------
     id : str
     posterior : Posterior
-    stored : StoredTest
+    path : Path
+        Of the stored posterior.
     """
 
     __test__ = False
 
     id: str
     posterior: Posterior
-    stored: StoredTest
+    path: Path
+
+    @property
+    def stored(self) -> StoredTest:
+        """What is stored of it, read anew each time: the draws of many tests are not all held."""
+        return load_test(self.path)
 
     @property
     def draws(self) -> xr.Dataset:
@@ -51,7 +77,7 @@ class TestResult:
     @property
     def trace(self) -> Trace:
         """The record that was fitted."""
-        return self.stored.trace
+        return self.posterior.trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +106,13 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        return load_population(self.folder / "population.nc", self.priors)
+        path = check_stored(self.folder, POPULATION, self.manifest.get("files") or {})
+        return load_population(path, self.priors)
+
+    @property
+    def hashed(self) -> bool:
+        """Whether the manifest has the hashes of the stored files, so that changes are seen."""
+        return bool(self.manifest.get("files"))
 
     @property
     def actuation_unit(self) -> str:
@@ -128,9 +160,28 @@ class Run:
         """
         forecast = Forecast(kind=kind, probability=probability, draws=draws, seed=seed)
         some = next(iter(self.tests.values())).posterior
-        return predict(
-            self.population, some.model, some.noise, trace, forecast, self._at_level(trace), session
-        )
+        at_level = self._at_level(trace)
+        band = predict(self.population, some.model, some.noise, trace, forecast, at_level, session)
+        return replace(band, remarks=self._remarks(trace))
+
+    def _remarks(self, trace: Trace) -> tuple[str, ...]:
+        """Why a prediction should be trusted less than it says."""
+        remarks = []
+        tested = [test.trace.reference_actuation for test in self.tests.values()]
+        asked = np.atleast_1d(trace.actuation)
+        low, high = float(np.min(asked)), float(np.max(asked))
+        if low < min(tested) * (1 - SAME_LEVEL) or high > max(tested) * (1 + SAME_LEVEL):
+            unit = "psi" if self.actuation_unit == "ksi" else "lbf"
+            span = " to ".join(f"{1000 * x:.4g}" for x in dict.fromkeys((low, high)))
+            remarks.append(
+                f"the actuation, {span} {unit}, lies outside of what was tested, "
+                f"{1000 * min(tested):.4g} to {1000 * max(tested):.4g} {unit}: "
+                "there the band rests on the form of the laws alone"
+            )
+        verdicts = self.manifest.get("verdicts", {})
+        if verdicts.get("campaign") == "fail":
+            remarks.append(f"the run did not pass its checks: {verdicts.get('sentence', '')}")
+        return tuple(remarks)
 
     def _at_level(self, trace: Trace) -> dict[str, Array] | None:
         """Draws of the tests at this constant actuation, in equal number, or None."""
@@ -157,30 +208,42 @@ def open_run(folder: str | Path) -> Run:
     Raises
     ------
     StoreError
-        When the folder is no finished run.
+        When the folder is no finished run, or a file in it is not what the run wrote.
     """
     folder = Path(folder)
-    if not (folder / MANIFEST).is_file():
-        raise StoreError(f"{folder} is not a run folder: it has no {MANIFEST}")
-    manifest = read_json(folder / MANIFEST)
-    if manifest.get("status") != "finished":
-        raise StoreError(f"the run in {folder} is not finished; finish it with --resume")
-    priors = load_priors("priors.toml", folder)
+    manifest = read_manifest(folder)
+    digests = manifest.get("files") or {}
+    priors = load_priors(check_stored(folder, PRIORS, digests).name, folder)
     tests, held_out = {}, {}
     for test_id, entry in manifest["tests"].items():
-        home = folder / "tests" / test_id
         if entry["role"] == "validate":
-            held_out[test_id] = load_trace(home / "record.nc")[0]
+            path = check_stored(folder, record_of(test_id), digests)
+            held_out[test_id] = load_trace(path)[0]
         elif entry["status"] == "done":
-            tests[test_id] = load_result(test_id, home / "posterior.nc", priors)
+            path = check_stored(folder, posterior_of(test_id), digests)
+            tests[test_id] = load_result(test_id, path, priors)
+    if not tests:
+        raise StoreError(f"the run in {folder} has no calibrated test")
     return Run(folder, manifest, priors, tests, held_out)
 
 
 def load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
-    """Calibrated test of its stored posterior."""
+    """Calibrated test of its stored posterior.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing, or holds no posterior under these priors.
+    """
     stored = load_test(path)
     facts = stored.facts
-    posterior = Posterior(
-        stored.trace, priors, facts["noise"], facts["model"], start=facts["start"]
-    )
-    return TestResult(test_id, posterior, stored)
+    try:
+        posterior = Posterior(
+            stored.trace, priors, facts["noise"], facts["model"], start=facts["start"]
+        )
+    except (KeyError, TypeError, ValueError, MfdError) as error:
+        raise StoreError(f"{path} is damaged or not of this program: {error}") from error
+    missing = {*posterior.names, *posterior.model.parameters} - set(stored.draws.data_vars)
+    if missing:
+        raise StoreError(f"{path} holds no draws of {min(map(str, missing))}")
+    return TestResult(test_id, posterior, path)

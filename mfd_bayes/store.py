@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import RecordError, StoreError
+from mfd_bayes.errors import StoreError
+from mfd_bayes.hdf5 import UnsafeError, check_objects
 from mfd_bayes.records.trace import Trace
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ Array = NDArray[np.float64]
 MANIFEST = "manifest.json"
 _CHAINS = ("chain", "draw")
 _PART = ".part"
+_LARGEST_JSON = 64 * 2**20
+_SLACK = 2**20
+"""Bytes of dimensions that a file may declare without holding them."""
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
@@ -96,6 +100,8 @@ def read_json(path: Path) -> dict[str, Any]:
         When the file is missing or holds no JSON object.
     """
     try:
+        if path.stat().st_size > _LARGEST_JSON:
+            raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: it is none of ours")
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}") from error
@@ -312,11 +318,15 @@ def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 
 def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
+    import h5py
     import xarray as xr
 
     groups = {}
+    with h5py.File(path, "r") as file:
+        # It is written unpacked, so that it holds what it declares.
+        check_objects(file, 2 * path.stat().st_size + _SLACK, plain=True)
     for name in names:
-        with xr.open_dataset(path, group=name, engine="h5netcdf") as dataset:
+        with xr.open_dataset(path, group=name, engine="h5netcdf", decode_times=False) as dataset:
             groups[name] = dataset.load()
     return groups
 
@@ -326,9 +336,10 @@ def _reading(path: Path) -> Iterator[None]:
     """Name the file in whatever a missing, damaged or foreign one makes of its reading."""
     if not path.is_file():
         raise StoreError(f"{path} does not exist")
-    damage = (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, RecordError)
     try:
         yield
-    except damage as error:
+    except UnsafeError as error:
+        raise StoreError(f"{path} {error}") from None
+    except Exception as error:  # h5py, h5netcdf and xarray raise a dozen kinds
         reason = " ".join(str(error).split())
         raise StoreError(f"{path} is damaged or not of this program: {reason}") from error

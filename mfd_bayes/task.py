@@ -40,6 +40,15 @@ class Task:
     effort: str
     seed: tuple[int, ...]
 
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """Its posterior."""
+        return (f"tests/{self.id}/posterior.nc",)
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """Nothing of the run folder."""
+        return ()
+
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Calibrate the test into a run folder."""
         return calibrate_test(self, out, observe)

@@ -65,6 +65,7 @@ _SPELLINGS = {
 # Only names, products and small powers reach pint, whose parser evaluates what it is given.
 _TERM = r"\(*[A-Za-zµμ°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
 _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
+_LONGEST = 200  # characters of a quantity
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
 
 
@@ -199,7 +200,9 @@ def parse_window(text: str) -> tuple[float, float]:
 
 def _split(text: str, of: str) -> tuple[float, str]:
     """Split a quantity into its number and its unit."""
-    match = _QUANTITY.fullmatch(text)
+    # Matching takes the square of the blanks' number; no quantity is that long.
+    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
+    text = text if len(text) <= _LONGEST else f"{text[:40]}…"
     expected = f"{of + ': ' if of else ''}expected a number and a unit such as '500 psi'"
     if match is None:
         raise UnitError(f"{expected}, got {text!r}")
@@ -207,7 +210,7 @@ def _split(text: str, of: str) -> tuple[float, str]:
     if not math.isfinite(value):
         raise UnitError(f"{expected}, got {text!r}, which is not finite")
     if not unit:
-        raise UnitError(f"{expected}, got {text!r}, which has no unit")
+        raise UnitError(f"{expected}; {text!r} has no unit")
     return value, unit
 
 
@@ -226,7 +229,9 @@ def _parse(unit: str, named: str) -> Any:
         raise UnitError(f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'")
     plain = re.sub(r"[A-Za-z_]+", lambda word: _spelled(word[0]), text)
     try:
-        return _registry().parse_units(plain)
+        parsed = _registry().parse_units(plain)
+        _ = parsed.dimensionality  # which units such as "delta_dB" do not have
+        return parsed
     except Exception as error:  # pint raises AssertionError, TypeError, TokenError and its own
         raise UnitError(
             f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"

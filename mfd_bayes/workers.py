@@ -33,6 +33,13 @@ class Job(Protocol):
     def id(self) -> str:
         """What it is called."""
 
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """Files of a run folder that it stores, by their names in it."""
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """Files of a run folder that it reads, by their names in it."""
+
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Do it, and store what comes of it in a run folder."""
 

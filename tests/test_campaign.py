@@ -232,3 +232,12 @@ def test_the_unit_of_a_history_may_stand_in_the_files_row_of_units(folder):
     assert record.actuation[0] == pytest.approx(0.5)
     (folder / "a.csv").write_text(f"Time,Stroke,Pressure\nsec,mm,mm\n{rows}")
     assert "measures length; actuation needs a pressure" in refused(folder, history)
+
+
+def test_what_is_said_of_a_strange_file_can_be_read(tmp_path):
+    path = tmp_path / "campaign.toml"
+    faults = "".join(f'[[test]]\nid = "{"!" * 999}"\n"{"k" * 3000}{i}" = 1\n' for i in range(50))
+    path.write_text(faults)
+    with pytest.raises(CampaignError, match=r"; and more$") as caught:
+        load_campaign(path)
+    assert len(str(caught.value)) < 5000

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes
+from mfd_bayes import pipeline
 from mfd_bayes.cli import app
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
@@ -708,3 +709,43 @@ def test_a_wrong_call_exits_with_2(arguments):
     outcome = here(*arguments)
     assert outcome.exit_code == 2
     assert outcome.stderr
+
+
+def test_a_folder_in_place_of_a_file_is_told(tmp_path):
+    refused_folder = here("calibrate", tmp_path, "-o", tmp_path / "out")
+    assert str(tmp_path / "campaign.toml") in sentence_of(refused_folder)
+    assert "is a folder" in sentence_of(here("inspect", tmp_path))
+
+
+def test_a_mistyped_campaign_file_is_guessed(tmp_path):
+    (tmp_path / "campaign.toml").write_text("")
+    outcome = here("calibrate", tmp_path / "campagn.toml", "-o", tmp_path / "out")
+    assert f"did you mean {tmp_path / 'campaign.toml'}?" in sentence_of(outcome)
+
+
+def test_the_effort_of_a_run_is_taken_where_it_is_resumed(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "manifest.json").write_text('{"effort": {"name": "quick"}}')
+    assert pipeline.effort_of(out, None, resume=True) == "quick"
+    assert pipeline.effort_of(out, "thorough", resume=True) == "thorough"
+    assert pipeline.effort_of(out, None, resume=False) == "standard"
+    assert pipeline.effort_of(tmp_path, None, resume=True) == "quick"  # runs of several models
+
+
+def test_a_record_that_is_there_twice_is_warned_of(folder):
+    path = folder / "campaign.toml"
+    again = CAMPAIGN[CAMPAIGN.index("[[test]]") :]
+    again = again.replace("p500", "again")
+    table = signals()
+    write_csv(folder / "again.csv", table * (1, 25.4, 1), "time_s,displacement_mm,force_kip")
+    again = again.replace(
+        'role = "calibrate"', 'columns.displacement = { name = "displacement_mm", unit = "mm" }'
+    )
+    path.write_text(f"{CAMPAIGN}\n{again}")
+    outcome = here("calibrate", path, "-o", folder / "out", "--dry-run")
+    assert "again: same record as p500" in outcome.stdout + outcome.stderr
+    table[:, 2] *= 1.1 + 0.1 * np.sin(table[:, 0])
+    write_csv(folder / "again.csv", table * (1, 25.4, 1), "time_s,displacement_mm,force_kip")
+    outcome = here("calibrate", path, "-o", folder / "out", "--dry-run")
+    assert "same record" not in outcome.stdout + outcome.stderr

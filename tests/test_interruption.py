@@ -356,3 +356,40 @@ def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(
     (folder / "campaign.toml").rename(folder / "mfd.toml")
     inputs = plan_campaign(folder / "mfd.toml", Options("quick")).manifest["inputs"]
     assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
+
+
+# --- hashes of what is stored
+
+
+def stored_hashes(out):
+    return json.loads((out / "manifest.json").read_text())["files"]
+
+
+def test_every_stored_file_has_its_hash(whole):
+    out, _ = whole
+    names = {path.relative_to(out).as_posix() for path in out.rglob("*.nc")}
+    assert set(stored_hashes(out)) == {*names, "priors.toml"}
+
+
+@pytest.mark.parametrize("name", ["tests/a/posterior.nc", "population.nc"])
+def test_a_file_that_was_changed_is_not_gone_on_with(campaign, copied, name):
+    path = copied / name if (copied / name).is_file() else next(copied.rglob("posterior.nc"))
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    refused(command(campaign, copied, "--resume"), path.name, "SHA-256")
+
+
+def test_a_kill_between_a_file_and_its_hash_is_resumed(campaign, copied):
+    before = stored_hashes(copied)
+    manifest = json.loads((copied / "manifest.json").read_text())
+    manifest |= {"status": "running", "files": {}}
+    for entry in manifest["tests"].values():
+        entry["status"] = "waiting"
+    (copied / "manifest.json").write_text(json.dumps(manifest))
+    outcome = command(campaign, copied, "--resume")
+    assert outcome.exit_code == 0, outcome.output
+    after = stored_hashes(copied)
+    assert set(after) == set(before)
+    kept = [name for name in before if name.endswith("posterior.nc")]
+    assert {name: after[name] for name in kept} == {name: before[name] for name in kept}

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -433,7 +434,8 @@ def test_predict_tells_what_derives_from_the_force(out, tmp_path):
     tables = {}
     for kind in ("new_test", "observation"):
         ask = ("--actuation", "700 psi", "-o", tmp_path / f"{kind}.csv", "--kind", kind)
-        outcome = here("predict", out, "--motion", motion, *ask, "--probability", 0.5)
+        options = (*ask, "--probability", 0.5, "--compare")
+        outcome = here("predict", out, "--motion", motion, *options)
         assert outcome.exit_code == 0, outcome.output
         assert "energy_per_cycle" in outcome.stdout
         assert "75 %" in outcome.stdout
@@ -450,6 +452,39 @@ def test_predict_tells_what_derives_from_the_force(out, tmp_path):
     assert rows.loc["energy_per_cycle", "measured"] == pytest.approx(4.0, rel=0.02)
     energy, damping = rows.loc["energy_per_cycle", "median"], rows.loc["c_eq", "median"]
     assert damping == pytest.approx(energy / np.pi**2, rel=2e-3)  # ω = π 1/s, X = 1 in
+
+
+def test_the_force_in_a_motions_file_is_not_taken_for_the_prediction(out, tmp_path):
+    motion = tmp_path / "motion.csv"
+    table = np.column_stack([TIME, MOTION, np.sign(np.gradient(MOTION))])
+    np.savetxt(motion, table, delimiter=",", header="time_s,displacement_in,force_kip", comments="")
+    bands = tmp_path / "bands.csv"
+    outcome = here("predict", out, "--motion", motion, "--actuation", "700 psi", "-o", bands)
+    assert outcome.exit_code == 0, outcome.output
+    rows = pd.read_csv(tmp_path / "bands_derived.csv", comment="#")
+    assert rows["measured"].isna().all()
+
+
+def test_a_prediction_beyond_what_was_tested_is_told(out, run, motion, tmp_path):
+    bands = tmp_path / "bands.csv"
+    ask = ("predict", out, "--motion", motion, "-o", bands)
+    inside = here(*ask, "--actuation", "700 psi")
+    assert "lies outside" not in inside.stderr + bands.read_text()
+    outside = here(*ask, "--actuation", "3000 psi")
+    assert outside.exit_code == 0
+    assert "3000 psi, lies outside of what was tested" in outside.stderr
+    assert "# warning: the actuation, 3000 psi" in bands.read_text()
+    history = mb.Trace.from_arrays(TIME, MOTION, np.linspace(0.7, 9.0, TIME.size))
+    assert "700 to 9000 psi" in run.predict(history, draws=20).remarks[0]
+
+
+def test_a_prediction_of_a_run_that_failed_says_so(run):
+    trace = mb.Trace.from_arrays(TIME, MOTION, 0.7)
+    failed = run.manifest | {"verdicts": {"campaign": "fail", "sentence": "It is bad."}}
+    remarks = replace(run, manifest=failed).predict(trace, draws=20).remarks
+    assert remarks == ("the run did not pass its checks: It is bad.",)
+    passed = run.manifest | {"verdicts": {"campaign": "pass", "sentence": "It is good."}}
+    assert replace(run, manifest=passed).predict(trace, draws=20).remarks == ()
 
 
 @pytest.mark.parametrize(
@@ -505,6 +540,10 @@ def test_check_exits_by_the_verdicts(out):
     outcome = here("check", out)
     assert outcome.exit_code == (1 if failed else 0), outcome.output
     assert "R-hat" in outcome.stdout
+    assert "<= " not in outcome.stdout or failed  # limits stand beside what failed
+    everything = here("check", out, "--all")
+    assert everything.exit_code == outcome.exit_code
+    assert len(everything.stdout) > 5 * len(outcome.stdout)
 
 
 def test_check_fails_where_a_limit_is_not_kept(copied):

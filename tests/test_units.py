@@ -166,3 +166,15 @@ def test_windows_are_two_increasing_times():
 def test_importing_the_package_and_its_units_does_not_import_pint():
     code = "import sys, mfd_bayes, mfd_bayes.units; sys.exit('pint' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("text", ["1" + " " * 10**6 + "\n x\ny", "9" * 10**6, " " * 10**6])
+def test_a_quantity_without_end_is_refused_at_once(text):
+    with pytest.raises(UnitError, match="expected a number and a unit") as caught:
+        parse_quantity(text, "force")
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("unit", ["delta_decibel", "delta_dB"])
+def test_a_unit_that_pint_knows_by_half_is_unknown(unit):
+    assert measure(unit) is None

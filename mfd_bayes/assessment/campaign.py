@@ -132,8 +132,18 @@ def _sentence(manifest: Mapping[str, Any], checks: list[Check], calibrated: int)
     if lost:
         parts.append(f"{len(lost)} test(s) could not be calibrated")
     if sampling:
-        where = ", ".join(sorted({c.subject for c in sampling}))
-        parts.append(f"the sampling fell short of {limits} in {where}: do not use these figures")
+        where: dict[str, list[str]] = {}
+        for c in sampling:
+            where.setdefault(c.subject, []).append(f"{c.name} of {c.target}")
+        told = (
+            f"{subject} ({names[0]}{f' and {len(names) - 1} more' if names[1:] else ''})"
+            for subject, names in sorted(where.items())
+        )
+        parts.append(
+            f"the sampling fell short of its targets ({limits}, and chains that are long enough) "
+            f"in {', '.join(told)}: do not use these figures, give a larger --effort or look at "
+            "the test"
+        )
     else:
         tests = "the calibrated test" if calibrated == 1 else f"all {calibrated} calibrated tests"
         parts.append(f"{tests} and the laws converged ({limits})")
@@ -164,6 +174,11 @@ def _remarks(run: Run, tests: list[TestView]) -> tuple[str, ...]:
         remarks.append(
             "The tests are synthetic: they were computed from a stated truth, with stated noise; "
             "where a record was low-passed for the fit, the noise has no truth to compare with."
+        )
+    if not run.hashed:
+        remarks.append(
+            "An older version of this program wrote the run, without hashes of its files: that "
+            "they are as they were written is not known."
         )
     weak: Counter[str] = Counter()
     for view in tests:

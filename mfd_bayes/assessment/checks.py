@@ -89,7 +89,7 @@ def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[C
     ]
     if facts["modes"] > 1:
         shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
-        held = ", ".join(f"{100 * share:.0f} %" for share in shares)
+        held = ", ".join(f"{100 * share:.0f} %" for share in sorted(shares)[::-1] if share >= 0.005)
         target = f"posterior (they hold {held} of the draws)" if held else "posterior"
         found.append(Check(subject, "modes found", target, facts["modes"], "1", "note"))
     return found

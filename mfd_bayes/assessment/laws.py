@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,6 +75,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     grid = np.linspace(0.0, 1.15 * max(levels), 60)
     rng = np.random.default_rng(0)
     typical = dict(pooling.covariate_reference)
+    tested = _tested(run, list(pooling.laws))
     views = []
     for name, law in pooling.laws.items():
         medians = population.median(name, grid).reshape(-1, grid.size)
@@ -81,11 +84,6 @@ def law_views(run: Run) -> tuple[LawView, ...]:
             population.draw_test(Setting(float(p), covariates=typical), pick, rng)[name]
             for p in np.maximum(grid, 1e-9)
         ]
-        tested = []
-        for test in run.tests.values():
-            low, mid, high = np.quantile(test.draws[name].to_numpy(), [0.025, 0.5, 0.975])
-            level = test.trace.reference_actuation
-            tested.append((test.id, level, float(low), float(mid), float(high)))
         views.append(
             LawView(
                 name=name,
@@ -94,7 +92,20 @@ def law_views(run: Run) -> tuple[LawView, ...]:
                 actuation=grid,
                 median=fan_of("device", medians[pick]),
                 new_test=fan_of("new_test", np.stack(scattered, axis=1)),
-                tested=tuple(tested),
+                tested=tuple(tested[name]),
             )
         )
     return tuple(views)
+
+
+def _tested(
+    run: Run, names: Sequence[str]
+) -> dict[str, list[tuple[str, float, float, float, float]]]:
+    """Id, level, and three quantiles of each test's posterior, by quantity; test by test."""
+    found: dict[str, list[tuple[str, float, float, float, float]]] = {name: [] for name in names}
+    for test in run.tests.values():
+        draws, level = test.draws, test.trace.reference_actuation
+        for name in names:
+            low, mid, high = np.quantile(draws[name].to_numpy(), [0.025, 0.5, 0.975])
+            found[name].append((test.id, level, float(low), float(mid), float(high)))
+    return found

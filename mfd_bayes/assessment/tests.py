@@ -20,12 +20,14 @@ from mfd_bayes.assessment.checks import (
 from mfd_bayes.assessment.derived import calibrated_rows, held_out_rows
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import check_predictive, replicate
 from mfd_bayes.quantities import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.systems import US
 from mfd_bayes.reporting.views import Marginal, Row, TestView
 from mfd_bayes.run import Run, TestResult
+from mfd_bayes.store import StoredTest
 
 Array = NDArray[np.float64]
 
@@ -36,17 +38,17 @@ _CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")
 
 def calibrated_view(run: Run, test: TestResult) -> TestView:
     """A test that was fitted."""
-    posterior, facts = test.posterior, test.stored.facts
-    values = test.stored.values()
+    posterior, stored = test.posterior, test.stored
+    facts, values = stored.facts, stored.values()
     replicas = replicate(posterior, values, np.random.default_rng(0))
     gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
     prior = _prior_values(test)
-    rows = _rows(test, values, prior)
+    rows = _rows(test.id, stored, prior)
     checks = convergence_checks(test.id, rows, run.manifest["effort"])
     checks.append(length_check(test.id, facts, run.manifest["effort"]))
     checks += [predictive_check(test.id, c) for c in check_predictive(posterior, replicas, gap)]
     checks += notes(test.id, rows, facts)
-    known = _identifiability(test, prior)
+    known = _identifiability(posterior, stored, prior)
     stage, travel = _stages(test, values)
     checks += identifiability_checks(test.id, known)
     informed = {row.name: row.contraction >= INFORMED for row in rows}
@@ -60,7 +62,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         observation=fan_of("observation", replicas.observed),
         rows=tuple(rows),
         marginals=_marginals(test, values, prior, rows),
-        chains={name: _by_step(test, name) for name in posterior.names},
+        chains={name: _by_step(stored, name) for name in posterior.names},
         corner=tuple(name for name in _CORNER if informed.get(name)),
         checks=tuple(checks),
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
@@ -110,11 +112,11 @@ def _stages(
     return stage, travel
 
 
-def _rows(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Array]) -> list[Row]:
+def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row]:
     """Table I of one test: every parameter with its uncertainty and convergence."""
-    facts = test.stored.facts
+    facts = stored.facts
     rows = []
-    for name, draws in values.items():
+    for name, draws in stored.values().items():
         shrunk = float("nan")
         if name not in SCALE_ONLY:
             before, after = log_if_positive(prior[name], draws)
@@ -128,7 +130,7 @@ def _rows(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Arr
             r_hat, bulk, tail = np.inf, bulk or 0.0, tail or 0.0
         rows.append(
             Row(
-                subject=test.id,
+                subject=test,
                 name=name,
                 unit=UNITS[name],
                 mean=float(draws.mean()),
@@ -154,10 +156,12 @@ def _prior_values(test: TestResult, n: int = 2000) -> dict[str, Array]:
     return drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
 
 
-def _identifiability(test: TestResult, prior: Mapping[str, Array]) -> Identifiability:
-    values = {name: test.draws[name].to_numpy() for name in test.posterior.names}
-    densities = (test.stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
-    return identify(test.posterior, values, prior, *densities)
+def _identifiability(
+    posterior: Posterior, stored: StoredTest, prior: Mapping[str, Array]
+) -> Identifiability:
+    values = {name: stored.draws[name].to_numpy() for name in posterior.names}
+    densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
+    return identify(posterior, values, prior, *densities)
 
 
 def _marginals(
@@ -168,9 +172,9 @@ def _marginals(
     return tuple(Marginal(n, UNITS[n], prior[n], values[n], shrunk[n]) for n in sampled)
 
 
-def _by_step(test: TestResult, name: str) -> Array:
+def _by_step(stored: StoredTest, name: str) -> Array:
     """Mean over walkers at each kept step, (chain, step)."""
-    draws = test.draws[name].to_numpy()
-    walkers = test.stored.facts["walkers"]
+    draws = stored.draws[name].to_numpy()
+    walkers = stored.facts["walkers"]
     mean: Array = draws.reshape(len(draws), walkers, -1).mean(axis=1)
     return mean

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 
 from mfd_bayes.calibration.priors import FAMILIES, KINDS, Prior
 from mfd_bayes.errors import PriorError, UnitError
+from mfd_bayes.toml_file import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
 _DIMENSIONAL = frozenset({"median", "mean", "sd", "lower", "upper", "scale", "value"})
@@ -53,22 +54,30 @@ class PriorFile:
 
 
 def find_priors(name: str, folder: Path | None = None) -> Path:
-    """Path of a prior file named "mfd", "brfd", … or given by its path, relative to `folder`.
+    """Path of a prior file named "mfd", "brfd", … or given by its path.
+
+    With a `folder`, the path is relative to it and must lie in it once links are followed.
 
     Raises
     ------
     PriorError
-        When there is no such file; the names that there are are listed.
+        When there is no such file, with the names that there are, or it lies elsewhere.
     """
     home = _home()
-    shipped = home / f"{name}.toml"
-    if shipped.parent == home and shipped.is_file():
-        return shipped
+    if name in (path.stem for path in home.glob("*.toml")):
+        return home / f"{name}.toml"
     path = (folder or Path()) / name
-    if path.is_file():
-        return path
+    try:
+        if path.is_file():
+            if folder is not None and not path.resolve().is_relative_to(folder.resolve()):
+                raise PriorError(
+                    f"prior file {name!r} lies outside the campaign's folder, {folder}"
+                )
+            return path
+    except (OSError, RuntimeError, ValueError) as error:
+        raise PriorError(f"prior file {name!r} cannot be found: {error}") from error
     known = ", ".join(sorted(p.stem for p in home.glob("*.toml")))
-    raise PriorError(f"no prior file '{name}': expected one of {known}, or the path of a TOML file")
+    raise PriorError(f"no prior file {name!r}: expected one of {known}, or the path of a TOML file")
 
 
 def _home() -> Path:
@@ -88,9 +97,11 @@ def load_priors(name: str, folder: Path | None = None) -> PriorFile:
     """
     path = find_priors(name, folder)
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PriorError(f"prior file {path.name} is not valid TOML: {error}") from error
+        content = read_toml(path)
+    except OSError as error:
+        raise PriorError(f"cannot read the prior file {path}: {error.strerror or error}") from error
+    except TomlError as error:
+        raise PriorError(f"prior file {path.name} {error}") from error
     unknown = set(content) - {"title", "parameters", "scatter"}
     if unknown:
         raise PriorError(
@@ -149,16 +160,23 @@ def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
 
 def _figure(where: str, value: object, kind: str | None) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise PriorError(f"{where}: expected a number or a quantity such as '2 kip', got {value!r}")
+        raise PriorError(
+            f"{where}: expected a number or a quantity such as '2 kip', got {reprlib.repr(value)}"
+        )
     if isinstance(value, str):
         try:
             number = parse_quantity(value, kind or "dimensionless")
         except UnitError as error:
             raise PriorError(f"{where}: {error}") from error
     elif kind in (None, "dimensionless"):
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            number = np.inf
     else:
-        raise PriorError(f"{where}: expected a quantity with its unit ({kind}), got {value!r}")
+        raise PriorError(
+            f"{where}: expected a quantity with its unit ({kind}), got {reprlib.repr(value)}"
+        )
     if not np.isfinite(number):
-        raise PriorError(f"{where}: must be finite, got {value!r}")
+        raise PriorError(f"{where}: must be finite, got {reprlib.repr(value)}")
     return number

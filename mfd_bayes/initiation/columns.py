@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.faults import seems_milliseconds
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.trace import HYSTERESIS, turning_points
+from mfd_bayes.records.trace import HYSTERESIS, check_magnitude, turning_points
 from mfd_bayes.units import factor
 
 Array = NDArray[np.float64]
@@ -110,9 +110,11 @@ def unit_of(table: Table, name: str, role: str) -> str | None:
 def numbers_of(table: Table, name: str) -> Array | None:
     """Numbers of a column, (T,), or None where it does not hold numbers alone."""
     try:
-        return table.columns([name])[name]
+        numbers = table.columns([name])[name]
+        check_magnitude(name, numbers)
     except MfdError:
         return None
+    return numbers
 
 
 def _measures(unit: str, kind: str) -> bool:

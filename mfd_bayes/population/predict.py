@@ -61,6 +61,8 @@ class Band:
         Where the parameters are from.
     values : mapping of str to (n,)
         Quantities of each draw, by name.
+    remarks : tuple of str
+        Why it should be trusted less, in sentences.
     """
 
     time: Array
@@ -73,6 +75,7 @@ class Band:
     source: str
     values: Mapping[str, Array] = field(default_factory=dict)
     interval: str = "equal-tailed"
+    remarks: tuple[str, ...] = ()
 
 
 def band_of(

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.reporting.colours import BANDS, DATA, SKY
 from mfd_bayes.reporting.systems import SYSTEMS
 from mfd_bayes.reporting.views import Array, CampaignView, TestView
 
 SAMPLES = 1500
 """Samples of each test that are shown: a screen tells no more apart."""
 
-_INK, _BLUE, _BAND = "#1b1b1b", "#0072B2", "#a5cce8"
 _COLUMNS = ("time", "displacement", "force", "median", "lower", "upper")
 
 
@@ -109,17 +109,18 @@ def _layout() -> Any:
     source = ColumnDataSource({name: [] for name in names}, name="samples")
     plots = []
     for along, height in (("x", 420), ("t", 260)):
-        plot = figure(
-            name=f"plot-{along}",
-            height=height,
-            sizing_mode="stretch_width",
-            tools="pan,box_zoom,wheel_zoom,reset",
-            active_drag="box_zoom",
-            x_range=Range1d(start=0, end=1),
-            y_range=Range1d(start=0, end=1),
-            toolbar_location="above",
-            output_backend="canvas",
-        )
+        options: dict[str, Any] = {  # bokeh's types know half of them
+            "name": f"plot-{along}",
+            "height": height,
+            "sizing_mode": "stretch_width",
+            "tools": "pan,box_zoom,wheel_zoom,reset",
+            "active_drag": "box_zoom",
+            "x_range": Range1d(start=0, end=1),
+            "y_range": Range1d(start=0, end=1),
+            "toolbar_location": "above",
+            "output_backend": "canvas",
+        }
+        plot = figure(**options)
         _draw(plot, along, source)
         dots = plot.scatter(along, "force", source=source, size=7, alpha=0.0, line_alpha=0.0)
         dots.hover_glyph = None
@@ -131,10 +132,11 @@ def _layout() -> Any:
 
 
 def _draw(plot: Any, along: str, source: Any) -> None:
+    _, band, median = BANDS["observation"]
     if along == "t":
-        plot.varea(along, "lower", "upper", source=source, fill_color=_BAND, fill_alpha=0.7)
+        plot.varea(along, "lower", "upper", source=source, fill_color=band, fill_alpha=0.7)
     else:
         for edge in ("lower", "upper"):
-            plot.line(along, edge, source=source, color="#6aaede", line_width=1)
-    plot.line(along, "median", source=source, color=_BLUE, line_width=1.6)
-    plot.line(along, "force", source=source, color=_INK, line_width=1.2)
+            plot.line(along, edge, source=source, color=SKY, line_width=1)
+    plot.line(along, "median", source=source, color=median, line_width=1.6)
+    plot.line(along, "force", source=source, color=DATA, line_width=1.2)

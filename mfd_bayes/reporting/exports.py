@@ -41,7 +41,7 @@ def _json(view: CampaignView, what: str, subject: str, name: str, rows: Iterable
             for row in rows
         ],
     }
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def _figures(row: Row) -> dict[str, Any]:

@@ -155,6 +155,7 @@ def _environment() -> Environment:
         loader=PackageLoader("mfd_bayes.reporting"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_finalize,
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -174,6 +175,12 @@ def _environment() -> Environment:
     environment.tests["weak"] = is_weak
     environment.tests["known"] = math.isfinite
     return environment
+
+
+def _finalize(value: object) -> object:
+    """Value as a page may show it: what is no character turns no text around and hides nothing."""
+    is_text = isinstance(value, str) and not isinstance(value, Markup)
+    return symbols.printable(str(value)) if is_text else value
 
 
 def _picture(key: str, png: bytes, *, embedded: bool) -> Picture:

@@ -6,7 +6,7 @@ import string
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 
-from mfd_bayes.reporting.symbols import maths, meaning, number, of_population, unit_text
+from mfd_bayes.reporting.symbols import maths, meaning, number, of_population, printable, unit_text
 from mfd_bayes.reporting.views import CampaignView, Row, TestView
 
 TESTS = 3
@@ -155,9 +155,8 @@ def _tabular(
 
 def _file(view: CampaignView, name: str, what: str, parts: Sequence[list[str]]) -> str:
     """All tables of a file, numbered where they are several."""
-    title = "".join(c if c.isprintable() else " " for c in view.title)
     lines = [
-        f"% {title}: {what.lower()}, {_CAPTION}.",
+        f"% {printable(view.title)}: {what.lower()}, {_CAPTION}.",
         r"% \usepackage{booktabs,array} in the preamble, then " + f"\\input{{{name}.tex}} here.",
     ]
     for i, part in enumerate(parts, start=1):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 
 from markupsafe import Markup, escape
 
@@ -105,8 +106,8 @@ def in_html(name: str) -> Markup:
     """Symbol of a quantity as HTML; an unknown name escaped."""
     if name in _SYMBOLS:
         return Markup(_SYMBOLS[name][1])
-    word, of, more = of_population(name)
-    return escape(word + " ") + in_html(of) + more if word else escape(name.replace("_", " "))
+    word, of, more = of_population(printable(name))
+    return escape(word + " ") + in_html(of) + more if word else escape(of.replace("_", " "))
 
 
 def meaning(name: str) -> str:
@@ -147,9 +148,16 @@ def _parts(name: str) -> tuple[str, str, str]:
     return "", "", ""
 
 
+def printable(text: str) -> str:
+    """Text from a file without what is no character: controls, what turns the direction of text."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else " " for c in text)
+
+
 def plain(text: str) -> str:
     """Text from a file as matplotlib must get it: no mathtext, one line, not too long."""
-    line = "".join(c if c.isprintable() else " " for c in text).strip()
+    line = printable(text).strip()
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST - 1]}…"
     return line.replace("\\", "\\\\").replace("$", r"\$") if "$" in line else line

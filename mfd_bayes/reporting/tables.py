@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.reporting.views import (
     CampaignView,
     Check,
@@ -22,7 +23,7 @@ from mfd_bayes.reporting.views import (
 )
 
 _DIGITS = 6
-_FORMULA = ("=", "+", "-", "@")
+_FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 
 _QUANTILES = ("mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat", "contraction")
 
@@ -126,7 +127,8 @@ def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
     about = (
         f"# {band.interval} {100 * band.probability:g} % band of kind {band.kind}, for each "
         f"sample by itself; from {band.source}\n"
-        f"# actuation {actuation}\n"
+        + "".join(f"# warning: {' '.join(remark.split())}\n" for remark in band.remarks)
+        + f"# actuation {actuation}\n"
         "time_s,displacement_in,lower_kip,median_kip,upper_kip\n"
     )
     columns = (trace.time, trace.displacement, band.lower, band.median, band.upper)
@@ -166,6 +168,6 @@ def csv_text(head: Sequence[str], lines: Iterable[Sequence[str | float]]) -> str
 def _cell(value: str | float) -> str:
     """A number with six digits, or a text that no spreadsheet takes for a formula."""
     if isinstance(value, str):
-        text = value.replace("\r", " ")
+        text = printable(value)
         return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
     return "" if math.isnan(value) else f"{value:.{_DIGITS}g}"

@@ -210,6 +210,27 @@ def test_an_unknown_name_lists_the_known(name, tmp_path):
         find_priors(name, tmp_path)
 
 
+def test_a_campaigns_priors_stay_in_its_folder(tmp_path):
+    path = write(tmp_path, GOOD)
+    folder = tmp_path / "campaign"
+    folder.mkdir()
+    (folder / "link.toml").symlink_to(path)
+    for name in (f"../{path.name}", str(path), "link.toml"):
+        with pytest.raises(PriorError, match="lies outside"):
+            find_priors(name, folder)
+    with pytest.raises(PriorError, match="cannot be found"):
+        find_priors("x" * 5000, folder)
+
+
+def test_a_number_with_thousands_of_digits_is_refused(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        f'[parameters.static_excess_fwd]\nfamily = "lognormal"\nmedian = {10**400}\nsd = 1'
+    )
+    with pytest.raises(PriorError, match="must be finite"):
+        load_priors(str(path))
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_priors_are_complete_and_say_why(name):
     file = load_priors(name)

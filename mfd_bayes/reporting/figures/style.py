@@ -16,40 +16,52 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from mfd_bayes.reporting.colours import (
+    BANDS,
+    BLUE,
+    CHAINS,
+    DATA,
+    GREEN,
+    KINDS,
+    ORANGE,
+    POSTERIOR,
+    PRIOR,
+    PURPLE,
+    SKY,
+    TRUTH,
+    VALIDATE,
+    VERMILLION,
+)
 from mfd_bayes.reporting.views import Fan, Interval
 
+__all__ = [
+    "BANDS",
+    "BLUE",
+    "CHAINS",
+    "DATA",
+    "DPI",
+    "GREEN",
+    "KINDS",
+    "ORANGE",
+    "POSTERIOR",
+    "PRIOR",
+    "PURPLE",
+    "SKY",
+    "TRUTH",
+    "VALIDATE",
+    "VERMILLION",
+    "new_figure",
+    "no_ticks",
+    "percents",
+    "save_png",
+    "shades",
+    "style",
+    "to_png",
+]
+
 DPI = 105
-COLOURS = 160
-"""Of a PNG: enough for the shades at the edges of lines and letters."""
-
-# Okabe and Ito's colours, each with one meaning in the whole report.
-DATA = "#1b1b1b"
-ORANGE = "#E69F00"
-BLUE = "#0072B2"
-GREEN = "#009E73"
-VERMILLION = "#D55E00"
-PURPLE = "#CC79A7"
-SKY = "#56B4E9"
-PRIOR = "#9a9a9a"
-POSTERIOR = BLUE
-TRUTH = VERMILLION
-VALIDATE = "#a3457c"
-CHAINS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, "#555555", "#b8a600")
-
-# Bands of each kind: the wide one, the narrow one, the median. They are opaque, so that
-# branches of a loop that lie over each other do not add up to a darker shade.
-BANDS = {
-    "observation": ("#d5e7f4", "#a5cce8", BLUE),
-    "new_test": ("#cdeae0", "#93d2bd", GREEN),
-    "device": ("#f6c877", "#e08f1f", VERMILLION),
-    "prior": ("#e6e6e6", "#c6c6c6", "#6f6f6f"),
-}
-KINDS = {
-    "observation": "a new measurement (with noise)",
-    "new_test": "another test (with scatter)",
-    "device": "the model (parameters only)",
-    "prior": "what the priors allow",
-}
+FEW = 160
+"""Colours of a PNG: enough for the shades at the edges of lines and letters."""
 
 _STYLE: dict[str, object] = {
     "font.family": "sans-serif",
@@ -102,7 +114,7 @@ def to_png(figure: Figure) -> bytes:
     figure.savefig(stream, format="rgba", dpi=DPI)
     width, height = figure.canvas.get_width_height()
     drawn = Image.frombytes("RGBA", (width, height), stream.getvalue()).convert("RGB")
-    few = drawn.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few = drawn.quantize(FEW, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     packed = io.BytesIO()
     few.save(packed, "png", optimize=True)
     return packed.getvalue()

@@ -1,0 +1,32 @@
+"""Colours of every picture, drawn here or in the browser, each with one meaning."""
+
+from __future__ import annotations
+
+# Okabe and Ito's, which the colour-blind tell apart.
+DATA = "#1b1b1b"
+ORANGE = "#E69F00"
+BLUE = "#0072B2"
+GREEN = "#009E73"
+VERMILLION = "#D55E00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
+PRIOR = "#9a9a9a"
+POSTERIOR = BLUE
+TRUTH = VERMILLION
+VALIDATE = "#a3457c"
+CHAINS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, "#555555", "#b8a600")
+
+# Bands of each kind: the wide one, the narrow one, the median. They are opaque, so that
+# branches of a loop that lie over each other do not add up to a darker shade.
+BANDS = {
+    "observation": ("#d5e7f4", "#a5cce8", BLUE),
+    "new_test": ("#cdeae0", "#93d2bd", GREEN),
+    "device": ("#f6c877", "#e08f1f", VERMILLION),
+    "prior": ("#e6e6e6", "#c6c6c6", "#6f6f6f"),
+}
+KINDS = {
+    "observation": "a new measurement (with noise)",
+    "new_test": "another test (with scatter)",
+    "device": "the model (parameters only)",
+    "prior": "what the priors allow",
+}
