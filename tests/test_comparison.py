@@ -59,14 +59,14 @@ def run_of(model, tests=("a", "b"), r_hat=1.0):
     values = posterior.draw_prior(np.random.default_rng(1), 40)
     facts = {"seed": [1, 2], "walkers": 10}
     facts["convergence"] = {name: [r_hat, 500.0, 500.0] for name in posterior.names}
-    stored = SimpleNamespace(values=lambda: values, facts=facts)
+    draws = SimpleNamespace(sizes={"chain": 4})
+    stored = SimpleNamespace(values=lambda: values, facts=facts, draws=draws)
     results = {
         name: SimpleNamespace(
             id=name,
             posterior=posterior,
             stored=stored,
             trace=trace,
-            draws=SimpleNamespace(sizes={"chain": 4}),
         )
         for name in tests
     }

@@ -48,7 +48,7 @@ def test_a_table_shows_names_as_they_are(capsys):
         subject="[red]p[/red]", name=":smile:", target="\x1b[31mk3", value=1.0, limit="<= 1"
     )
     check.verdict = "pass"
-    print_checks(SimpleNamespace(checks=[check]))
+    print_checks(SimpleNamespace(checks=[check]), every=True)
     out = capsys.readouterr().out
     assert "[red]p[/red]" in out
     assert ":smile:" in out

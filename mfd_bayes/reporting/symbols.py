@@ -106,8 +106,9 @@ def in_html(name: str) -> Markup:
     """Symbol of a quantity as HTML; an unknown name escaped."""
     if name in _SYMBOLS:
         return Markup(_SYMBOLS[name][1])
-    word, of, more = of_population(printable(name))
-    return escape(word + " ") + in_html(of) + more if word else escape(of.replace("_", " "))
+    shown = printable(name)
+    word, of, more = of_population(shown)
+    return escape(word + " ") + in_html(of) + more if word else escape(shown.replace("_", " "))
 
 
 def meaning(name: str) -> str:

@@ -113,11 +113,11 @@ def test_units_change_at_a_click_in_tables_and_plots(chromium, report):
     with Watched(chromium, report) as found:
         page = found.page
         axis = "Bokeh.documents[0].get_model_by_name('plot-x').below[0].axis_label"
-        assert "ksi" in page.inner_text(".tested")
+        assert "psi" in page.inner_text(".tested")
         assert page.evaluate(axis) == "displacement, in"
         page.check("#units-si")
         assert "MPa" in page.inner_text(".tested")
-        assert "ksi" not in page.inner_text(".tested")
+        assert "psi" not in page.inner_text(".tested")
         assert page.evaluate(axis) == "displacement, mm"
         highest = "Bokeh.documents[0].get_model_by_name('plot-x').x_range.end"
         assert page.evaluate(highest) == pytest.approx(25.4 * 1.08, rel=0.02)
