@@ -33,7 +33,7 @@ ALONE = 2.0
 SETTLE = 20
 """Sweeps after that which are not kept, and as many again as a tenth of those that are."""
 
-SWEEPS = {100.0: 160, 400.0: 1200, 2000.0: 6000}
+SWEEPS = {100.0: 240, 400.0: 2000, 2000.0: 6000}
 """Sweeps at most, by the effective sample size that is asked for."""
 
 
