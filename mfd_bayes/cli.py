@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -23,6 +23,9 @@ from mfd_bayes.arguments import (
 )
 from mfd_bayes.ending import mistakes, resumption, this_command
 from mfd_bayes.interruption import end_on_signals
+
+if TYPE_CHECKING:
+    from mfd_bayes import pipeline
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -165,15 +168,7 @@ def calibrate(
     with mistakes("" if dry_run else resumption()):
         from mfd_bayes import pipeline
 
-        options = pipeline.Options(
-            pipeline.effort_of(out, effort, resume=resume),
-            seed,
-            jobs,
-            resume,
-            force,
-            this_command(),
-            scheduler=scheduler,
-        )
+        options = _options(out, effort, seed, jobs, scheduler, resume=resume, force=force)
         if dry_run:
             plan = pipeline.plan_campaign(campaign, options)
             samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
@@ -311,15 +306,7 @@ def crossvalidate(
     with mistakes(resumption()):
         from mfd_bayes import pipeline
 
-        options = pipeline.Options(
-            pipeline.effort_of(out, effort, resume=resume),
-            seed,
-            jobs,
-            resume,
-            force,
-            this_command(),
-            scheduler=scheduler,
-        )
+        options = _options(out, effort, seed, jobs, scheduler, resume=resume, force=force)
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.crossvalidate(campaign, out, by, options, observe)
         console.print_left_out(view, quiet=quiet)
@@ -360,15 +347,7 @@ def compare(
         from mfd_bayes import pipeline
 
         names = [name.strip() for name in models.split(",") if name.strip()]
-        options = pipeline.Options(
-            pipeline.effort_of(out, effort, resume=resume),
-            seed,
-            jobs,
-            resume,
-            force,
-            this_command(),
-            scheduler=scheduler,
-        )
+        options = _options(out, effort, seed, jobs, scheduler, resume=resume, force=force)
         with progress.watch(quiet=quiet) as observe:
             found, left_out = pipeline.compare(campaign, out, names, options, observe, by)
         console.print_comparison(found, quiet=quiet)
@@ -414,6 +393,23 @@ def demo(
             view = pipeline.demo(out, options, observe)
         console.print_truth(view, quiet=quiet)
         console.print_end(view, out, quiet=quiet)
+
+
+def _options(
+    out: Path,
+    effort: str | None,
+    seed: int,
+    jobs: int,
+    scheduler: str,
+    *,
+    resume: bool,
+    force: bool,
+) -> pipeline.Options:
+    """Options of a command that calibrates into a folder; a run that is resumed has its effort."""
+    from mfd_bayes import pipeline
+
+    chosen = pipeline.effort_of(out, effort, resume=resume)
+    return pipeline.Options(chosen, seed, jobs, resume, force, this_command(), scheduler=scheduler)
 
 
 def _version(wanted: bool) -> None:
