@@ -1,278 +1,273 @@
-"""What interrupts a calibration, at random moments of its course, and what a resumed run is then.
+"""What befalls a calibration, at random moments of its course, and what a resumed run is then.
 
     python benchmarks/interruption.py [FAULTS] [SEED] > benchmarks/interruption.txt
 
-runs `mfd-bayes calibrate` on a small synthetic campaign once undisturbed; then FAULTS (25) times
-from nothing, each time with a fault: Ctrl-C, SIGTERM, SIGKILL, SIGKILL of a worker process, a disk
-(tmpfs, for which it must be root) of random size that fills up. Each is looked at for tracebacks,
-processes that go on, and files whose content is not the undisturbed run's; then resumed with
-another number of processes, and compared: arrays bit for bit, tables and pictures byte for byte.
-Some 10 minutes on two cores. A worker is killed so long after the first one started, at 0.3 of the
-moment that is shown.
+runs `mfd-bayes calibrate` on a small synthetic campaign undisturbed, here and on a dask cluster;
+then FAULTS (60) times from nothing, each time with a fault:
+
+SIGINT, SIGTERM, SIGKILL  sent to the command
+worker       a process of its own is killed
+disk         a disk (tmpfs, for which it must be root) of random size that fills up
+read-only    the disk becomes read-only, at every second time as in `forbid_writing`'s second way
+lost worker  of the two of a cluster, one is killed
+all workers  both are killed, and 3 s later another is started
+no workers   both are killed and none is started; told to wait for one, the user gives Ctrl-C
+scheduler    the cluster's scheduler is killed
+client       SIGKILL of the command that works on a cluster
+
+After each, every file that is there must be the undisturbed run's, and every posterior must open.
+The folder is looked at by `check`, or a copy of it by `report`: they must give what the undisturbed
+run gives, or say in a sentence that it is not finished. Then the run is resumed with another number
+of processes, after "client" on the same cluster, and compared: arrays bit for bit, all else byte
+for byte but for times and the command. "c" among the jobs is the cluster.
+
+A moment is one of the undisturbed run. A process of its own is killed so long after the first one
+started, at 0.3 of the moment that is shown; on a cluster the moments are those until its tests are
+done. The campaign's model is LuGre, which takes half of the time of three stages. Two faults are
+brought side by side; an hour on two cores that are busy with other work besides.
 """
 
 import os
 import platform
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
+sys.path.insert(0, str(Path(__file__).parent))
+
+import interruption_cluster as dask
+import interruption_harness as harness
 import numpy as np
+from interruption_folder import (
+    Fault,
+    Undisturbed,
+    check,
+    is_complete,
+    is_whole,
+    left_behind,
+    look_at,
+)
+from interruption_harness import EXITS, Ended, calibrate, differing, end, files
 
-from mfd_bayes.demo import Truth, write_campaign
+ON_CLUSTER = ("lost worker", "all workers", "no workers", "scheduler", "client")
+AS_ROOT = ("disk", "read-only")
+KINDS = (
+    *("SIGINT", "SIGTERM", "SIGKILL", "worker", "disk", "read-only"),
+    *("lost worker", ("all workers", "no workers"), "scheduler", "client"),
+)
+"""In turns; of two in brackets, one at a time."""
+AT_A_TIME = 2
+"""Faults that are brought side by side; the undisturbed runs are made so too."""
+QUIET = ("SIGKILL", "worker", "lost worker", "all workers", "client")  # not a word on stderr
+HEAD = (
+    *("", "fault", "moment", "jobs", "exit", "orphans", "words", "said before", "looked at"),
+    *("resumed", "identical"),
+)
+WIDTHS = (3, 12, 13, 5, 5, 8, 6, 26, 11, 8, 10)
 
-COMMAND = [str(Path(sys.executable).parent / "mfd-bayes")]
-KINDS = ("SIGINT", "SIGTERM", "SIGKILL", "worker", "disk")
-EXITS = {"SIGINT": 130, "SIGTERM": 143, "SIGKILL": -9, "worker": 0, "disk": 2}
-TIMED = ("manifest.json", "report.html")  # they tell when, and how long
+
+@dataclass(frozen=True)
+class Plan:
+    """How many faults, of which kinds in turn, and the seed of their moments."""
+
+    faults: int
+    seed: int
+    kinds: tuple[str | tuple[str, ...], ...]
 
 
 @dataclass
-class Ended:
-    """How a command ended: its exit code, what it said, how long it took and left behind."""
+class Found:
+    """What came of a fault: the end, the folder as it was left, and the resumed run."""
 
-    code: int
-    printed: str
-    complaint: str
-    seconds: float
-    orphans: int
-
-
-def lay_out(folder: Path) -> Path:
-    """Write a campaign of two short tests and one held out; its path."""
-    truth = Truth(pressures=(500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5))
-    write_campaign(folder, 1, truth)
-    campaign = folder / "campaign.toml"
-    campaign.write_text(campaign.read_text().replace('"ou"', '"ou"\nrate = "25 Hz"'))
-    return campaign
+    ended: Ended
+    complete: bool
+    whole: bool
+    look: str
+    again: Ended
+    same: bool
+    left: list[str]
 
 
-def of_session(leader: int) -> list[tuple[int, str]]:
-    """Live processes of a session, with their command lines."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            state, _, _, session = (entry / "stat").read_text().rpartition(")")[2].split()[:4]
-            line = (entry / "cmdline").read_text().replace("\0", " ")
-        except OSError:
-            continue
-        if int(session) == leader and state != "Z":
-            found.append((int(entry.name), line))
-    return found
+def run_here(campaign: Path, out: Path) -> Ended:
+    began = time.monotonic()
+    return end(calibrate(campaign, out, 2), out, began)
 
 
-def calibrate(campaign: Path, out: Path, jobs: int, *options: str) -> subprocess.Popen[str]:
-    """Start the command in a session of its own, its words going to files apart from the folder."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's "&" has it ignored
-    words = ["calibrate", str(campaign), "-o", str(out), "--effort", "quick", "--jobs", str(jobs)]
-    printed, complaint = (out.parents[1] / name for name in ("printed.txt", "complaint.txt"))
-    with printed.open("w") as stdout, complaint.open("w") as stderr:
-        return subprocess.Popen(
-            [*COMMAND, *words, *options],
-            stdout=stdout,
-            stderr=stderr,
-            text=True,
-            env=os.environ | {"PYTHONUNBUFFERED": "1", "OPENBLAS_NUM_THREADS": "1"},
-            start_new_session=True,
-        )
+def run_on_cluster(campaign: Path, out: Path) -> tuple[float, Ended]:
+    """Seconds until the tests are done, and the end."""
+    with dask.cluster(out.parents[1] / "dask") as own:
+        began = time.monotonic()
+        process = calibrate(campaign, out, 0, "--scheduler", own.address)
+        while process.poll() is None and "population" not in harness.printed(out).read_text():
+            time.sleep(0.05)
+        return time.monotonic() - began, end(process, out, began)
 
 
-def end(process: subprocess.Popen[str], out: Path, began: float, grace: float = 5.0) -> Ended:
-    """Wait for a command's end, and a while for the processes that it has started."""
-    code = process.wait(timeout=600)
-    seconds = time.monotonic() - began
-    until = time.monotonic() + grace
-    while (orphans := of_session(process.pid)) and time.monotonic() < until:
-        time.sleep(0.05)
-    for pid, _ in orphans:
-        os.kill(pid, signal.SIGKILL)
-    words = [(out.parents[1] / name).read_text() for name in ("printed.txt", "complaint.txt")]
-    return Ended(code, *words, seconds, len(orphans))
+def prepare(home: Path) -> Undisturbed:
+    """Run the campaign here and on a cluster, and see that it makes no difference."""
+    campaign = harness.lay_out(home / "campaign")
+    campaign.write_text(campaign.read_text().replace('"three_stage"', '"lugre"'))
+    out, other = (home / name / "disk" / "out" for name in ("here", "cluster"))
+    for path in (out, other):
+        path.parent.mkdir(parents=True)
+    with ThreadPoolExecutor(AT_A_TIME) as pool:
+        local = pool.submit(run_here, campaign, out)
+        tests, on_cluster = run_on_cluster(campaign, other)
+    ended = local.result()
+    for each in (ended, on_cluster):
+        if each.code or each.complaint:
+            sys.exit(each.complaint)
+    if differing(other, out) or files(other) != files(out):
+        sys.exit(f"a cluster makes a difference: {differing(other, out)}")
+    size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    return Undisturbed(campaign, out, ended.seconds, tests, check(out).stdout, size)
 
 
-def arrays(path: Path) -> dict[str, bytes]:
-    """Every array of a NetCDF file, as bytes."""
-    found = {}
-
-    def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            found[name] = np.asarray(item[()]).tobytes()
-
-    with h5py.File(path) as file:
-        file.visititems(visit)
-    return found
-
-
-def content(path: Path) -> object:
-    """What of a file is to be the same in every run."""
-    if path.suffix == ".nc":
-        return arrays(path)
-    if path.name in TIMED:
-        return path.read_text().rstrip()[-1:]
-    return path.read_bytes()
-
-
-def differing(out: Path, reference: Path) -> list[str]:
-    """Files of a run folder that hold something else than the reference's; hidden ones aside."""
-    found = []
-    for path in sorted(out.rglob("*")):
-        if path.is_file() and not path.name.startswith("."):
-            name = path.relative_to(out)
-            try:
-                same = content(path) == content(reference / name)
-            except (OSError, ValueError):
-                same = False
-            if not same:
-                found.append(str(name))
-    return found
-
-
-def files(out: Path) -> set[str]:
-    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
-
-
-def mount(folder: Path, size: int, *, again: bool = False) -> None:
-    options = f"{'remount,' if again else ''}size={size // 1024}k"
-    subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], check=True)
-
-
-def wait_for_worker(process: subprocess.Popen[str], delay: float) -> int | None:
-    """Some worker that is at work so long after the first began; None where there is none."""
-    while process.poll() is None:
-        workers = [pid for pid, line in of_session(process.pid) if "spawn_main" in line]
-        if workers:
-            time.sleep(delay)
-            break
-        time.sleep(0.02)
-    workers = [pid for pid, line in of_session(process.pid) if "spawn_main" in line]
-    return max(workers, default=None)
-
-
-def disturb(kind: str, process: subprocess.Popen[str], moment: float) -> bool:
+def bring(fault: Fault, process: subprocess.Popen[str], run: Undisturbed) -> bool:
     """Bring a fault upon a command; whether it was in time."""
-    if kind == "disk":
+    moment = fault.share * run.seconds
+    if fault.kind == "disk":
+        process.wait(timeout=harness.LIMIT)
         return True
-    if kind == "worker":
-        victim = wait_for_worker(process, moment)
-        if victim is None:
-            return False
-        os.kill(victim, signal.SIGKILL)
-        return True
-    time.sleep(moment)
-    if process.poll() is not None:
-        return False
-    process.send_signal(getattr(signal, kind))
-    return True
+    if fault.cluster:
+        printed = harness.printed(fault.out)
+        moment = fault.share * run.on_cluster
+        return dask.disturb_cluster(fault.kind, process, fault.cluster, printed, moment)
+    if fault.kind == "read-only":
+        time.sleep(moment)
+        in_time = process.poll() is None
+        harness.forbid_writing(fault.out.parent, over=fault.jobs == 2)
+        return in_time
+    return harness.disturb(fault.kind, process, moment * (0.3 if fault.kind == "worker" else 1.0))
 
 
-def stage(ended: Ended) -> str:
-    """The last that a command said before its end."""
-    lines = ended.printed.splitlines()
-    return lines[-1].split(",")[0] if lines else "start"
+def follow(fault: Fault, run: Undisturbed) -> Found | Ended:
+    """Bring a fault and see what comes of it; the end alone where the fault came too late."""
+    jobs, cluster = fault.where
+    began = time.monotonic()
+    process = calibrate(run.campaign, fault.out, jobs, *cluster)
+    in_time = bring(fault, process, run)
+    fault.said = harness.stage(fault.out)
+    ended = end(process, fault.out, began)
+    if not in_time:
+        return ended
+    whole, complete = is_whole(fault, run), is_complete(fault.out, run)
+    look = look_at(fault, run)
+    if fault.kind == "disk":
+        harness.mount(fault.out.parent, 2**28, again=True)
+    if fault.kind == "read-only":
+        harness.allow_writing(fault.out.parent)
+    jobs, cluster = fault.where if fault.kind == "client" else (3 - fault.jobs, ())
+    process = calibrate(run.campaign, fault.out, jobs, "--resume", *cluster)
+    again = end(process, fault.out, time.monotonic())
+    same = is_complete(fault.out, run)
+    return Found(ended, complete, whole, look, again, same, left_behind(fault))
+
+
+def facts(kind: str, found: Found) -> dict[str, bool]:
+    """What must be so, and whether it is."""
+    ended, again = found.ended, found.again
+    late = ended.code == 0 and found.complete  # all was written before it could be missed
+    lines = ended.complaint.splitlines()
+    silent = ended.code == 0 or kind in QUIET
+    sentence = "Traceback" not in ended.complaint and len(lines) == (0 if silent else 1)
+    if kind == "no workers" and not late:
+        sentence = sentence and "waits for a worker" in ended.printed
+    return {
+        "exit code as documented": ended.code == EXITS[kind] or late,
+        "one sentence where one is due, no traceback": sentence,
+        "no process left": not ended.orphans,
+        "every file there is whole, and the undisturbed run's": found.whole,
+        "check or report shows all, or says that the run is not finished": found.look != "BAD",
+        "complete at once where the exit code is 0": ended.code != 0 or found.complete,
+        "resumed with exit code 0, and no complaint": again.code == 0 and not again.complaint,
+        "identical to the undisturbed run": found.same,
+        "no hidden file, lock or test of a cluster left": not found.left,
+    }
 
 
 def show(*cells: object) -> None:
-    widths = (3, 8, 22, 5, 6, 8, 6, 26, 8, 10)
-    print("".join(f"{cell!s:>{width}}" for cell, width in zip(cells, widths, strict=True)))
+    print("".join(f"{cell!s:>{width}}" for cell, width in zip(cells, WIDTHS, strict=True)))
     sys.stdout.flush()
 
 
-def main() -> None:
-    faults = int(sys.argv[1]) if len(sys.argv) > 1 else 25
-    rng = np.random.default_rng(int(sys.argv[2]) if len(sys.argv) > 2 else 1)
-    kinds = KINDS if os.geteuid() == 0 else KINDS[:-1]
-    with tempfile.TemporaryDirectory() as folder:
-        run(Path(folder), faults, rng, kinds)
+def tell(fault: Fault, moment: str, found: Found) -> Counter[str]:
+    """Print the row of a fault; what was as it must be."""
+    so = facts(fault.kind, found)
+    here = "c" if fault.cluster else str(fault.jobs)
+    then = "c" if fault.kind == "client" else str(3 - fault.jobs)
+    clean = so["one sentence where one is due, no traceback"] and so["no process left"]
+    show(
+        *(fault.number, fault.kind, moment, f"{here}>{then}", found.ended.code),
+        *(found.ended.orphans, "clean" if clean else "BAD", fault.said[:25], found.look),
+        *(found.again.code, "yes" if found.same and not found.left else "NO"),
+    )
+    for fact, holds in so.items():
+        if not holds:
+            print(fault.number, fact, found.ended, found.again, found.left, file=sys.stderr)
+    return Counter({fact: int(holds) for fact, holds in so.items()})
 
 
-def run(home: Path, faults: int, rng: np.random.Generator, kinds: tuple[str, ...]) -> None:
-    campaign = lay_out(home / "campaign")
-    reference = home / "reference" / "disk" / "out"
-    reference.parent.mkdir(parents=True)
-    began = time.monotonic()
-    whole = end(calibrate(campaign, reference, 2), reference, began)
-    if whole.code:
-        sys.exit(whole.complaint)
-    size = sum(path.stat().st_size for path in reference.rglob("*") if path.is_file())
-    print(f"mfd-bayes calibrate, {platform.platform()}, Python {platform.python_version()}")
-    print(f"undisturbed: {whole.seconds:.0f} s, {size / 1e6:.1f} MB, {len(files(reference))} files")
-    head = ("", "fault", "moment", "jobs", "exit", "orphans", "words", "last said")
-    show(*head, "resumed", "identical")
-    totals: Counter[str] = Counter()
-    number, course = 0, whole.seconds
-    while number < faults:
-        kind, jobs = kinds[number % len(kinds)], 1 + number // len(kinds) % 2
-        share = (number // len(kinds) + rng.random()) / -(-faults // len(kinds))
-        out = home / str(number) / "disk" / "out"
-        out.parent.mkdir(parents=True)
-        room = int(4096 + share * 0.98 * size)
-        if kind == "disk":
-            mount(out.parent, room)
+def meet(number: int, home: Path, plan: Plan, run: Undisturbed) -> tuple[Fault, str, Found]:
+    """Bring a fault of the plan, again where it came too late; it, its moment, what came of it."""
+    turn, which = divmod(number, len(plan.kinds))
+    kind = plan.kinds[which]
+    kind = kind[turn % 2] if isinstance(kind, tuple) else kind
+    rng = np.random.default_rng([plan.seed, number])
+    while True:
+        share = (turn + rng.random()) / -(-plan.faults // len(plan.kinds))
+        fault = Fault(number + 1, kind, share, home / "disk" / "out", 1 + turn % 2)
+        room = int(4096 + share * 0.98 * run.size)
+        course = run.on_cluster if kind in ON_CLUSTER else run.seconds
+        fault.out.parent.mkdir(parents=True)
+        if kind in AS_ROOT:
+            harness.mount(fault.out.parent, room if kind == "disk" else 2**28)
+        own = dask.cluster(home / "dask") if kind in ON_CLUSTER else nullcontext()
         try:
-            done = disturb_one(kind, campaign, out, jobs, share * course, reference)
-            if isinstance(done, Ended):  # before the fault came: the machine has grown faster
-                course = min(course, done.seconds)
-                continue
-            ended, again, halves, identical = done
+            with own as fault.cluster:
+                found = follow(fault, run)
         finally:
-            if kind == "disk":
-                subprocess.run(["umount", "-l", str(out.parent)], check=True)
-            shutil.rmtree(out.parents[1])
-        number += 1
-        moment = f"{room / 1e3:.0f} kB" if kind == "disk" else f"{share:.0%} of {course:.0f} s"
-        limit = 0 if kind in ("SIGKILL", "worker") else 1
-        clean = "Traceback" not in ended.complaint and len(ended.complaint.splitlines()) <= limit
-        show(
-            number,
-            kind,
-            moment,
-            f"{jobs}>{3 - jobs}",
-            ended.code,
-            ended.orphans,
-            "clean" if clean else "BAD",
-            stage(ended)[:25],
-            again.code,
-            "yes" if identical else "NO",
-        )
-        if not clean:
-            print(ended.complaint, file=sys.stderr)
-        totals["exit code as documented"] += ended.code == EXITS[kind]
-        totals["at most one sentence, no traceback"] += clean
-        totals["no process left"] += not ended.orphans
-        totals["every file there is whole, and the undisturbed run's"] += not halves
-        totals["resumed with exit code 0"] += again.code == 0 and not again.complaint
-        totals["identical to the undisturbed run"] += identical
+            harness.unmount(fault.out.parent)
+            shutil.rmtree(home)
+        if isinstance(found, Found):
+            moment = f"{room / 1e3:.0f} kB" if kind == "disk" else f"{share:.0%} of {course:.0f} s"
+            return fault, moment, found
+        run.seconds = min(run.seconds, found.seconds)  # the machine has grown faster
+
+
+def study(home: Path, plan: Plan) -> None:
+    run = prepare(home)
+    print(f"mfd-bayes calibrate, {platform.platform()}, Python {platform.python_version()}")
+    print(
+        f"undisturbed: {run.seconds:.0f} s, {run.size / 1e6:.1f} MB, {len(files(run.out))} files; "
+        f"on a cluster its tests are done after {run.on_cluster:.0f} s, to the same bits"
+    )
+    show(*HEAD)
+    totals: Counter[str] = Counter()
+    with ThreadPoolExecutor(AT_A_TIME) as pool:
+        numbers = range(plan.faults)
+        for met in pool.map(lambda number: meet(number, home / str(number), plan, run), numbers):
+            totals.update(tell(*met))
     for fact, count in totals.items():
-        print(f"{count:3d} of {faults}  {fact}")
+        print(f"{count:3d} of {plan.faults}  {fact}")
+    if min(totals.values()) < plan.faults:
+        sys.exit("not everything is as it must be: see above")
 
 
-def disturb_one(
-    kind: str, campaign: Path, out: Path, jobs: int, moment: float, reference: Path
-) -> tuple[Ended, Ended, list[str], bool] | Ended:
-    """A fault and what follows: its end, the resumed end, half files, whether all is the same.
-
-    The end alone where the fault came too late.
-    """
-    began = time.monotonic()
-    process = calibrate(campaign, out, jobs)
-    if not disturb(kind, process, 0.3 * moment if kind == "worker" else moment):
-        return end(process, out, began)
-    ended = end(process, out, began)
-    halves = [name for name in differing(out, reference) if Path(name).name not in TIMED]
-    if kind == "disk":
-        mount(out.parent, 2**28, again=True)
-    again = end(calibrate(campaign, out, 3 - jobs, "--resume"), out, time.monotonic())
-    same = not differing(out, reference) and files(out) == files(reference)
-    return ended, again, halves, same
+def main() -> None:
+    faults = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
+    kinds = tuple(kind for kind in KINDS if os.geteuid() == 0 or kind not in AS_ROOT)
+    harness.heed_interrupts()
+    with tempfile.TemporaryDirectory() as folder:
+        study(Path(folder), Plan(faults, seed, kinds))
 
 
 if __name__ == "__main__":

@@ -107,13 +107,17 @@ def alone_in(out: Path) -> Iterator[None]:
     try:
         with suppress(StoreError):  # a full disk: what is worth saying of it will be said
             write_json(named, asdict(Owner.here()))
-        with before_end(lambda: named.unlink(missing_ok=True)):
+        with before_end(lambda: _remove(named)):
             yield
     finally:
-        with suppress(OSError):
-            named.unlink(missing_ok=True)
+        _remove(named)
         if handle is not None:
             os.close(handle)
+
+
+def _remove(named: Path) -> None:
+    with suppress(OSError):  # read-only by now: a name that is left is no lock
+        named.unlink(missing_ok=True)
 
 
 def _lock(out: Path) -> int | None:
@@ -159,6 +163,10 @@ def _refusal(out: Path, owner: Owner | None) -> str:
 def _owner_of(out: Path) -> Owner | None:
     """Who left its name in a folder; None where nobody did, or what is left cannot be read."""
     try:
-        return Owner(**read_json(out / OWNER))
+        owner = Owner(**read_json(out / OWNER))
     except (StoreError, TypeError):
         return None
+    texts = (owner.host, owner.boot, owner.command, owner.since)
+    named = all(isinstance(text, str) for text in texts)
+    known = isinstance(owner.pid, int) and 0 < owner.pid < 2**31
+    return owner if named and known else None

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -295,6 +295,39 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     assert not list(out.glob(".*"))
     calibrate(campaign, out, Options("quick", jobs=1, resume=True), lambda _: None)
     assert stored(out) == stored(whole)
+
+
+def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
+    from mfd_bayes.cluster.crew import _Crew
+
+    alone, seen = {"tcp://w:1": 1}, []
+    client = SimpleNamespace(status="running", nthreads=lambda: alone)
+    crew = _Crew(client, "tcp://host:1", tmp_path, seen.append)
+    assert crew.hear() is None
+    assert seen == []
+    for times in (1, 2):
+        alone.clear()
+        assert crew.hear() is crew.hear() is None
+        assert [step.stage for step in seen].count("waits for a worker:") == times
+        assert seen[-1].message == "start one with: dask worker tcp://host:1"
+        alone["tcp://w:2"] = 1
+        crew.news.put({"key": "of a test that is done"})
+        assert crew.hear() is None
+        assert seen[-1].stage == "done"
+
+
+def test_a_worker_that_is_lost_while_it_is_asked_is_not_refused(monkeypatch):
+    from distributed.comm import CommClosedError
+
+    from mfd_bayes.cluster import crew
+
+    answers = {"tcp://w:1": "", "tcp://w:2": CommClosedError("in <TCP>: Stream is closed")}
+    client = SimpleNamespace(run=lambda *_, **__: answers)
+    monkeypatch.setattr(crew, "connected", lambda address: nullcontext(client))
+    crew.check_cluster("tcp://host:1")
+    answers["tcp://w:1"] = ModuleNotFoundError("No module named 'mfd_bayes'")
+    with pytest.raises(FitError, match=r"tcp://w:1 cannot run mfd_bayes: .*No module named"):
+        crew.check_cluster("tcp://host:1")
 
 
 def test_ctrl_c_cancels_what_is_outstanding(address, campaign, tmp_path):

@@ -1,6 +1,6 @@
 """Real processes, killed at random moments: what they leave, and what a resumed run makes of it.
 
-benchmarks/interruption.py does the same more often, with the whole report and a larger harness.
+benchmarks/interruption.py does the same more often, with the whole report and on a cluster too.
 """
 
 import fcntl
@@ -37,7 +37,8 @@ from mfd_bayes.cli import main
 if __name__ == "__main__":
     from mfd_bayes.reporting import figures
 
-    figures.draw_all = lambda view: {}
+    figures.draw_shared = lambda view: iter(())
+    figures.draw_test = lambda test, system, unit: iter(())
     main()
 """
 
@@ -45,7 +46,7 @@ if __name__ == "__main__":
 @pytest.fixture(scope="module")
 def study(tmp_path_factory) -> ModuleType:
     """The benchmark's harness, running the driver."""
-    path = Path(__file__).parents[1] / "benchmarks" / "interruption.py"
+    path = Path(__file__).parents[1] / "benchmarks" / "interruption_harness.py"
     if not path.is_file():
         pytest.skip("benchmarks/ is not part of this distribution")
     spec = importlib.util.spec_from_file_location("interruption_study", path)
@@ -56,6 +57,7 @@ def study(tmp_path_factory) -> ModuleType:
     spec.loader.exec_module(module)
     driver = tmp_path_factory.mktemp("driver") / "driver.py"
     driver.write_text(DRIVER)
+    module.heed_interrupts()
     module.COMMAND = [sys.executable, str(driver)]
     return module
 
@@ -182,7 +184,7 @@ def disk(study, out):
     except subprocess.CalledProcessError:
         pytest.skip("this system does not let root mount a tmpfs")
     yield lambda size: study.mount(out.parent, size, again=True)
-    subprocess.run(["umount", "-l", str(out.parent)], check=True)
+    study.unmount(out.parent)
 
 
 def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(
@@ -201,6 +203,26 @@ def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(
         assert_sound(study, out, ended, reference)
     disk(2**26)
     ended = study.end(study.calibrate(campaign, out, 2, "--resume"), out, time.monotonic())
+    assert (ended.code, ended.complaint) == (0, "")
+    assert_same(study, out, reference)
+
+
+@pytest.mark.parametrize("over", [False, True])
+def test_a_disk_that_becomes_read_only_is_said_in_a_sentence_and_resumed_when_it_is_not(
+    study, campaign, whole, out, disk, over
+):
+    reference, undisturbed = whole
+    disk(2**26)
+    process = study.calibrate(campaign, out, 2)
+    time.sleep(0.5 * undisturbed.seconds)
+    study.forbid_writing(out.parent, over=over)
+    ended = study.end(process, out, time.monotonic())
+    assert ended.code == 2
+    assert ended.complaint.startswith("mfd-bayes: cannot ")
+    assert ended.complaint.endswith("Read-only file system\n")
+    assert_sound(study, out, ended, reference)
+    study.allow_writing(out.parent)
+    ended = study.end(study.calibrate(campaign, out, 1, "--resume"), out, time.monotonic())
     assert (ended.code, ended.complaint) == (0, "")
     assert_same(study, out, reference)
 

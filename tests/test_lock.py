@@ -31,10 +31,13 @@ with end_on_signals(), alone_in(Path(sys.argv[1])):
 
 
 @contextmanager
-def held(out):
+def held(out, script=HOLD):
     """Another process that works in a folder."""
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(out)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", script, str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         try:
             assert process.stdout.readline() == "in\n"
@@ -85,6 +88,27 @@ def test_nothing_is_left_of_one_that_is_ended(out, number):
         process.send_signal(number)
         assert process.wait(20) == 128 + number
     assert not list(out.iterdir())
+
+
+READ_ONLY = """\
+import errno
+
+def refuse(*_, **__):
+    raise OSError(errno.EROFS, "Read-only file system")
+
+Path.unlink = refuse
+"""
+
+
+def test_one_that_is_ended_where_nothing_can_be_removed_ends_the_same_way(out):
+    script = HOLD.replace("with end_on", f"{READ_ONLY}\nwith end_on")
+    with held(out, script) as process:
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert complaint == "mfd-bayes: interrupted\n"
+    with alone_in(out):  # a name that is left is no lock
+        pass
 
 
 def test_a_name_that_a_killed_process_left_is_no_lock(out):
@@ -178,3 +202,14 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
         alone_in(Path(tmp_path / "file" / "out")),
     ):
         pytest.fail("there is no such folder")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("pid", "1"), ("pid", -1), ("pid", 10**30), ("host", None), ("since", [])]
+)
+def test_a_name_that_says_something_else_is_nobodys(out, key, value):
+    leave(out)
+    named = json.loads((out / OWNER).read_text()) | {key: value}
+    (out / OWNER).write_text(json.dumps(named))
+    with alone_in(out):
+        pass

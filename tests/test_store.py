@@ -1,5 +1,7 @@
+import errno
 import json
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.model import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store import (
+    is_part,
     load_arrays,
     load_test,
     load_trace,
@@ -16,6 +19,7 @@ from mfd_bayes.store import (
     save_arrays,
     save_test,
     save_trace,
+    sweep,
     write_atomically,
     write_bytes,
     write_json,
@@ -136,6 +140,22 @@ def test_a_full_disk_is_a_store_error_with_the_files_name(tmp_path):
 
     with pytest.raises(StoreError, match=r"report\.html.*No space left"):
         write_atomically(tmp_path / "report.html", write)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_becomes_read_only_is_a_store_error_with_the_files_name(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    for name in ("replace", "unlink"):
+        monkeypatch.setattr(Path, name, refuse)
+    with pytest.raises(StoreError, match=r"report\.html.*Read-only"):
+        write_text(tmp_path / "report.html", "")
+    sweep(tmp_path)  # at the end of a run, where it is not to hide what was said
+    monkeypatch.undo()
+    (part,) = tmp_path.iterdir()
+    assert is_part(part, "report.html")
+    sweep(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -261,3 +281,23 @@ def test_a_file_that_holds_no_json_object_is_named(tmp_path, content):
 def test_a_missing_json_file_is_named(tmp_path):
     with pytest.raises(StoreError, match=r"manifest\.json"):
         read_json(tmp_path / "manifest.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a":' * 60 + "1" + "}" * 60, "nested more than 50 times"),
+        ('{"a": ["\\ud800"]}', "not valid JSON"),
+        ('{"\\udfff": 1}', "not valid JSON"),
+    ],
+)
+def test_json_that_could_not_be_written_again_is_refused(tmp_path, text, words):
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(StoreError, match=words):
+        read_json(tmp_path / "manifest.json")
+
+
+def test_json_of_some_depth_and_any_script_is_read(tmp_path):
+    content = {"a": [[[[{"Größe": "\U0001f600"}]]]]}
+    (tmp_path / "manifest.json").write_text(json.dumps(content))
+    assert read_json(tmp_path / "manifest.json") == content

@@ -35,6 +35,8 @@ def check_cluster(address: str) -> None:
     """
     with connected(address) as client, losses(address):
         for worker, answer in client.run(differences, versions(), on_error="return").items():
+            if isinstance(answer, OSError):  # it was lost while it was asked; `work` asks again
+                continue
             if isinstance(answer, BaseException):
                 raise FitError(
                     f"the worker {worker} cannot run mfd_bayes: {in_a_line(answer)}; install the "
@@ -129,10 +131,7 @@ class _Crew:
                     ) from error
                 future.add_done_callback(self.news.put)
                 self.places[key] = _Place(job, future)
-            if not self.client.nthreads():
-                self.lonely = True
-                start = f"start one with: dask worker {self.address}"
-                self.observe(Step("cluster", "waits for a worker:", message=start))
+        self._look_for_workers()
 
     def hear(self) -> Outcome | None:
         """Take in what is said next; how a test ended, if it did."""
@@ -141,6 +140,7 @@ class _Crew:
         except queue.Empty:
             if self.client.status != "running":
                 raise lost(self.address) from None
+            self._look_for_workers()
             return None
         if self.lonely:
             self.lonely = False
@@ -154,6 +154,15 @@ class _Crew:
         """Cancel what is outstanding."""
         with suppress(*FAULTS):
             self.client.cancel([place.future for place in self.places.values()])
+
+    def _look_for_workers(self) -> None:
+        """Say, once, that there is no worker, or none any longer."""
+        with losses(self.address):
+            lonely = not self.client.nthreads()
+        if lonely and not self.lonely:
+            self.lonely = True
+            start = f"start one with: dask worker {self.address}"
+            self.observe(Step("cluster", "waits for a worker:", message=start))
 
     def _follow(self, news: Mapping[str, Any]) -> None:
         """Pass on where a test stands, as its last attempt says."""
