@@ -1,6 +1,6 @@
 """Feed changed files to everything that reads one, and keep what ends neither well nor in words.
 
-    python benchmarks/fuzz.py --inputs 100000 --seed 1 > benchmarks/fuzz.txt
+    python benchmarks/fuzz.py --inputs 101000 --seed 1 > benchmarks/fuzz.txt
     python benchmarks/fuzz.py --seed 1 --target csv --only 1234 --keep folder
 
 Every input is made from the seed, the target's name and its number alone, and is read in a
@@ -34,11 +34,11 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from fuzz_targets import Target, controls, targets
+from fuzz_targets import Target, controls, few, targets
 
 from mfd_bayes.errors import MfdError
 
-__all__ = ["controls", "make_input", "run", "shares", "targets"]
+__all__ = ["controls", "few", "make_input", "run", "shares", "targets"]
 
 MEMORY = 1536 * 2**20
 """Bytes of addresses that a process may use."""
@@ -87,7 +87,7 @@ def make_input(target: Target, seed: int, number: int) -> tuple[dict[str, bytes]
     rng = np.random.default_rng([seed, name, number])
     files = dict(target.files[rng.integers(len(target.files))])
     files[target.changed] = target.mutate(files[target.changed], rng)
-    return files, files[target.changed]
+    return target.finish(files), files[target.changed]
 
 
 def lay_out(folder: Path, files: dict[str, bytes]) -> None:

@@ -8,7 +8,7 @@ import json
 import re
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -17,74 +17,18 @@ Rng = np.random.Generator
 Mutate = Callable[[bytes, Rng], bytes]
 
 MAGIC = (
-    0,
-    1,
-    2,
-    4,
-    255,
-    2**15,
-    2**16 - 1,
-    2**31 - 1,
-    2**31,
-    2**32 - 1,
-    2**40,
-    2**63 - 1,
+    *(0, 1, 2, 4, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1),
     2**64 - 1,
 )
 FLOATS = (float("nan"), float("inf"), float("-inf"), 1e308, 1e-308, 5e-324, -0.0)
 WORDS = (
-    *(
-        "",
-        "0",
-        "-1",
-        "nan",
-        "NaN",
-        "inf",
-        "-Infinity",
-        "1e999",
-        "-1e308",
-        "1e-400",
-        "1_000",
-        "0x10",
-    ),
-    *("1,5", "1.234.567", "9" * 400, "9" * 5000, "1e" + "9" * 30, "true", "null", "'", '"', '"""'),
-    *("=cmd|' /C calc'!A0", "@SUM(1)", "\x1b[31mred", "\x1b]0;title\x07", "\u202eevil", "\u2028"),
-    *(
-        "../../etc/passwd",
-        "/etc/passwd",
-        "CON",
-        "\x00",
-        "\ufeff",
-        "\\",
-        "{{7*7}}",
-        "<script>",
-        "$x^2",
-    ),
-    *(
-        "kN",
-        "[psi]",
-        "time_s",
-        "degC",
-        "dB",
-        "1/0",
-        "a" * 3000,
-        "٣",
-        "½",
-        "−1",
-        "\r",
-        "\t",
-        ";",
-        ",",
-    ),
-    *(
-        "500 psi",
-        "1e300 psi",
-        "0 s to 1e999 s",
-        "500 psi/0",
-        "1979-05-27T07:32:00",
-        "#",
-        "[[test]]",
-    ),
+    *("", "0", "-1", "nan", "NaN", "inf", "-Infinity", "1e999", "-1e308", "1e-400", "1_000"),
+    *("0x10", "1,5", "1.234.567", "9" * 400, "9" * 5000, "1e" + "9" * 30, "true", "null"),
+    *("'", '"', '"""', "=cmd|' /C calc'!A0", "@SUM(1)", "\x1b[31mred", "\x1b]0;title\x07"),
+    *("\u202eevil", "\u2028", "../../etc/passwd", "/etc/passwd", "CON", "\x00", "\ufeff", "\\"),
+    *("{{7*7}}", "<script>", "$x^2", "kN", "[psi]", "time_s", "degC", "dB", "1/0", "a" * 3000),
+    *("٣", "½", "−1", "\r", "\t", ";", ",", "500 psi", "1e300 psi", "0 s to 1e999 s"),
+    *("500 psi/0", "1979-05-27T07:32:00", "#", "[[test]]"),
 )
 _TOKEN = re.compile(r"[+-]?\d[\d.eE+-]*|\w+|\s+|.", re.DOTALL)
 
@@ -122,6 +66,38 @@ def mutate_json(data: bytes, rng: Rng) -> bytes:
             return b"[" * 100_000
         text = changed if len(changed) < 10**6 else text
     return text.encode()
+
+
+def mutate_tree(data: bytes, rng: Rng) -> bytes:
+    """Leaves of a JSON tree replaced by others of their kind; every other time anything."""
+    if rng.random() < 0.4:
+        return mutate_json(data, rng)
+    tree = json.loads(data)
+    for _ in range(rng.integers(1, 4)):
+        places = list(_leaves(tree))
+        if places:
+            node, key = places[rng.integers(len(places))]
+            node[key] = _other(node[key], rng)
+    return json.dumps(tree).encode()
+
+
+def _leaves(tree: Any) -> Iterator[tuple[Any, Any]]:
+    """Every place of a tree that holds no tree."""
+    for key in tree if isinstance(tree, dict) else range(len(tree)):
+        if isinstance(tree[key], dict | list):
+            yield from _leaves(tree[key])
+        else:
+            yield tree, key
+
+
+def _other(value: Any, rng: Rng) -> Any:
+    if rng.random() < 0.1:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return _word(rng)
+    if isinstance(value, int):
+        return (-1, *MAGIC, 10**400)[rng.integers(len(MAGIC) + 2)]
+    return (0.0, -1.0, 1, *FLOATS, float(10.0 ** rng.uniform(-9, 9)))[rng.integers(len(FLOATS) + 4)]
 
 
 def mutate_zip(data: bytes, rng: Rng) -> bytes:
@@ -282,20 +258,7 @@ def _change_tree(tree: list[Any], rng: Rng) -> None:
 
 
 _VALUES = (
-    *(
-        None,
-        True,
-        False,
-        0,
-        -1,
-        1e308,
-        -1e-308,
-        float("nan"),
-        float("inf"),
-        2**63,
-        10**400,
-        "",
-        "x",
-    ),
-    *([], {}, [[]], [None], {"": None}, [1, "2", None], {"0": 1, "1": 2}, "calibrate", "done", 3.5),
+    *(None, True, False, 0, -1, 1e308, -1e-308, float("nan"), float("inf"), 2**63, 10**400),
+    *("", "x", [], {}, [[]], [None], {"": None}, [1, "2", None], {"0": 1, "1": 2}),
+    *("calibrate", "done", 3.5),
 )

@@ -18,6 +18,7 @@ import numpy as np
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.dispatch import run_jobs
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
+from mfd_bayes.manifest import check_stored, read_predictions_of
 from mfd_bayes.plan import Options
 from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.pooling import Setting, levels_of
@@ -244,9 +245,16 @@ def _fitted(test: TestResult) -> Score:
 
 
 def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
-    """Predictions of folds that were stored."""
+    """Predictions of folds that were stored.
+
+    Raises
+    ------
+    StoreError
+        When a file is missing, or does not hold its part's predictions.
+    """
     for fold in folds:
-        for entry in read_json(out / FOLDER / fold.file)["predictions"]:
+        path = check_stored(out, f"{FOLDER}/{fold.file}", {})
+        for entry in read_predictions_of(path, fold.left_out):
             scores = {key: Score.of(entry[key]) for key in ("score", "fitted")}
             yield Prediction(entry["part"], entry["test"], **scores)
 

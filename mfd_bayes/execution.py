@@ -16,7 +16,7 @@ from mfd_bayes.calibration.sampling import Progress
 from mfd_bayes.dispatch import check_workers, run_jobs
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.lock import OWNER, alone_in
-from mfd_bayes.manifest import check_stored, hash_stored
+from mfd_bayes.manifest import FOLDERS, check_links, check_stored, hash_stored, read_begun
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
@@ -34,7 +34,6 @@ from mfd_bayes.run import (
 from mfd_bayes.store import (
     MANIFEST,
     is_part,
-    read_json,
     save_trace,
     sweep,
     write_bytes,
@@ -50,10 +49,11 @@ _TABLES = (
     "crossvalidation.csv",
 )
 _OUTPUTS = ("population.nc", *_TABLES, "report.html", "report.pdf", "campaign.toml", "priors.toml")
-_FOLDERS = ("tests", "figures", "crossvalidation")
 _STORED = (posterior_of, pooled_of, record_of)
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """What the manifest holds of the population."""
+_TOLD = 10
+"""Most entries that are told to differ."""
 _DISCARDED = f".{MANIFEST}.discarded"
 
 
@@ -89,7 +89,7 @@ def calibrate(
     plan.manifest.update(extra or {})
     check_workers(options)
     with alone_in(out):
-        before = _prepare_folder(plan, out, options)
+        before = prepare_folder(plan, out, options)
         try:
             anew = _calibrate_tests(plan, out, options, observe)
             results = _results(plan, out)
@@ -195,14 +195,22 @@ def _finish(plan: Plan, out: Path, results: Mapping[str, TestResult]) -> Run:
     return Run(out, manifest, plan.priors, results, plan.held_out)
 
 
-def _prepare_folder(plan: Plan, out: Path, options: Options) -> dict[str, Any]:
+def prepare_folder(plan: Plan, out: Path, options: Options) -> dict[str, Any]:
     """Check that a folder may be begun, finished or replaced; leave in it what is kept.
+
+    What the plan's manifest keeps of an earlier session is added to it.
 
     Returns
     -------
     dict
         Manifest of the run that is gone on with, or empty.
+
+    Raises
+    ------
+    StoreError
+        When the folder may not be begun, or holds something else than this plan's run.
     """
+    check_links(out)
     if _is_free(plan, out):
         return {}
     if not (options.resume or options.force):
@@ -211,7 +219,7 @@ def _prepare_folder(plan: Plan, out: Path, options: Options) -> dict[str, Any]:
         discard(out)
         return {}
     try:
-        before = read_json(out / MANIFEST)
+        before = read_begun(out)
     except StoreError as error:
         raise StoreError(
             f"{out} cannot be resumed: {error}; give --force to start again"
@@ -232,9 +240,9 @@ def _keep(manifest: dict[str, Any], before: dict[str, Any]) -> None:
     """Take over from an earlier session what this one will not find out again."""
     manifest |= {key: before[key] for key in ("truth", "started") if key in before}
     manifest["seconds"] = before.get("seconds") or 0.0
-    for name, entry in (before.get("tests") or {}).items():
-        if name in manifest["tests"] and entry.get("status") == "done":
-            manifest["tests"][name] |= entry
+    for name, entry in before["tests"].items():
+        if name in manifest["tests"] and entry["status"] == "done":
+            manifest["tests"][name] |= {k: entry[k] for k in ("status", "seconds") if k in entry}
 
 
 def _kept_files(tests: Iterable[str], out: Path, digests: Mapping[str, str]) -> dict[str, str]:
@@ -267,7 +275,8 @@ def _changes(old: object, new: object) -> str | None:
     if not (isinstance(old, dict) and isinstance(new, dict)):
         return ""
     names = [key for key in {**old, **new} if old.get(key) != new.get(key)]
-    return f" ({', '.join(map(str, names))})"
+    told = ", ".join(name[:60] for name in names[:_TOLD])
+    return f" ({told}{', and more' if len(names) > _TOLD else ''})"
 
 
 def discard(out: Path) -> None:
@@ -278,6 +287,7 @@ def discard(out: Path) -> None:
     StoreError
         When the folder is not a run folder, or something in it cannot be removed.
     """
+    check_links(out)
     begun = out / _DISCARDED
     try:
         if (out / MANIFEST).is_file():
@@ -285,7 +295,7 @@ def discard(out: Path) -> None:
         elif not begun.exists():
             raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
         sweep(out)
-        for name in _FOLDERS:
+        for name in FOLDERS:
             if (out / name).exists():
                 shutil.rmtree(out / name)
         for name in _OUTPUTS:

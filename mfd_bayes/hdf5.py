@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import zlib
 from collections.abc import Iterator
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -59,6 +62,42 @@ def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
                 f"declares {declared / 1e6:,.0f} MB of numbers, {shown} among them; at most "
                 f"{most / 1e6:,.0f} MB are read"
             )
+
+
+def check_heaps(file: h5py.File) -> None:
+    """Refuse a file whose texts are laid out in a way that its library would never end to read.
+
+    Texts stand in global heaps: after a header of 16 bytes, one object after another, each with
+    its number and size before it. The library goes from one to the next by these sizes alone,
+    and where one is 0 it stays there for good (HDF5 File Format Specification, III.E).
+
+    Raises
+    ------
+    UnsafeError
+    """
+    if file.id.get_create_plist().get_sizes() != (8, 8):
+        raise UnsafeError("has sizes of other than 8 bytes")
+    path = Path(file.filename)
+    if not path.stat().st_size:
+        return
+    with path.open("rb") as opened, mmap(opened.fileno(), 0, access=ACCESS_READ) as content:
+        for found in re.finditer(rb"GCOL\x01\0\0\0", content):
+            _check_heap(content, found.start())
+
+
+def _check_heap(content: mmap, begin: int) -> None:
+    """Go through a global heap as the library does."""
+    end = begin + int.from_bytes(content[begin + 8 : begin + 16], "little")
+    if end > len(content):
+        raise UnsafeError("has a heap of texts that goes on beyond its end")
+    at = begin + 16
+    while at + 16 <= end:
+        number = int.from_bytes(content[at : at + 2], "little")
+        size = int.from_bytes(content[at + 8 : at + 16], "little")
+        step = 16 + (size + 7) // 8 * 8 if number else size  # number 0 is what is free
+        if not 0 < step <= end - at:
+            raise UnsafeError("has a heap of texts whose sizes do not fit")
+        at += step
 
 
 def check_pieces(dataset: h5py.Dataset) -> None:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.stored import check_draws, check_facts
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.manifest import check_stored, read_manifest
+from mfd_bayes.manifest import check_links, check_stored, read_manifest
 from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.pooling import SAME_LEVEL, same_level
 from mfd_bayes.population.predict import Band, Forecast, predict
@@ -211,6 +212,7 @@ def open_run(folder: str | Path) -> Run:
         When the folder is no finished run, or a file in it is not what the run wrote.
     """
     folder = Path(folder)
+    check_links(folder)
     manifest = read_manifest(folder)
     digests = manifest.get("files") or {}
     priors = load_priors(check_stored(folder, PRIORS, digests).name, folder)
@@ -237,13 +239,12 @@ def load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
     """
     stored = load_test(path)
     facts = stored.facts
+    check_facts(facts, path)
     try:
         posterior = Posterior(
             stored.trace, priors, facts["noise"], facts["model"], start=facts["start"]
         )
-    except (KeyError, TypeError, ValueError, MfdError) as error:
+    except MfdError as error:
         raise StoreError(f"{path} is damaged or not of this program: {error}") from error
-    missing = {*posterior.names, *posterior.model.parameters} - set(stored.draws.data_vars)
-    if missing:
-        raise StoreError(f"{path} holds no draws of {min(map(str, missing))}")
+    check_draws(stored, posterior, path)
     return TestResult(test_id, posterior, path)

@@ -7,7 +7,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.hdf5 import UnsafeError, check_objects
+from mfd_bayes.hdf5 import UnsafeError, check_heaps, check_objects
 from mfd_bayes.records.trace import Trace
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ MANIFEST = "manifest.json"
 _CHAINS = ("chain", "draw")
 _PART = ".part"
 _LARGEST_JSON = 64 * 2**20
+_DEEPEST = 50
 _SLACK = 2**20
 """Bytes of dimensions that a file may declare without holding them."""
 
@@ -56,7 +57,8 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # read-only by now, and said; the next run sweeps it away
+            part.unlink(missing_ok=True)
 
 
 def is_part(path: Path, name: str) -> bool:
@@ -65,11 +67,12 @@ def is_part(path: Path, name: str) -> bool:
 
 
 def sweep(out: Path) -> None:
-    """Remove from a run folder what a killed process was writing."""
+    """Remove from a run folder what a killed process was writing, where it can be removed."""
     folders = [out / name for name in ("tests", "figures", "crossvalidation")]
     for parts in (out.glob, *(folder.rglob for folder in folders)):
         for part in parts(f".*{_PART}"):
-            part.unlink(missing_ok=True)
+            with suppress(OSError):  # why not will be said of what is to be written
+                part.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -103,6 +106,7 @@ def read_json(path: Path) -> dict[str, Any]:
         if path.stat().st_size > _LARGEST_JSON:
             raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: it is none of ours")
         content = json.loads(path.read_text(encoding="utf-8"))
+        _check_tree(content)
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
@@ -110,6 +114,24 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise StoreError(f"{path} must hold a JSON object")
     return content
+
+
+def _check_tree(content: object) -> None:
+    """Refuse what cannot be written again: nested too deeply, or text that is no Unicode."""
+    level, depth = [content], 0
+    while level:
+        depth += 1
+        if depth > _DEEPEST:
+            raise ValueError(f"nested more than {_DEEPEST} times")
+        below: list[object] = []
+        for part in level:
+            if isinstance(part, Mapping):
+                below += [*part, *part.values()]
+            elif isinstance(part, list):
+                below += part
+            elif isinstance(part, str):
+                part.encode()
+        level = below
 
 
 def _plain(content: object) -> object:
@@ -324,6 +346,7 @@ def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
     groups = {}
     with h5py.File(path, "r") as file:
         # It is written unpacked, so that it holds what it declares.
+        check_heaps(file)
         check_objects(file, 2 * path.stat().st_size + _SLACK, plain=True)
     for name in names:
         with xr.open_dataset(path, group=name, engine="h5netcdf", decode_times=False) as dataset:

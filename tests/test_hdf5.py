@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import RecordError, StoreError
-from mfd_bayes.hdf5 import UnsafeError, check_objects, check_pieces
+from mfd_bayes.hdf5 import UnsafeError, check_heaps, check_objects, check_pieces
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.store import load_arrays, save_arrays
 
@@ -115,3 +115,39 @@ def test_pieces_and_sizes_within_bounds_pass(tmp_path):
         check_pieces(file["x"])
         with pytest.raises(UnsafeError, match="declares 40 MB"):
             check_objects(file, 39_000_000)
+
+
+def with_text(path):
+    """A file with a text of any length, and where its global heap begins."""
+    with h5py.File(path, "w") as file:
+        file["x"] = TIME
+        file["x"].attrs.create("about", "text", dtype=h5py.string_dtype())
+    content = bytearray(path.read_bytes())
+    return content, content.index(b"GCOL")
+
+
+def heap_of(path):
+    with h5py.File(path) as file:
+        check_heaps(file)
+
+
+def test_a_heap_of_texts_passes(tmp_path):
+    with_text(tmp_path / "a.h5")
+    heap_of(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(
+    ("at", "size", "words"),
+    [
+        (8, 2**40, "beyond its end"),
+        (24, 24, "do not fit"),  # from where on all sizes are 0: the library never ends
+        (24, 2**63, "do not fit"),
+        (24, 5000, "do not fit"),
+    ],
+)
+def test_a_heap_that_is_never_read_to_its_end_is_refused(tmp_path, at, size, words):
+    content, begin = with_text(tmp_path / "a.h5")
+    content[begin + at : begin + at + 8] = size.to_bytes(8, "little")
+    (tmp_path / "a.h5").write_bytes(content)
+    with pytest.raises(UnsafeError, match=words):
+        heap_of(tmp_path / "a.h5")

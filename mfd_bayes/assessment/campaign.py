@@ -23,6 +23,7 @@ from mfd_bayes.reporting.views import (
     CampaignView,
     Check,
     ComparisonRow,
+    LawView,
     Row,
     TestView,
     TruthRow,
@@ -32,12 +33,18 @@ from mfd_bayes.run import Run
 
 def assess(run: Run) -> CampaignView:
     """Everything that the report of a run shows."""
-    manifest = run.manifest
     tests = [calibrated_view(run, test) for test in run.tests.values()]
     tests += [held_out_view(run, name, trace) for name, trace in run.held_out.items()]
-    order = list(manifest["tests"])
+    order = list(run.manifest["tests"])
     tests.sort(key=lambda view: order.index(view.id))
-    table = law_rows(run)
+    return put_together(run, tests, law_rows(run), law_views(run))
+
+
+def put_together(
+    run: Run, tests: list[TestView], table: tuple[Row, ...], laws: tuple[LawView, ...]
+) -> CampaignView:
+    """The report of a run whose tests and laws are known, with what its manifest says."""
+    manifest = run.manifest
     checks = [check for view in tests for check in view.checks]
     checks += convergence_checks("population", table, manifest["effort"])
     checks += standing_checks(manifest.get("free_exponents", {}))
@@ -54,7 +61,7 @@ def assess(run: Run) -> CampaignView:
         actuation_unit=run.actuation_unit,
         tests=tuple(tests),
         failures=failures,
-        laws=law_views(run),
+        laws=laws,
         law_rows=table,
         checks=tuple(checks),
         scores=tuple(view.score for view in tests),

@@ -50,9 +50,13 @@ def _row(entry: Mapping[str, Any]) -> LeftOutRow:
         rrse=found.rrse,
         fitted_width=fitted.width,
         fitted_crps=fitted.crps,
-        width_ratio=found.width / fitted.width,
-        crps_ratio=found.crps / fitted.crps,
+        width_ratio=_ratio(found.width, fitted.width),
+        crps_ratio=_ratio(found.crps, fitted.crps),
     )
+
+
+def _ratio(predicted: float, fitted: float) -> float:
+    return predicted / fitted if fitted > 0 else float("nan")
 
 
 def _mean(rows: tuple[LeftOutRow, ...]) -> LeftOutRow:

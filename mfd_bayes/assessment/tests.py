@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 
 SCALE_ONLY = frozenset({"gamma1", "gamma2"})
 SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
+SHOWN = 2000
+"""Draws of a quantity that figures are drawn from."""
+
 _CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")
 
 
@@ -118,7 +121,7 @@ def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row
     rows = []
     for name, draws in stored.values().items():
         shrunk = float("nan")
-        if name not in SCALE_ONLY:
+        if name not in SCALE_ONLY and np.ptp(prior[name]) > 0:  # what is fixed has no spread
             before, after = log_if_positive(prior[name], draws)
             shrunk = float(contraction(np.array([before.std()]), after[:, None])[0])
         note = SCALE_NOTE if name in SCALE_ONLY else ""
@@ -126,8 +129,9 @@ def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row
             note = NOT_INFORMED
         lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
         r_hat, bulk, tail = facts["convergence"].get(name, (np.nan, np.nan, np.nan))
-        if r_hat is None:  # JSON has no infinity: walkers that never moved, or too few draws
-            r_hat, bulk, tail = np.inf, bulk or 0.0, tail or 0.0
+        # JSON has no infinity: walkers that never moved, or too few draws
+        r_hat = np.inf if r_hat is None else r_hat
+        bulk, tail = (0.0 if size is None else size for size in (bulk, tail))
         rows.append(
             Row(
                 subject=test,
@@ -169,7 +173,15 @@ def _marginals(
 ) -> tuple[Marginal, ...]:
     shrunk = {row.name: row.contraction for row in rows}
     sampled = test.posterior.names
-    return tuple(Marginal(n, UNITS[n], prior[n], values[n], shrunk[n]) for n in sampled)
+    return tuple(
+        Marginal(n, UNITS[n], _some(prior[n]), _some(values[n]), shrunk[n]) for n in sampled
+    )
+
+
+def _some(draws: Array) -> Array:
+    """At most `SHOWN` of the draws, evenly apart; in single precision, for tests may be many."""
+    step = -(-len(draws) // SHOWN)
+    return np.asarray(draws[::step], dtype=np.float32)
 
 
 def _by_step(stored: StoredTest, name: str) -> Array:

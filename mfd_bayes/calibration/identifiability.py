@@ -188,7 +188,8 @@ def find_directions(names: tuple[str, ...], prior_sd: Array, draws: Array) -> Di
 
 def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:
     """Pairs whose posterior draws (n, dim) have a rank correlation of ±0.7 or beyond."""
-    correlation = np.atleast_2d(np.corrcoef([_ranks(column) for column in draws.T]))
+    with np.errstate(invalid="ignore"):  # of draws that never moved none is known
+        correlation = np.atleast_2d(np.corrcoef([_ranks(column) for column in draws.T]))
     pairs = [
         Pair(names[i], names[j], float(correlation[i, j]))
         for i, j in itertools.combinations(range(len(names)), 2)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
 
@@ -58,12 +58,19 @@ def replicate(
         Posterior draws of all quantities; n of them are taken, evenly.
     rng : numpy.random.Generator
     n : int
+
+    Raises
+    ------
+    RecordError
+        When a force would be beyond all range.
     """
     total = len(values["offset"])
     pick = np.linspace(0, total - 1, min(n, total)).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}
-    force = posterior.force(taken) + taken["offset"][:, None]
-    noise = posterior.noise.draw(rng, posterior.trace.time, taken, posterior.travel(taken))
+    with np.errstate(over="ignore", invalid="ignore"):  # it is refused right below
+        force = posterior.force(taken) + taken["offset"][:, None]
+        noise = posterior.noise.draw(rng, posterior.trace.time, taken, posterior.travel(taken))
+    check_magnitude("the replicated force", force + noise)
     return Replicas(force, force + noise, taken)
 
 

@@ -14,6 +14,9 @@ from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.toml_file import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
+_LONGEST = 1000
+"""Most characters of what is said of a fault, whatever names and words stand in the file."""
+
 _DIMENSIONAL = frozenset({"median", "mean", "sd", "lower", "upper", "scale", "value"})
 
 
@@ -102,10 +105,19 @@ def load_priors(name: str, folder: Path | None = None) -> PriorFile:
         raise PriorError(f"cannot read the prior file {path}: {error.strerror or error}") from error
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
+    try:
+        return _priors(path, content)
+    except PriorError as error:
+        if len(str(error)) <= _LONGEST:
+            raise
+        raise PriorError(f"{str(error)[:_LONGEST]}…") from None
+
+
+def _priors(path: Path, content: dict[str, object]) -> PriorFile:
     unknown = set(content) - {"title", "parameters", "scatter"}
     if unknown:
         raise PriorError(
-            f"unknown key '{sorted(unknown)[0]}' in prior file {path.name}; "
+            f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
             "it may hold title, parameters and scatter"
         )
     tables = _tables(path, content, "parameters"), _tables(path, content, "scatter")
@@ -125,7 +137,7 @@ def _tables(path: Path, content: dict[str, object], key: str) -> dict[str, dict[
 
 
 def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
-    where = f"prior of {name} in {path.name}"
+    where = f"prior of {name[:60]} in {path.name}"
     if name not in KINDS:
         raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(KINDS)}")
     family = table.get("family")
@@ -144,7 +156,7 @@ def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
 
 
 def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
-    where = f"scatter {name} in {path.name}"
+    where = f"scatter {name[:60]} in {path.name}"
     members = table.get("parameters")
     if set(table) - {"parameters", "sd", "reason"} or not isinstance(members, list):
         raise PriorError(f"{where}: expected the keys parameters (a list), sd and reason")

@@ -47,7 +47,7 @@ KINDS = {
 """What each sampled quantity measures."""
 
 _LOG_2PI = float(np.log(2 * np.pi))
-_RANGE = 1e15  # values beyond this, or as near to a bound, are out of support: no damper has them
+RANGE = 1e15  # values beyond this, or as near to a bound, are out of support: no damper has them
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Prior:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             x = self.value(q)
             density = _LOG_DENSITIES[self.family](x, self.figures) + self._log_jacobian(q)
-            inside = (np.abs(x) < _RANGE) & (x - self.lower > 1.0 / _RANGE)
+            inside = (np.abs(x) < RANGE) & (x - self.lower > 1.0 / RANGE)
         return np.where(inside & np.isfinite(density), density, -np.inf)
 
     def _log_jacobian(self, q: Array) -> Array:

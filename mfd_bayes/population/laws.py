@@ -65,10 +65,15 @@ def shapes_of(law: str) -> tuple[str, ...]:
     return ("share", "exponent") if law == COMPARE else LAWS[law].shapes
 
 
+_MOST = 1e100  # of a ratio, so that what is made of it is a number
+
+
 def ratio(relative: Array, share: Array, exponent: Array) -> Array:
     """v(p)/v(p0) at p/p0, all broadcast; 0 at p = 0 of what is in proportion."""
     positive = relative > 0
-    power = np.where(positive, np.power(np.where(positive, relative, 1.0), exponent), 0.0)
+    with np.errstate(over="ignore"):  # an actuation beyond all that is tested
+        power = np.where(positive, np.power(np.where(positive, relative, 1.0), exponent), 0.0)
+    power = np.minimum(power, _MOST)
     followed: Array = share * power + (1.0 - share)
     return followed
 

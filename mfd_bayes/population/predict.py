@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.likelihood import Noise
 from mfd_bayes.calibration.posterior import theta_of
+from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.pooling import Setting
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
 
@@ -121,6 +122,8 @@ def predict(
     ------
     FitError
         When the trace has no actuation.
+    RecordError
+        When the force would be beyond all range, as far from what was tested.
     """
     rng = np.random.default_rng(forecast.seed)
     index = rng.choice(population.size, size=forecast.draws)
@@ -134,16 +137,19 @@ def predict(
         values = population.draw_test(setting, index, rng, scattered=scattered)
         source = "population laws" + (" with scatter" if scattered else "")
     values |= _unknown(population, forecast.draws, rng)
-    theta = theta_of(model, values)
-    force = model.force(
-        theta,
-        trace,
-        values.get("start"),
-        scales=_scales(population, trace, index) if trace.varying else None,
-    )
-    if forecast.kind == "observation":
-        travel = model.travel(theta, trace, values.get("start")) if noise.staged else None
-        force = force + values["offset"][:, None] + noise.draw(rng, trace.time, values, travel)
+    with np.errstate(over="ignore", invalid="ignore"):  # it is refused right below
+        theta = theta_of(model, values)
+        check_magnitude("a predicted parameter", theta, RANGE)
+        force = model.force(
+            theta,
+            trace,
+            values.get("start"),
+            scales=_scales(population, trace, index) if trace.varying else None,
+        )
+        if forecast.kind == "observation":
+            travel = model.travel(theta, trace, values.get("start")) if noise.staged else None
+            force = force + values["offset"][:, None] + noise.draw(rng, trace.time, values, travel)
+    check_magnitude("the predicted force", force)
     return band_of(trace.time, force, forecast.kind, forecast.probability, source, values)
 
 

@@ -76,6 +76,6 @@ def crps(draws: Array, observed: Array) -> Array:
 
 
 def rrse(predicted: Array, observed: Array) -> float:
-    """Root relative squared error √(Σ(F − F̂)² / Σ(F − F̄)²)."""
-    error = np.sum((observed - predicted) ** 2)
-    return float(np.sqrt(error / np.sum((observed - observed.mean()) ** 2)))
+    """Root relative squared error √(Σ(F − F̂)² / Σ(F − F̄)²), NaN of a force that is constant."""
+    error, spread = np.sum((observed - predicted) ** 2), np.sum((observed - observed.mean()) ** 2)
+    return float(np.sqrt(error / spread)) if spread > 0 else float("nan")

@@ -14,7 +14,9 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.hierarchy import Population
+from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.pooling import Effect, Pooling, Setting
+from mfd_bayes.population.stored import check_draws, check_facts
 from mfd_bayes.store import load_arrays, save_arrays
 
 Array = NDArray[np.float64]
@@ -52,22 +54,28 @@ def load_population(path: Path, priors: PriorFile) -> Population:
         When the file is missing or is no such file.
     """
     arrays, facts = load_arrays(path)
+    check_facts(facts, path)
     try:
-        return _population(arrays, facts, priors)
+        population = _population(arrays, facts, priors)
     except (KeyError, ValueError, TypeError) as error:
         raise StoreError(
             f"{path} is damaged or of another version of this program: {error}"
         ) from error
+    check_draws(population, path)
+    return population
 
 
 def _population(
     arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile
 ) -> Population:
+    laws = arrays["law"]
+    if not np.all(np.isin(laws, np.arange(len(LAWS)))):
+        raise ValueError("a law has a number that none is known by")
     return Population(
         pooling=_pooling(facts, priors),
-        h=arrays["hyperparameters"],
-        latent=arrays["latent"],
-        choice=arrays["law"].astype(np.intp),
+        h=arrays["hyperparameters"].astype(np.float64),
+        latent=arrays["latent"].astype(np.float64),
+        choice=laws.astype(np.intp),
         together=arrays["together"].astype(np.float64),
         priors=priors.parameters,
         actuation_unit=facts["actuation_unit"],
@@ -131,7 +139,10 @@ def _facts(pooling: Pooling) -> dict[str, Any]:
 
 
 def _pooling(facts: Mapping[str, Any], priors: PriorFile) -> Pooling:
-    names = tuple(facts["names"])
+    names, groups = tuple(facts["names"]), tuple(facts["groups"])
+    scatter = np.array([priors.scatter[groups[g]].sd for g in facts["member"]])
+    if not np.allclose(scatter, facts["scatter_sd"]):
+        raise ValueError("its scatter is not that of the priors")
     effects = tuple(
         Effect(
             name=e["name"],
@@ -148,7 +159,7 @@ def _pooling(facts: Mapping[str, Any], priors: PriorFile) -> Pooling:
         spread=np.array(facts["spread"]),
         laws=facts["laws"],
         weights=facts["weights"],
-        groups=tuple(facts["groups"]),
+        groups=groups,
         member=np.array(facts["member"], dtype=np.intp),
         scatter_sd=np.array(facts["scatter_sd"]),
         reference=facts["reference"],

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 
 from mfd_bayes.assessment.left_out import left_out_view
@@ -41,6 +43,14 @@ def test_predictions_stand_beside_fitted_tests_and_are_averaged():
 
 def test_a_test_left_out_is_predicted_from_the_others():
     assert "each predicted from the others" in left_out_view(STORED | {"by": "test"}).sentence
+
+
+def test_a_fitted_band_without_width_has_no_ratio():
+    entry = prediction("a", "500 psi", 1.0)
+    entry["fitted"] = scored(0.0, 0.0)
+    (row,) = left_out_view(STORED | {"predictions": [entry]}).rows
+    assert math.isnan(row.width_ratio)
+    assert math.isnan(row.crps_ratio)
 
 
 def test_nothing_is_said_of_a_campaign_that_was_not_cross_validated():

@@ -296,3 +296,10 @@ def test_draws_of_the_prior_say_that_the_data_tell_nothing():
     assert [s.name for s in found.sensitivities] == list(posterior.names)
     assert all(s.diagnosis == PRIOR_LED for s in found.sensitivities)
     assert all(s.likelihood < 0.02 for s in found.sensitivities)
+
+
+def test_draws_that_never_moved_trade_off_with_nothing():
+    draws = np.column_stack([np.arange(50.0), np.arange(50.0), np.ones(50)])
+    assert [(pair.first, pair.second) for pair in find_pairs(("a", "b", "c"), draws)] == [
+        ("a", "b")
+    ]

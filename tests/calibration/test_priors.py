@@ -249,3 +249,19 @@ def test_shipped_priors_put_static_friction_above_kinetic_by_construction(name):
         prior = load_priors(name).parameters[f"static_excess_{side}"]
         assert prior.lower >= 0
         assert np.all(prior.draw(np.random.default_rng(0), 1000) >= 0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'[parameters.d2]\nfamily = "{"x" * 9000}"',
+        f'[parameters.{"x" * 9000}]\nfamily = "normal"',
+        f'[parameters.d2]\nfamily = "lognormal"\n{"x" * 9000} = 1',
+        f"{'x' * 9000} = 1",
+    ],
+)
+def test_a_sentence_does_not_repeat_all_that_a_stranger_wrote(tmp_path, text):
+    (tmp_path / "own.toml").write_text(text)
+    with pytest.raises(PriorError, match=r"own\.toml") as caught:
+        load_priors("own.toml", tmp_path)
+    assert len(str(caught.value)) <= 1001

@@ -86,6 +86,12 @@ def test_draws_of_shapes_are_their_quantiles(shape):
     np.testing.assert_allclose(draw_shape(shape, uniform), DENSITIES[shape].ppf(uniform))
 
 
+def test_a_dependence_is_expected_to_change_a_parameter_by_a_third_per_e_fold_at_most():
+    # one prior sd, and what lies within two of them
+    assert draw_shape("velocity", stats.norm.cdf(1.0)) == pytest.approx(0.3)
+    assert np.exp(draw_shape("amplitude", stats.norm.cdf(2.0))) == pytest.approx(np.exp(0.6))
+
+
 def test_a_share_is_uniform_and_lies_between_nothing_and_all():
     uniform = np.array([1e-9, 0.2, 0.9])
     np.testing.assert_allclose(value_of("share", draw_shape("share", uniform)), uniform)
@@ -107,4 +113,10 @@ def test_a_law_infers_what_it_leaves_open():
 def test_the_papers_laws_are_known():
     assert set(PAPER.values()) <= set(LAWS)
     assert PAPER["Fc_fwd"] == PAPER["Fc_bwd"] == "proportional"
+    assert PAPER["Fy_fwd"] == PAPER["Fy_bwd"] == "proportional"
     assert PAPER["sigma0"] == "affine"
+
+
+def test_an_actuation_beyond_all_range_has_a_ratio():
+    found = ratio(np.array([1e10]), np.array([1.0]), np.array([40.0]))
+    assert np.all(np.isfinite(found))

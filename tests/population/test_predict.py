@@ -8,7 +8,7 @@ import pytest
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.pooling import Setting, pool
@@ -101,6 +101,18 @@ def test_without_scatter_a_new_test_is_the_device():
     np.testing.assert_allclose(
         np.mean(device.upper[SLIDING]), np.mean(new_test.upper[SLIDING]), rtol=0.02
     )
+
+
+def test_a_run_without_a_gap_predicts_what_the_gap_does_not_need(population):
+    # runs of a model without γ1 and a sampled start: only γ2/γ1 reaches the force, the start is ½
+    known = {n: p for n, p in population.priors.items() if n not in ("gamma1", "start")}
+    device = Forecast("device", draws=20)
+    trace = Trace.from_arrays(TIME, MOTION, 1.0)
+    without = predict(replace(population, priors=known), ThreeStage(), NOISE, trace, device)
+    np.testing.assert_array_equal(without.values["start"], 0.5)
+    fixed = predict(population, ThreeStage(), NOISE, trace, device)
+    late = TIME > 2.0  # of the start nothing is left
+    np.testing.assert_allclose(without.draws[:, late], fixed.draws[:, late], rtol=1e-9, atol=1e-9)
 
 
 def test_a_tested_level_is_known_better_than_one_that_is_not():
@@ -231,7 +243,21 @@ def test_a_forecast_that_makes_no_sense_is_refused(fault, words):
         Forecast(**fault)
 
 
+def test_ten_draws_make_a_band():
+    assert Forecast(draws=10).draws == 10
+
+
 def test_a_prediction_needs_an_actuation(population):
     trace = Trace.from_arrays(TIME, MOTION)
     with pytest.raises(FitError, match=r"needs the trace's actuation.*ksi"):
         predict(population, ThreeStage(), NOISE, trace, Forecast())
+
+
+def test_a_prediction_beyond_all_range_ends_in_a_sentence():
+    known = make_population({"Fc_fwd": "power"})
+    begin = len(known.pooling.names) + len(known.pooling.effects)
+    h = known.h.copy()
+    h[..., begin + known.pooling.shapes.index(("Fc_fwd", "exponent"))] = 10.0
+    assert ask(replace(known, h=h), 1.0).median.size
+    with pytest.raises(RecordError, match=r"predicted .* too large"):
+        ask(replace(known, h=h), 1e9)

@@ -96,3 +96,7 @@ def test_rrse_of_the_mean_is_one():
     assert rrse(np.full(100, observed.mean()), observed) == pytest.approx(1.0)
     assert rrse(0.5 * (observed + observed.mean()), observed) == pytest.approx(0.5)
     assert rrse(observed - 3 * observed.std(), observed) == pytest.approx(3.0)
+
+
+def test_a_force_that_is_constant_has_no_relative_error():
+    assert np.isnan(rrse(np.zeros(5), np.full(5, 2.0)))

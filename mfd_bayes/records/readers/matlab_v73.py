@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.hdf5 import UnsafeError, check_objects, check_pieces
+from mfd_bayes.hdf5 import UnsafeError, check_heaps, check_objects, check_pieces
 
 if TYPE_CHECKING:
     import h5py
@@ -51,6 +51,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
     try:
         with h5py.File(path, "r") as file:
+            check_heaps(file)
             check_objects(file, UNPACKED * 2**20)
             yield file
     except UnsafeError as error:

@@ -1,0 +1,163 @@
+"""What a stored population must hold, so that whatever is made of it can be computed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from mfd_bayes.calibration.priors import KINDS
+from mfd_bayes.errors import StoreError
+from mfd_bayes.population.hierarchy import Population
+from mfd_bayes.population.laws import COMPARE, LAWS
+from mfd_bayes.population.pooling import Pooling
+from mfd_bayes.schema import Figure, Index, Part, Positive, check
+
+_WIDEST = 40.0
+"""Of a half-normal scale: no draw of a scatter is beyond."""
+
+_FARTHEST = 1e6
+"""Prior units or logarithms beyond which nothing is drawn."""
+
+_Near = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Name = Annotated[str, AfterValidator(lambda name: _known(name, KINDS))]
+_Law = Annotated[str, AfterValidator(lambda name: _known(name, LAWS))]
+_Covariate = Literal["velocity", "amplitude"]
+
+
+_Level = Annotated[float, Field(ge=0, le=1e10)]
+
+
+def _known(name: str, names: Collection[str]) -> str:
+    if name not in names:
+        raise ValueError("must be a name that is known")
+    return name
+
+
+class _Setting(Part):
+    actuation: Annotated[float, Field(gt=0, le=1e10)]
+    session: str
+    covariates: dict[_Covariate, Annotated[float, Field(ge=0, le=1e10)]]
+
+
+class _Effect(Part):
+    name: Literal["level", "session"]
+    group: Index
+    members: Annotated[list[Index], Field(min_length=1)]
+    cells: list[Annotated[tuple[str, _Level], Field(strict=False)]]
+    home: list[Index]
+
+
+class _Facts(Part):
+    names: Annotated[list[_Name], Field(min_length=1)]
+    speed: Annotated[float, Field(gt=0, le=1e10)]
+    centre: list[_Near]
+    spread: list[Annotated[float, Field(gt=0, le=_FARTHEST)]]
+    laws: dict[_Name, str]
+    weights: dict[_Name, dict[_Law, Annotated[float, Field(ge=0, le=1)]]]
+    groups: list[str]
+    member: list[Index]
+    scatter_sd: list[Positive]
+    reference: Annotated[float, Field(gt=0, le=1e10)]
+    settings: Annotated[list[_Setting], Field(min_length=1)]
+    effects: list[_Effect]
+    dependence: dict[_Name, list[_Covariate]]
+    covariate_reference: dict[_Covariate, Positive]
+    actuation_unit: Literal["ksi", "kip"]
+    walkers: Annotated[int, Field(ge=1)]
+    r_hat: list[Figure]
+    ess_bulk: list[Figure]
+    ess_tail: list[Figure]
+
+    @model_validator(mode="after")
+    def _check_together(self) -> Self:
+        d = len(self.names)
+        _need(len(set(self.names)) == d, "names must differ")
+        for key in ("centre", "spread", "member", "scatter_sd"):
+            _need(len(getattr(self, key)) == d, f"{key} must be as many as the names")
+        _need(max(self.member) < len(self.groups), "member must be of the groups")
+        _need(set(self.laws) <= set(self.names), "laws must be of the names")
+        _need(set(self.laws.values()) <= {*LAWS, COMPARE}, "laws must be known")
+        _need(set(self.weights) == set(self.laws), "weights must be those of the laws")
+        _need(all(sum(w.values()) > 0 for w in self.weights.values()), "weights must not be zero")
+        _need(set(self.dependence) <= set(self.names), "dependence must be of the names")
+        used = {c for those in self.dependence.values() for c in those}
+        _need(used <= set(self.covariate_reference), "covariate_reference must be of all that is")
+        _need(
+            all(setting.covariates.get(c, 0) > 0 for setting in self.settings for c in used),
+            "covariates of the settings must be above zero",
+        )
+        for effect in self.effects:
+            _need(effect.group < len(self.groups), "effects must be of the groups")
+            _need(max(effect.members) < d, "members of effects must be of the names")
+            _need(len(effect.home) == len(self.settings), "home must be as many as the settings")
+            _need(max(effect.home) < len(effect.cells), "home must be of the cells")
+            levels = [at for _, at in effect.cells]
+            _need(effect.name == "session" or min(levels) > 0, "levels must be above zero")
+        return self
+
+
+def _need(holds: bool, sentence: str) -> None:
+    if not holds:
+        raise ValueError(sentence)
+
+
+def check_facts(facts: Any, where: object) -> None:
+    """Refuse facts of a population that are not those that an inference stores.
+
+    Raises
+    ------
+    StoreError
+        When one is missing or of the wrong kind, or they do not fit together.
+    """
+    check(_Facts, facts, where)
+
+
+def check_draws(population: Population, where: object) -> None:
+    """Refuse draws of a population that no inference gives.
+
+    Raises
+    ------
+    StoreError
+        When they do not have the population's size, or are out of range.
+    """
+    pooling, shape = population.pooling, population.h.shape[:2]
+    d, cells = len(pooling.names), sum(len(effect.cells) for effect in pooling.effects)
+    for name, values, rest in (
+        ("hyperparameters", population.h, (pooling.dim,)),
+        ("latent", population.latent, (1 + cells, d)),
+        ("law", population.choice, (len(pooling.laws),)),
+        ("together", population.together, (d, d)),
+    ):
+        if values.shape != (*shape, *rest):
+            raise StoreError(f"{where} must hold {name} of shape {(*shape, *rest)}")
+        if not np.all(np.abs(values) <= _FARTHEST):
+            raise StoreError(f"{where} must hold {name} that is finite and within {_FARTHEST:g}")
+    if population.size < 1 or shape[1] % population.walkers:
+        raise StoreError(f"{where} must hold draws of {population.walkers} walkers")
+    try:
+        _ = [effect.root for effect in pooling.effects]
+    except np.linalg.LinAlgError:
+        raise StoreError(f"{where} holds an effect with the same cell twice") from None
+    _check_sizes(population, pooling, where)
+
+
+def _check_sizes(population: Population, pooling: Pooling, where: object) -> None:
+    """Refuse scatter, shapes and levels that their priors exclude."""
+    h = population.h.reshape(population.size, -1)
+    scales = pooling.sd_scale
+    with np.errstate(over="ignore"):
+        wide = np.exp(h[:, : scales.size]) > _WIDEST * scales
+    if np.any(wide):
+        raise StoreError(f"{where} holds a scatter that its prior excludes")
+    if np.any(np.abs(h[:, scales.size :]) > _WIDEST):
+        raise StoreError(f"{where} holds a law's shape that its prior excludes")
+    if np.any(np.abs(population.together) > 1.001):
+        raise StoreError(f"{where} holds a correlation beyond 1")
+    levels = population.levels.reshape(population.size, -1)
+    with np.errstate(all="ignore"):
+        inside = np.isfinite(pooling.coordinates.log_prior(levels))
+    if not np.all(inside):
+        raise StoreError(f"{where} holds a level that its prior excludes")

@@ -1,0 +1,38 @@
+"""Rows of one test, of facts as JSON gives them back."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mfd_bayes.assessment.tests import _rows
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store import StoredTest
+
+TRACE = Trace.from_arrays([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], 1.0, [0.0, 1.0, 2.0])
+
+
+def row_of(name, draws, prior, convergence):
+    data = xr.Dataset({name: (("chain", "draw"), draws)})
+    stored = StoredTest(data, xr.Dataset(), TRACE, {"convergence": {name: convergence}})
+    (row,) = _rows("a", stored, {name: prior})
+    return row
+
+
+@pytest.mark.parametrize(
+    ("stored", "shown"),
+    [
+        ([1.0, 500.0, 400.0], (1.0, 500.0, 400.0)),
+        ([None, None, None], (np.inf, 0.0, 0.0)),
+        ([1.0, None, 400.0], (1.0, 0.0, 400.0)),
+    ],
+)
+def test_figures_that_json_has_not_fail_their_limits(stored, shown):
+    draws = np.random.default_rng(0).lognormal(size=(2, 20))
+    row = row_of("Fc_fwd", draws, draws[0], stored)
+    assert (row.r_hat, row.ess_bulk, row.ess_tail) == shown
+
+
+def test_what_is_fixed_has_no_contraction():
+    row = row_of("start", np.full((2, 20), 0.5), np.full(2000, 0.5), [1.0, 1.0, 1.0])
+    assert np.isnan(row.contraction)
+    assert row.note == ""

@@ -1,0 +1,49 @@
+"""Strict kinds, figures that may be null, and one short sentence for the first fault."""
+
+import math
+
+import pytest
+
+from mfd_bayes.errors import StoreError
+from mfd_bayes.schema import Figure, Index, Part, Positive, check
+
+
+class Sample(Part):
+    name: str
+    figure: Figure = 0.0
+    size: Positive = 1.0
+    count: Index = 0
+
+
+def test_what_fits_is_read():
+    found = check(Sample, {"name": "a", "figure": 3, "more": 1}, "manifest.json")
+    assert (found.name, found.figure) == ("a", 3.0)
+
+
+def test_null_is_a_figure_that_was_not_finite():
+    assert math.isnan(check(Sample, {"name": "a", "figure": None}, "manifest.json").figure)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("name", None), ("name", 3), ("figure", "1"), ("figure", True), ("figure", 1e300)),
+        *(("figure", math.inf), ("figure", 10**400), ("size", 0.0), ("size", math.nan)),
+        *(("size", None), ("count", -1), ("count", 1.0)),
+    ],
+)
+def test_what_does_not_fit_is_told_with_its_file_and_key(key, value):
+    with pytest.raises(StoreError, match=rf"manifest\.json is damaged .*: {key}: .*, got "):
+        check(Sample, {"name": "a"} | {key: value}, "manifest.json")
+
+
+@pytest.mark.parametrize("content", [[], None, "a", {}])
+def test_something_else_than_the_object_is_refused(content):
+    with pytest.raises(StoreError, match=r"manifest\.json is damaged"):
+        check(Sample, content, "manifest.json")
+
+
+def test_long_content_is_cut():
+    with pytest.raises(StoreError) as caught:
+        check(Sample, {"name": ["x" * 10_000] * 100}, "manifest.json")
+    assert len(str(caught.value)) < 400
