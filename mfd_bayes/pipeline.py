@@ -26,18 +26,17 @@ from mfd_bayes.inspection import (
     share_inside,
 )
 from mfd_bayes.lock import alone_in
+from mfd_bayes.manifest import check_links, read_begun
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
 from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import (
     CROSSVALIDATION,
     bands_csv,
     comparison_csv,
     predicted_csv,
-    report_tables,
 )
 from mfd_bayes.reporting.views import (
     IDENTIFIABILITY,
@@ -51,7 +50,6 @@ from mfd_bayes.reporting.views import (
 from mfd_bayes.run import Run, open_run
 from mfd_bayes.store import (
     MANIFEST,
-    read_json,
     sweep,
     write_atomically,
     write_bytes,
@@ -103,7 +101,7 @@ def calibrate_campaign(
         When something cannot be used; nothing is written then.
     """
     calibrate(campaign, out, options, observe)
-    return report(out, observe)
+    return report(out, observe, jobs=options.jobs)
 
 
 def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:
@@ -121,7 +119,7 @@ def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:
     found = sorted(out.glob(f"*/{MANIFEST}"))
     for path in [out / MANIFEST, *found] if resume else ():
         if path.is_file():
-            return str(read_json(path).get("effort", {}).get("name", "standard"))
+            return str(read_begun(path.parent)["effort"]["name"])
     return "standard"
 
 
@@ -149,7 +147,7 @@ def crossvalidate(
     for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
         observe(Step(name, "waiting"))
     _leave_out_parts(calibrate(campaign, out, options, observe), by, options, observe)
-    return report(out, observe)
+    return report(out, observe, jobs=options.jobs)
 
 
 def _check_parts(plan: Plan, by: str) -> Collection[str]:
@@ -226,9 +224,9 @@ def compare(
     write_text(out / "comparison.csv", comparison_csv(found.rows))
     observe(Step("comparison", "done"))
     for model in chosen:
-        manifest = read_json(out / model / MANIFEST)
+        manifest = read_begun(out / model)
         write_json(out / model / MANIFEST, manifest | {"comparison": asdict(found)})
-        view = report(out / model, _named(observe, model))
+        view = report(out / model, _named(observe, model), jobs=options.jobs)
         if by and view.left_out:
             left_out[model] = view.left_out
     return found, left_out
@@ -248,6 +246,7 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
         When the folder exists and is not to be replaced.
     """
     check_workers(options)
+    check_links(out, ["campaign"])
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         if not options.force:
             raise StoreError(f"{out} exists: give --force to replace it")
@@ -255,11 +254,15 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     truth = write_campaign(out / "campaign", options.seed)
     options = replace(options, force=False, resume=False)
     calibrate(out / "campaign" / "campaign.toml", out, options, observe, {"truth": truth})
-    return report(out, observe)
+    return report(out, observe, jobs=options.jobs)
 
 
-def report(out: Path, observe: Observe = lambda _: None, *, pdf: bool = False) -> CampaignView:
+def report(
+    out: Path, observe: Observe = lambda _: None, *, jobs: int = 0, pdf: bool = False
+) -> CampaignView:
     """Make the tables, figures and pages of a finished run from what is stored.
+
+    Figures of many tests are drawn by so many processes, 0 for as many as there are processors.
 
     Raises
     ------
@@ -268,7 +271,8 @@ def report(out: Path, observe: Observe = lambda _: None, *, pdf: bool = False) -
     ReportError
         When a PDF is asked for and no browser can print it; nothing is written then.
     """
-    from mfd_bayes.reporting.pdf import find_browser, print_page
+    from mfd_bayes.publication import publish
+    from mfd_bayes.reporting.pdf import find_browser
 
     if pdf:
         find_browser()
@@ -276,27 +280,9 @@ def report(out: Path, observe: Observe = lambda _: None, *, pdf: bool = False) -
     run = open_run(out)
     view = assess(run)
     write_json(out / MANIFEST, run.manifest | {"verdicts": verdicts(view)})
-    for name, text in (report_tables(view) | export_tables(view)).items():
-        write_text(out / name, text)
     if view.left_out is None:  # of tests that have changed since
         (out / CROSSVALIDATION).unlink(missing_ok=True)
-    observe(Step("report", "figures"))
-    from mfd_bayes.reporting.figure_data import figure_tables
-    from mfd_bayes.reporting.figures import draw_all
-    from mfd_bayes.reporting.html import render
-
-    images = draw_all(view)
-    for key, png in images.items():
-        folder = out if key.startswith("tests/") else out / "figures"
-        write_bytes(folder / f"{key}.png", png)
-    for name, text in figure_tables(view):
-        write_text(out / name, text)
-    for name, page in render(view, images).items():
-        write_text(out / name, page)
-    if pdf:
-        observe(Step("report", "PDF"))
-        write_bytes(out / "report.pdf", print_page(out / "report.html"))
-    observe(Step("report", "done"))
+    publish(view, out, Options(jobs=jobs).processes, observe, pdf=pdf)
     return view
 
 

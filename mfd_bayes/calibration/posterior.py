@@ -33,6 +33,9 @@ _SOURCES = {
 _BOUNDS = {"alpha": (0.0, 1.0), "beta": (0.5, 1.0), "exponent": (1.0, np.inf)}
 """Least and greatest value of what may not be just anything above 0."""
 
+AT_ONCE = 1 << 24
+"""Points times samples whose forces are computed at once: some 400 MB."""
+
 UNIDENTIFIABLE = "gamma1"
 """Does not reach the force but through ℓ = γ2/γ1; it keeps its prior exactly."""
 
@@ -179,8 +182,18 @@ class Posterior:
         return density
 
     def log_likelihood(self, q: ArrayLike) -> Array:
-        """Log likelihood of q, (n, dim) -> (n,); −inf where the force is beyond all range."""
+        """Log likelihood of q, (n, dim) -> (n,); −inf where the force is beyond all range.
+
+        Many points of a long record are computed some at a time, to bound the memory.
+        """
         points = self._check(q)
+        parts = -(-len(points) * self.trace.samples // AT_ONCE)
+        if parts > 1:
+            some = np.array_split(points, min(parts, len(points)))
+            return np.concatenate([self._log_likelihood(part) for part in some])
+        return self._log_likelihood(points)
+
+    def _log_likelihood(self, points: Array) -> Array:
         values = self.values(points)
         kept = slice(self.first, None)
         with np.errstate(over="ignore", invalid="ignore"):

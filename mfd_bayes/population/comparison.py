@@ -8,7 +8,7 @@ that the scores need no sampler and are always the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,9 @@ COVARIATES = ("velocity", "amplitude")
 
 POINTS = 1 << 13
 """Points of the quasi-random sample."""
+
+AT_ONCE = 1 << 20
+"""Points times tests that are computed at once."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +83,62 @@ class DependenceScore:
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """Points of a law's hyperparameters with the tests' means (n, J) and covariances (n, J, J)."""
+    """Points of a law's hyperparameters, n of them, and the tests' distribution at each.
 
-    means: Array
-    covariances: Array
+    Tests differ by what is their own and by effects that they have in common: their covariance
+    is a diagonal and a matrix of low rank, so that n points take n·J·m² operations.
+
+    Attributes
+    ----------
+    away : (n, J)
+        Tests from the law.
+    variances : (n, J)
+        Of what is a test's own: its error and its scatter.
+    rows : (J, m)
+        What each test has of the effects' independent parts, the level's first.
+    sds : (n, m)
+        Of these parts.
+    shape : (n,)
+        Exponent of the law.
+    """
+
+    away: Array
+    variances: Array
+    rows: Array
+    sds: Array
     shape: Array
+
+    def sums(self, those: Sequence[int] | slice) -> tuple[Array, Array, Array]:
+        """What some tests add to the normal density: gram (n, m, m), pull (n, m), rest (n,)."""
+        rows, weights = self.rows[those], 1.0 / self.variances[:, those]
+        away, m = self.away[:, those], self.rows.shape[1]
+        products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
+        gram = (weights @ products).reshape(-1, m, m)
+        gram *= self.sds[:, :, None] * self.sds[:, None, :]
+        pull = ((weights * away) @ rows) * self.sds
+        rest = np.sum(away**2 * weights - np.log(weights) + np.log(2 * np.pi), axis=1)
+        return gram, pull, rest
+
+    def log_density(self, sums: tuple[Array, Array, Array]) -> Array:
+        """Log density of the tests whose sums these are, (n,)."""
+        gram, pull, rest = sums
+        factor = np.linalg.cholesky(gram + np.eye(gram.shape[-1]))
+        standard = np.linalg.solve(factor, pull[..., None])[..., 0]
+        log_det = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        density: Array = -0.5 * (rest + log_det - np.sum(standard**2, axis=1))
+        return density
+
+    def log_density_of_each(self) -> Array:
+        """Log density of each test given all others, (n, J)."""
+        gram, pull, _ = self.sums(slice(None))
+        inverse = np.linalg.inv(gram + np.eye(gram.shape[-1]))
+        inverse *= self.sds[:, :, None] * self.sds[:, None, :]
+        share = np.einsum("jk,nkl,jl->nj", self.rows, inverse, self.rows, optimize=True)
+        precision = (1.0 - share / self.variances) / self.variances
+        pulled = np.einsum("nkl,nl->nk", inverse, pull / self.sds) @ self.rows.T
+        standing = (self.away - pulled) / self.variances
+        density: Array = 0.5 * (np.log(precision) - standing**2 / precision - np.log(2 * np.pi))
+        return density
 
 
 def compare_laws(pooling: Pooling, tests: Sequence[Evidence]) -> tuple[LawScore, ...]:
@@ -98,11 +152,7 @@ def compare_laws(pooling: Pooling, tests: Sequence[Evidence]) -> tuple[LawScore,
     scores = []
     for name in pooling.laws:
         k = pooling.names.index(name)
-        data = np.array([test.mean[k] for test in tests])
-        terms = {}
-        for law in LAWS:
-            sample = _sample(pooling, tests, k, law)
-            terms[law] = np.array([_left_out(sample, data, fold) for fold in folds])
+        terms = {law: _left_out(_samples(pooling, tests, k, law), folds) for law in LAWS}
         weights = stack(np.stack(list(terms.values()), axis=1))
         for (law, found), weight in zip(terms.items(), weights, strict=True):
             se = float(np.sqrt(len(found)) * found.std(ddof=1))
@@ -123,14 +173,13 @@ def compare_dependence(pooling: Pooling, tests: Sequence[Evidence]) -> tuple[Dep
     scores = []
     for name, law in pooling.laws.items():
         k = pooling.names.index(name)
-        data = np.array([test.mean[k] for test in tests])
         terms = {}
         for covariate in ("", *COVARIATES):
             if covariate and not _varies(pooling, covariate):
                 continue
             follows = (covariate,) if covariate else ()
-            sample = _sample(pooling, tests, k, "power" if law == COMPARE else law, follows)
-            terms[covariate] = np.array([_left_out(sample, data, [j]) for j in range(len(data))])
+            samples = _samples(pooling, tests, k, "power" if law == COMPARE else law, follows)
+            terms[covariate] = _each_left_out(samples)
         for covariate, found in terms.items():
             better = found - terms[""]
             se = float(np.sqrt(len(found)) * better.std(ddof=1))
@@ -158,12 +207,14 @@ def free_exponents(
         if law != "proportional":
             continue
         k = pooling.names.index(name)
-        data = np.array([test.mean[k] for test in tests])
-        sample = _sample(pooling, tests, k, "power")
-        density = _log_normal(data - sample.means, sample.covariances)
-        order = np.argsort(sample.shape)
-        mass = np.cumsum(special.softmax(density)[order])
-        low, middle, high = np.interp([0.025, 0.5, 0.975], mass, sample.shape[order])
+        shapes, densities = [], []
+        for sample in _samples(pooling, tests, k, "power"):
+            shapes.append(sample.shape)
+            densities.append(sample.log_density(sample.sums(slice(None))))
+        exponents, weights = np.concatenate(shapes), special.softmax(np.concatenate(densities))
+        order = np.argsort(exponents)
+        mass = np.cumsum(weights[order])
+        low, middle, high = np.interp([0.025, 0.5, 0.975], mass, exponents[order])
         found[name] = (float(low), float(middle), float(high))
     return found
 
@@ -189,14 +240,17 @@ def stack(scores: Array) -> Array:
     return np.asarray(kept / kept.sum())
 
 
-def _sample(
+def _samples(
     pooling: Pooling,
     tests: Sequence[Evidence],
     k: int,
     law: str,
     follows: Sequence[str] | None = None,
-) -> _Sample:
-    """Points of a law for one quantity, which follows its own covariates if not others."""
+) -> Iterator[_Sample]:
+    """Points of a law for one quantity, which follows its own covariates if not others.
+
+    In parts, so that many tests take no more memory than few.
+    """
     name = pooling.names[k]
     shapes = LAWS[law].shapes
     effects = [e for e in pooling.effects if k in e.members and e.name != "level"]
@@ -204,47 +258,59 @@ def _sample(
     dim = 1 + len(effects) + len(shapes) + len(follows)
     points = qmc.Sobol(dim, scramble=True, rng=np.random.default_rng(0)).random(POINTS)
     points = np.clip(points, 1e-9, 1.0 - 1e-9)
-    sd = pooling.scatter_sd[k] / pooling.spread[k] * special.ndtri(0.5 + 0.5 * points)
     noise = np.array([test.covariance[k, k] for test in tests])
-    count = len(tests)
-    covariances = np.ones((POINTS, count, count))
-    covariances[:, range(count), range(count)] += noise + sd[:, :1] ** 2
-    for i, effect in enumerate(effects):
-        rows = effect.root[list(effect.home)]
-        covariances += sd[:, 1 + i, None, None] ** 2 * (rows @ rows.T)
-    begin = 1 + len(effects)
-    free = {s: value_of(s, draw_shape(s, points[:, begin + i])) for i, s in enumerate(shapes)}
-    given: Mapping[str, float | None] = {
-        "share": LAWS[law].share,
-        "exponent": LAWS[law].exponent,
-    }
-    share, exponent = (
-        free[s] if s in free else np.full(POINTS, given[s]) for s in ("share", "exponent")
-    )
+    data = np.array([test.mean[k] for test in tests])
+    rows = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
     relative = np.array([s.actuation for s in pooling.settings]) / pooling.reference
-    followed = ratio(relative, share[:, None], exponent[:, None])
-    means = np.log(np.maximum(followed, 1e-300)) / pooling.spread[k]
-    for i, covariate in enumerate(follows):
-        folds = np.log([s.covariates[covariate] for s in pooling.settings])
-        slope = draw_shape(covariate, points[:, begin + len(shapes) + i])
-        means = means + slope[:, None] * (folds - folds.mean()) / pooling.spread[k]
-    return _Sample(means, covariances, exponent)
+    for part in np.array_split(points, -(-POINTS * len(tests) // AT_ONCE)):
+        sd = pooling.scatter_sd[k] / pooling.spread[k] * special.ndtri(0.5 + 0.5 * part)
+        sds = [np.ones((len(part), 1))]
+        sds += [np.repeat(sd[:, [1 + i]], len(e.cells), axis=1) for i, e in enumerate(effects)]
+        begin = 1 + len(effects)
+        free = {s: value_of(s, draw_shape(s, part[:, begin + i])) for i, s in enumerate(shapes)}
+        given: Mapping[str, float | None] = {
+            "share": LAWS[law].share,
+            "exponent": LAWS[law].exponent,
+        }
+        share, exponent = (
+            free[s] if s in free else np.full(len(part), given[s]) for s in ("share", "exponent")
+        )
+        followed = ratio(relative, share[:, None], exponent[:, None])
+        means = np.log(np.maximum(followed, 1e-300)) / pooling.spread[k]
+        for i, covariate in enumerate(follows):
+            folds = np.log([s.covariates[covariate] for s in pooling.settings])
+            slope = draw_shape(covariate, part[:, begin + len(shapes) + i])
+            means = means + slope[:, None] * (folds - folds.mean()) / pooling.spread[k]
+        yield _Sample(
+            away=data - means,
+            variances=noise + sd[:, :1] ** 2,
+            rows=np.concatenate(rows, axis=1),
+            sds=np.concatenate(sds, axis=1),
+            shape=exponent,
+        )
 
 
-def _left_out(sample: _Sample, data: Array, fold: Sequence[int]) -> float:
-    """Log predictive density of some tests given the others."""
-    kept = np.setdiff1d(np.arange(len(data)), fold)
-    residual = data - sample.means
-    inside = sample.covariances[:, kept[:, None], kept]
-    weights = _log_normal(residual[:, kept], inside)
-    everything = _log_normal(residual, sample.covariances)
-    return float(special.logsumexp(everything) - special.logsumexp(weights))
+def _left_out(samples: Iterable[_Sample], folds: Sequence[Sequence[int]]) -> Array:
+    """Log predictive density of the tests of each fold given the others, (folds,)."""
+    everything, others = [], []
+    for sample in samples:
+        whole = sample.sums(slice(None))
+        everything.append(sample.log_density(whole))
+        parts = [sample.sums(fold) for fold in folds]
+        rest = [tuple(a - b for a, b in zip(whole, part, strict=True)) for part in parts]
+        others.append(np.stack([sample.log_density(sums) for sums in rest], axis=1))  # type: ignore[arg-type]
+    total = special.logsumexp(np.concatenate(everything))
+    found: Array = total - special.logsumexp(np.concatenate(others), axis=0)
+    return found
 
 
-def _log_normal(residual: Array, covariances: Array) -> Array:
-    factor = np.linalg.cholesky(covariances)
-    standard = np.linalg.solve(factor, residual[..., None])[..., 0]
-    log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-    size = residual.shape[1]
-    density: Array = -0.5 * np.sum(standard**2, axis=1) - log_det - 0.5 * size * np.log(2 * np.pi)
-    return density
+def _each_left_out(samples: Iterable[_Sample]) -> Array:
+    """Log predictive density of each test given the others, (J,)."""
+    everything, others = [], []
+    for sample in samples:
+        density = sample.log_density(sample.sums(slice(None)))
+        everything.append(density)
+        others.append(density[:, None] - sample.log_density_of_each())
+    total = special.logsumexp(np.concatenate(everything))
+    found: Array = total - special.logsumexp(np.concatenate(others), axis=0)
+    return found

@@ -13,6 +13,12 @@ from mfd_bayes.population.pooling import Pooling
 
 Array = NDArray[np.float64]
 
+ROOM = 1 << 25
+"""Numbers that are held of the stored draws of all tests, in single precision: 128 MiB."""
+
+FEWEST = 500
+"""Draws of a test that are held, however many tests there are."""
+
 LEAST_INFORMATION = 1e-3
 """Precision, in prior units, below which a test is taken to say nothing about a direction."""
 
@@ -29,7 +35,7 @@ class Evidence:
         Log density of (n, d) pooled coordinates under the prior of the test by itself, (n,).
     log_own_prior : callable
         Log prior density of the D − d coordinates of its own, (n, D − d) -> (n,).
-    draws : (S, D)
+    draws : (S, D) float32
         Draws of the test's posterior under the interim prior.
     draws_log_prior : (S,)
         Log density of their pooled coordinates under the interim prior.
@@ -42,7 +48,7 @@ class Evidence:
     log_likelihood: Callable[[Array], Array]
     log_interim_prior: Callable[[Array], Array]
     log_own_prior: Callable[[Array], Array]
-    draws: Array
+    draws: NDArray[np.float32]
     draws_log_prior: Array
     mean: Array
     covariance: Array
@@ -61,7 +67,10 @@ class Evidence:
 
 
 def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Array]) -> Evidence:
-    """What a calibrated test tells, from its stored draws by name, (S,) each."""
+    """What a calibrated test tells, from its stored draws by name, (S,) each.
+
+    Of those of many tests fewer are held, evenly apart, so that all take no more than `ROOM`.
+    """
     own = [name for name in posterior.names if name not in pooling.names]
     order = [*pooling.names, *own]
     back = [order.index(name) for name in posterior.names]
@@ -98,12 +107,14 @@ def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Arr
     coordinates += [posterior.priors[name].coordinate(values[name])[:, None] for name in own]
     draws = (np.concatenate(coordinates, axis=1) - middle) / scale
     mean, covariance = without_prior(draws)
+    most = max(FEWEST, ROOM // (len(pooling.settings) * draws.shape[1]))
+    draws = draws[:: -(-len(draws) // most)].astype(np.float32)
     return Evidence(
         log_likelihood,
         log_interim_prior,
         log_own_prior,
         draws,
-        log_interim_prior(draws[:, :d]),
+        log_interim_prior(draws[:, :d].astype(np.float64)),
         mean,
         covariance,
     )

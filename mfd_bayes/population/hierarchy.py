@@ -12,6 +12,7 @@ from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.evidence import Evidence
+from mfd_bayes.population.history import History, State, TestDraws, by_walker
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import ratio
 from mfd_bayes.population.pooling import Choice, Pooling, Setting
@@ -211,7 +212,7 @@ class Inference:
     Attributes
     ----------
     population : Population
-    tests : tuple of (chain, draw, D)
+    tests : sequence of (chain, draw, D)
         In prior units, as in `Evidence`.
     accepted : mapping of str to float
         Share of accepted proposals, by kind.
@@ -219,7 +220,7 @@ class Inference:
     """
 
     population: Population
-    tests: tuple[Array, ...]
+    tests: Sequence[Array]
     accepted: Mapping[str, float]
     sweeps: int
 
@@ -262,62 +263,38 @@ def infer(
             joint.sweep(chains)
     hyper: list[Array] = []
     levels: list[Array] = []
-    states: dict[int, _State] = {}  # those alone that some look would keep: they grow with tests
-    looks = _looks(most_sweeps(effort))
-    for number, end in enumerate(looks):
-        wanted = {i for later in looks[number:] for i in _kept(later, effort)}
-        states = {i: state for i, state in states.items() if i in wanted}
+    sizes = [x.shape[1] for x in chains.x]
+    history = History(-(-max(KEPT, int(effort.ess)) // WALKERS), n * sum(sizes))
+    for end in _looks(most_sweeps(effort)):
         for i in range(len(hyper), end):
             joint.sweep(chains)
             hyper.append(chains.h.copy())
             levels.append(chains.latent[:, 0].copy())
-            if i in wanted:
-                x = [own.copy() for own in chains.x]
-                states[i] = _State(chains.latent.copy(), joint.places(chains), x)
+            if history.wants(i):
+                x = np.concatenate(chains.x, axis=1, dtype=np.float32, casting="same_kind")
+                history.add(i, State(chains.latent.copy(), joint.products(chains), x))
         late = end // 10
         found = _measure(pooling, hyper[late:], levels[late:], effort.ensembles)
         report(end, found)
         if found.reached(effort.r_hat, effort.ess):
             break
-    chosen = _kept(end, effort)
-
-    def ordered(part: Callable[[_State], Array]) -> Array:
-        return _by_walker([part(states[i]) for i in chosen], effort.ensembles)
-
-    kept = _by_walker([hyper[i] for i in chosen], effort.ensembles)
-    choice = np.repeat(chains.choice[:, None], kept.shape[1] // WALKERS, axis=1)
+    kept = history.since(late)
+    states = list(kept.values())
+    h = by_walker([hyper[i] for i in kept], effort.ensembles)
+    choice = np.repeat(chains.choice[:, None], len(states), axis=1)
     population = Population(
         pooling=pooling,
-        h=kept,
-        latent=ordered(lambda state: state.latent),
-        choice=choice.reshape(*kept.shape[:2], -1),
-        together=_correlate(ordered(lambda state: state.places)),
+        h=h,
+        latent=by_walker([state.latent for state in states], effort.ensembles),
+        choice=choice.reshape(*h.shape[:2], -1),
+        together=_correlate(by_walker([state.products for state in states], effort.ensembles)),
         priors=priors,
         actuation_unit=actuation_unit,
         walkers=WALKERS,
         convergence=found,
     )
     accepted = {name: float(np.mean(shares)) for name, shares in joint.accepted.items()}
-    tests_after = tuple(ordered(lambda state, j=j: state.x[j]) for j in range(len(tests)))  # type: ignore[misc]
-    return Inference(population, tests_after, accepted, end)
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """What the chains say of the tests after a sweep.
-
-    Attributes
-    ----------
-    latent : (n, 1 + cells, d)
-    places : (n, J, d)
-        As of `Joint.places`.
-    x : list of (n, D)
-        Of each test.
-    """
-
-    latent: Array
-    places: Array
-    x: list[Array]
+    return Inference(population, TestDraws(states, sizes, effort.ensembles), accepted, end)
 
 
 def _looks(limit: int) -> list[int]:
@@ -328,20 +305,12 @@ def _looks(limit: int) -> list[int]:
     return looks
 
 
-def _kept(sweeps: int, effort: Effort) -> range:
-    """Which of so many sweeps are kept, if they are the last."""
-    late = sweeps // 10
-    stored = max(KEPT, int(effort.ess))
-    thin = max(1, (sweeps - late) * WALKERS // stored)
-    return range(late + thin - 1, sweeps, thin)
-
-
 def most_sweeps(effort: Effort) -> int:
     """Sweeps after which an inference stops in any case."""
     return SWEEPS.get(effort.ess, int(2 * effort.ess))
 
 
-def _correlate(places: Array) -> Array:
+def _correlate(products: Array) -> Array:
     """Cholesky factors of the correlations of the tests' places in the scatter.
 
     Tests differ in several quantities together; the scatter's sds are sampled, how it is
@@ -349,26 +318,19 @@ def _correlate(places: Array) -> Array:
 
     Parameters
     ----------
-    places : (chain, draw, J, d)
-        Standardised: (x − mean)/scatter.
+    products : (chain, draw, d, d)
+        Of the standardised places, (x − mean)/scatter, summed over the tests.
 
     Returns
     -------
     (chain, draw, d, d)
     """
-    products = np.swapaxes(places, -1, -2) @ places
-    d = places.shape[-1]
-    products[..., range(d), range(d)] += ALONE
-    sd = np.sqrt(np.diagonal(products, axis1=-2, axis2=-1))
-    correlation = products / (sd[..., :, None] * sd[..., None, :])
+    d = products.shape[-1]
+    shrunk = products + ALONE * np.eye(d)
+    sd = np.sqrt(np.diagonal(shrunk, axis1=-2, axis2=-1))
+    correlation = shrunk / (sd[..., :, None] * sd[..., None, :])
     factors = np.linalg.cholesky(correlation)
     return np.asarray(factors.astype(np.float32), dtype=np.float64)  # as it is stored
-
-
-def _by_walker(steps: Sequence[Array], ensembles: int) -> Array:
-    """Steps of (n, …) as (chain, draw, …), a chain's draws by walker and along it by step."""
-    array = np.stack(steps, axis=1)  # (n, step, …)
-    return array.reshape(ensembles, -1, *array.shape[2:])
 
 
 def _measure(

@@ -71,6 +71,7 @@ class Joint:
         self.design = pooling.design()  # (J, m)
         self.gram = self.design.T @ self.design
         self.precisions = [np.linalg.inv(test.covariance) for test in tests]
+        self.roots = [np.linalg.cholesky(precision) for precision in self.precisions]
         self.accepted: dict[str, list[float]] = {}
         self.loose = np.full(self.d, 1.0 / self.d)
 
@@ -128,12 +129,12 @@ class Joint:
         weights = np.maximum(np.array(shares), LOOSE)
         return np.asarray(weights / weights.sum())
 
-    def places(self, chains: Chains) -> Array:
-        """Where each test stands in the scatter, standardised, (n, J, d)."""
+    def products(self, chains: Chains) -> Array:
+        """Of the tests' places in the scatter, standardised, summed over the tests, (n, d, d)."""
         means = self._means(chains.h, chains.latent, chains.choice)
         tau = self.pooling.scatter(chains.h)[:, None]
-        standing: Array = (self._pooled(chains) - means) / tau
-        return standing
+        places: Array = (self._pooled(chains) - means) / tau
+        return np.asarray(np.swapaxes(places, 1, 2) @ places)
 
     # hyperparameters
 
@@ -150,7 +151,7 @@ class Joint:
         a = root[..., :, None] * self.gram * root[..., None, :] / tau2[..., None, None]
         m = self.design.shape[1]
         a[..., range(m), range(m)] += 1.0
-        b = np.einsum("jm,njk->nkm", self.design, r) * root / tau2[..., None]
+        b = (np.swapaxes(r, 1, 2) @ self.design) * root / tau2[..., None]
         factor = np.linalg.cholesky(a)
         solved = np.linalg.solve(factor, b[..., None])[..., 0]
         log_det = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
@@ -230,24 +231,24 @@ class Joint:
         Returns proposals (n, D) and log N(x) − log N(proposal) (n,); without x, plain draws.
         """
         test, size = self.tests[j], len(self.tests[j].mean)
-        prior_precision = np.ones((len(mean), size))
-        prior_precision[:, : self.d] = 1.0 / tau**2
-        prior_mean = np.zeros((len(mean), size))
-        prior_mean[:, : self.d] = mean
-        precision = np.repeat(self.precisions[j][None], len(mean), axis=0)
-        precision[:, range(size), range(size)] += prior_precision
-        pull = self.precisions[j] @ test.mean + prior_precision * prior_mean
-        factor = np.linalg.cholesky(precision)
-        centre = np.linalg.solve(precision, pull[..., None])[..., 0]
-        swing = self.rng.standard_normal(centre.shape)
-        noise = np.linalg.solve(np.swapaxes(factor, 1, 2), swing[..., None])[..., 0]
+        known = self.precisions[j]
+        about = np.ones((len(mean), size))
+        about[:, : self.d] = 1.0 / tau**2
+        precision = np.repeat(known[None], len(mean), axis=0)
+        precision[:, range(size), range(size)] += about
+        pull = np.repeat((known @ test.mean)[None], len(mean), axis=0)
+        pull[:, : self.d] += about[:, : self.d] * mean
+        swing = self.rng.standard_normal(pull.shape) @ self.roots[j].T
+        swing += np.sqrt(about) * self.rng.standard_normal(pull.shape)  # of covariance `precision`
+        solved = np.linalg.solve(precision, np.stack([pull, swing], axis=2))
+        centre, noise = solved[..., 0], solved[..., 1]
         if x is None:
             return centre + noise, np.zeros(len(mean))
-        kept = np.sqrt(1.0 - beta**2)[:, None]
-        proposed = centre + kept * (x - centre) + beta[:, None] * noise
-        old = np.einsum("nij,ni->nj", factor, x - centre)
-        new = np.einsum("nij,ni->nj", factor, proposed - centre)
-        return proposed, 0.5 * (np.sum(new**2, axis=1) - np.sum(old**2, axis=1))
+        away = x - centre
+        moved = np.sqrt(1.0 - beta**2)[:, None] * away + beta[:, None] * noise
+        old = np.sum((away @ known + about * away) * away, axis=1)
+        new = np.sum((moved @ known + about * moved) * moved, axis=1)
+        return centre + moved, 0.5 * (new - old)
 
     def _step_near(self, chains: Chains, j: int, mean: Array, tau: Array) -> None:
         beta = self.rng.choice([1.0, 0.5, 0.2], size=len(mean))
@@ -327,7 +328,7 @@ class Joint:
 
     def _means(self, h: Array, latent: Array, choice: Choice) -> Array:
         """Tests' coordinates but for their scatter, (n, J, d)."""
-        means = self.pooling.offsets(h, choice) + np.einsum("jm,nmk->njk", self.design, latent)
+        means = self.pooling.offsets(h, choice) + self.design @ latent
         return np.asarray(means)
 
     def _pooled(self, chains: Chains) -> Array:

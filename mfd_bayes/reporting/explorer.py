@@ -17,6 +17,12 @@ from mfd_bayes.reporting.views import Array, CampaignView, TestView
 SAMPLES = 1500
 """Samples of each test that are shown: a screen tells no more apart."""
 
+FEWEST = 300
+"""Samples of each test that are shown, however many tests there are."""
+
+ALL = 250_000
+"""Samples of all tests that are shown, where they are more than `FEWEST` of each: some 8 MB."""
+
 _COLUMNS = ("time", "displacement", "force", "median", "lower", "upper")
 
 
@@ -45,12 +51,13 @@ def explore(view: CampaignView) -> Explorer:
     from bokeh.resources import Resources
 
     library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
+    most = max(FEWEST, min(SAMPLES, ALL // max(1, len(view.tests))))
     data = {
         "systems": {
             s.name: {"length": s.length, "force": s.force, "by": [s.factor("in"), s.factor("kip")]}
             for s in SYSTEMS
         },
-        "tests": [_packed(test, view.actuation_unit) for test in view.tests],
+        "tests": [_packed(test, view.actuation_unit, most) for test in view.tests],
     }
     return Explorer(_inline(library), _renumbered(_json(json_item(_layout()))), _json(data))
 
@@ -73,12 +80,12 @@ def _renumbered(item: str) -> str:
     )
 
 
-def _packed(test: TestView, actuation_unit: str) -> dict[str, Any]:
+def _packed(test: TestView, actuation_unit: str, most: int) -> dict[str, Any]:
     trace, fan = test.trace, test.observation
     widest = max(fan.intervals, key=lambda interval: interval.probability)
     force = np.full(trace.samples, np.nan) if trace.force is None else trace.force
     arrays = (trace.time, trace.displacement, force, fan.median, widest.lower, widest.upper)
-    at = _shown(trace.samples, trace.turning_points)
+    at = _shown(trace.samples, trace.turning_points, most)
     stage = np.zeros(trace.samples) if test.stage is None else test.stage
     packed = {name: _float32(a[at]) for name, a in zip(_COLUMNS, arrays, strict=True)}
     return {
@@ -89,10 +96,10 @@ def _packed(test: TestView, actuation_unit: str) -> dict[str, Any]:
     }
 
 
-def _shown(samples: int, turns: np.ndarray) -> np.ndarray:
+def _shown(samples: int, turns: np.ndarray, most: int) -> np.ndarray:
     """Samples that are shown, evenly, with every turning point while they are few."""
-    even = np.linspace(0, samples - 1, min(samples, SAMPLES)).astype(np.intp)
-    return np.union1d(even, turns) if turns.size < SAMPLES // 4 else even
+    even = np.linspace(0, samples - 1, min(samples, most)).astype(np.intp)
+    return np.union1d(even, turns) if turns.size < most // 4 else even
 
 
 def _float32(values: Array) -> str:

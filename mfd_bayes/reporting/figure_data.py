@@ -38,20 +38,30 @@ def table_of(key: str) -> str:
 
 def figure_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     """Path from the run folder and text of every table, one at a time."""
+    yield from shared_tables(view)
+    for test in view.tests:
+        yield from tables_of_test(test)
+
+
+def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
+    """Path and text of the tables behind the figures of all tests together."""
     if view.tests:
         yield table_of("overview"), _overview(view.tests)
     if view.laws:
         yield table_of("laws"), _laws(view)
     if view.truth:
         yield table_of("truth"), _truth(view.truth)
-    for test in view.tests:
-        home = f"tests/{test.id}"
-        yield f"{home}/record.csv", _record(test)
-        if test.marginals:
-            yield f"{home}/draws.csv", _draws(test)
-            yield f"{home}/marginals.csv", _marginals(test)
-        if test.chains:
-            yield f"{home}/chains.csv", _chains(test)
+
+
+def tables_of_test(test: TestView) -> Iterator[tuple[str, str]]:
+    """Path and text of the tables behind the figures of one test."""
+    home = f"tests/{test.id}"
+    yield f"{home}/record.csv", _record(test)
+    if test.marginals:
+        yield f"{home}/draws.csv", _draws(test)
+        yield f"{home}/marginals.csv", _marginals(test)
+    if test.chains:
+        yield f"{home}/chains.csv", _chains(test)
 
 
 def _bands(fan: Fan, name: str = "") -> dict[str, Array]:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import quote
 
 import numpy as np
@@ -37,6 +37,9 @@ from mfd_bayes.reporting.views import STANDING, CampaignView, TestView
 ONE_PAGE = 12
 """A report of more tests has a page for each."""
 
+_HEAD = 24
+"""Bytes of a PNG up to the end of its size."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -63,7 +66,8 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
     ----------
     view : CampaignView
     images : mapping of str to bytes
-        PNGs by the keys of `figures.draw_all`; what is missing is left out.
+        PNGs by the keys of `figures.draw_all`, as far as they are `needed`; what is missing is
+        left out.
     """
     whole = len(view.tests) <= ONE_PAGE
     shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}
@@ -104,6 +108,12 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
                 sampler=grid_of(c for c in test.checks if is_of_sampler(c)),
             )
     return pages
+
+
+def needed(view: CampaignView, key: str, png: BinaryIO) -> bytes:
+    """What of a PNG its page needs: all of it, or its head where it lies beside the page."""
+    beside = len(view.tests) > ONE_PAGE and key.startswith("tests/")
+    return png.read(_HEAD if beside else -1)
 
 
 def _shared(view: CampaignView) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def in_system(view: CampaignView, system: System) -> CampaignView:
     unit = view.actuation_unit
     return replace(
         view,
-        tests=tuple(_test(test, system, unit) for test in view.tests),
+        tests=tuple(convert_test(test, system, unit) for test in view.tests),
         laws=tuple(_law(law, system, unit) for law in view.laws),
         law_rows=tuple(_row(row, system) for row in view.law_rows),
         truth=tuple(_row(row, system) for row in view.truth),
@@ -115,7 +115,10 @@ def _is_metric(unit: str) -> bool:
     return any(abs(metres / 10.0**power - 1.0) < 1e-9 for power in range(-9, 4))
 
 
-def _test(test: TestView, system: System, actuation_unit: str) -> TestView:
+def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:
+    """Show one test, as `in_system` does a report; `actuation_unit` is the internal one."""
+    if system is US:
+        return test
     length, force = system.factor("in"), system.factor("kip")
     trace = test.trace
     units = {marginal.name: marginal.unit for marginal in test.marginals}

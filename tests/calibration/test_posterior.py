@@ -73,6 +73,24 @@ def test_batch_equals_single_points(model, noise, start):
     np.testing.assert_allclose(posterior.log_prob(q), single, rtol=1e-10)
 
 
+@pytest.mark.parametrize(("most", "expected"), [(7.0, [7, 7, 6]), (0.1, [1] * 20), (20.0, [20])])
+def test_points_of_long_records_are_computed_some_at_a_time(monkeypatch, most, expected):
+    posterior = build()
+    q = points(posterior)
+    whole = posterior.log_likelihood(q)
+    sizes = []
+    force = ThreeStage.force
+
+    def count(self, theta, *rest, **more):
+        sizes.append(len(theta))
+        return force(self, theta, *rest, **more)
+
+    monkeypatch.setattr(ThreeStage, "force", count)
+    monkeypatch.setattr("mfd_bayes.calibration.posterior.AT_ONCE", int(most * TRACE.samples))
+    np.testing.assert_allclose(posterior.log_likelihood(q), whole, rtol=1e-12)
+    assert sizes == expected
+
+
 @CASES
 def test_coordinates_and_values_invert_each_other(model, noise, start):
     posterior = build(model, noise, start)

@@ -1,6 +1,12 @@
 """Every figure; the only place that knows matplotlib and corner. Import it when it is needed."""
 
-from mfd_bayes.reporting.figures.campaign import draw_all, figures
+from mfd_bayes.reporting.figures.campaign import (
+    OF_TEST,
+    draw_all,
+    draw_shared,
+    draw_test,
+    figures,
+)
 from mfd_bayes.reporting.figures.inspection import draw_inspection
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
@@ -14,6 +20,7 @@ from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import save_png, to_png
 
 __all__ = [
+    "OF_TEST",
     "draw_all",
     "draw_chains",
     "draw_corner",
@@ -24,6 +31,8 @@ __all__ = [
     "draw_marginals",
     "draw_overview",
     "draw_residuals",
+    "draw_shared",
+    "draw_test",
     "draw_truth",
     "figures",
     "save_png",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 from matplotlib.figure import Figure
 
@@ -18,33 +19,65 @@ from mfd_bayes.reporting.figures.posteriors import (
 )
 from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
-from mfd_bayes.reporting.systems import SI, US, System, in_system
+from mfd_bayes.reporting.systems import SI, US, System, convert_test, in_system
 from mfd_bayes.reporting.views import CampaignView, Fan, TestView
+
+OF_TEST = ("loops", "history", "residuals", "corner", "trace", "marginals")
+"""Figures of a test."""
 
 _FIGURES_HELD = 8
 
 
 def draw_all(view: CampaignView) -> dict[str, bytes]:
-    """PNG of every figure, by the key that the page knows it under.
+    """PNG of every figure, by its key: what `draw_shared` and `draw_test` draw."""
+    system = SI if view.metric else US
+    drawn = dict(draw_shared(view))
+    for test in view.tests:
+        drawn |= draw_test(test, system, view.actuation_unit)
+    return drawn
 
-    Keys are "overview", "laws", "truth", and "tests/ID/loops", "…/history", "…/residuals",
-    "…/corner", "…/trace", "…/marginals"; a figure with nothing to show is left out.
+
+def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
+    """PNGs of the figures of all tests together, one at a time, each with its key.
+
+    Keys are "overview", "laws" and "truth"; a figure with nothing to show is left out.
     """
-    pictures: dict[str, bytes] = {}
-    with _collecting_rarely():
-        for key, figure in figures(view):
-            pictures[key] = to_png(figure)
-            if len(pictures) % _FIGURES_HELD == 0:
-                gc.collect()
-    return pictures
+    return _pngs(shared_figures(view))
+
+
+def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[tuple[str, bytes]]:
+    """PNGs of the figures of one test, one at a time, each with its key.
+
+    Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out.
+
+    Parameters
+    ----------
+    test : TestView
+        In internal units.
+    system : System
+        In whose units it is shown.
+    actuation_unit : str
+        The internal one.
+    """
+    return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system))
 
 
 def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     """Every figure with its key, one at a time so that they need not all be held."""
     system = SI if view.metric else US
-    view = in_system(view, system)
+    yield from shared_figures(view)
+    for test in view.tests:
+        yield from figures_of_test(convert_test(test, system, view.actuation_unit), system)
+
+
+def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
+    """Figures of all tests together, each with its key."""
+    system = SI if view.metric else US
     if view.tests:
-        yield "overview", draw_overview("Measured loops over 50 and 95 % bands", view.tests, system)
+        shown = in_system(view, system).tests
+        yield "overview", draw_overview("Measured loops over 50 and 95 % bands", shown, system)
+        del shown
+    view = in_system(replace(view, tests=()), system)
     drawn = {
         "laws": draw_laws(
             "How the parameters follow the actuation", view.laws, view.actuation_unit
@@ -52,9 +85,14 @@ def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
         "truth": draw_truth("Posterior against the known truth", view.truth),
     }
     yield from ((key, figure) for key, figure in drawn.items() if figure is not None)
-    for test in view.tests:
-        for name, figure in _of_test(test, system):
-            yield f"tests/{test.id}/{name}", figure
+
+
+def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
+    with _collecting_rarely():
+        for number, (key, figure) in enumerate(drawn, start=1):
+            yield key, to_png(figure)
+            if number % _FIGURES_HELD == 0:
+                gc.collect()
 
 
 @contextmanager
@@ -72,19 +110,24 @@ def _collecting_rarely() -> Iterator[None]:
             gc.enable()
 
 
-def _of_test(test: TestView, system: System) -> Iterator[tuple[str, Figure]]:
+def figures_of_test(test: TestView, system: System) -> Iterator[tuple[str, Figure]]:
+    """Figures of one test in the units of a system, each with its key."""
+    home = f"tests/{test.id}"
     title = f"{test.id}, {test.actuation}"
     fans: list[Fan] = [fan for fan in (test.observation, test.device) if fan is not None]
-    yield "loops", draw_loops(title, test.trace, fans, system)
-    yield "history", draw_history(title, test.trace, fans, test.first, system)
+    yield f"{home}/loops", draw_loops(title, test.trace, fans, system)
+    yield f"{home}/history", draw_history(title, test.trace, fans, test.first, system)
     if test.role != "validate":
-        yield "residuals", draw_residuals(f"{title}: what the fit leaves over", test, system)
+        yield (
+            f"{home}/residuals",
+            draw_residuals(f"{title}: what the fit leaves over", test, system),
+        )
     corner = draw_corner(f"{title}: joint posterior", test.marginals, test.corner)
     if corner is not None:
-        yield "corner", corner
+        yield f"{home}/corner", corner
     if test.chains:
         units = {row.name: row.unit for row in test.rows}
         units |= {marginal.name: marginal.unit for marginal in test.marginals}
-        yield "trace", draw_chains(f"{title}: chains", test.chains, units)
+        yield f"{home}/trace", draw_chains(f"{title}: chains", test.chains, units)
     if test.marginals:
-        yield "marginals", draw_marginals(f"{title}: priors and posteriors", test.marginals)
+        yield f"{home}/marginals", draw_marginals(f"{title}: priors and posteriors", test.marginals)

@@ -1,0 +1,115 @@
+"""The files of a report: tables, figures and pages, those of many tests in several processes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mfd_bayes.reporting.exports import export_tables
+from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
+from mfd_bayes.reporting.figures import OF_TEST, draw_shared, draw_test
+from mfd_bayes.reporting.html import ONE_PAGE, needed, render
+from mfd_bayes.reporting.pdf import print_page
+from mfd_bayes.reporting.systems import SI, US, System
+from mfd_bayes.reporting.tables import report_tables
+from mfd_bayes.reporting.views import CampaignView, TestView
+from mfd_bayes.store import write_bytes, write_text
+from mfd_bayes.task import Outcome, Step
+from mfd_bayes.workers import run_tasks
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """The figures of one test and the tables behind them, as work for a process."""
+
+    test: TestView
+    system: System
+    actuation_unit: str
+
+    @property
+    def id(self) -> str:
+        """The test's."""
+        return self.test.id
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Keys of the figures that there may be."""
+        return tuple(f"tests/{self.id}/{name}" for name in OF_TEST)
+
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """Its pictures."""
+        return tuple(f"{key}.png" for key in self.pictures)
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """Nothing of the run folder."""
+        return ()
+
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Draw and write them; a picture with nothing to show any more is removed."""
+        began = time.perf_counter()
+        drawn = dict(draw_test(self.test, self.system, self.actuation_unit))
+        for key in self.pictures:
+            if key in drawn:
+                write_bytes(out / f"{key}.png", drawn[key])
+            else:
+                (out / f"{key}.png").unlink(missing_ok=True)
+        for name, text in tables_of_test(self.test):
+            write_text(out / name, text)
+        return Outcome(self.id, "done", time.perf_counter() - began)
+
+
+def publish(
+    view: CampaignView,
+    out: Path,
+    processes: int,
+    observe: Callable[[Step], None],
+    *,
+    pdf: bool = False,
+) -> None:
+    """Write everything that a reader is given of a run, into its folder.
+
+    Raises
+    ------
+    MfdError
+        When something cannot be written, or no browser prints the PDF.
+    """
+    for name, text in (report_tables(view) | export_tables(view)).items():
+        write_text(out / name, text)
+    observe(Step("report", "figures"))
+    images = {}
+    for key, png in draw_shared(view):
+        write_bytes(out / "figures" / f"{key}.png", png)
+        images[key] = png
+    for name, text in shared_tables(view):
+        write_text(out / name, text)
+    images |= _draw_tests(view, out, processes)
+    observe(Step("report", "pages"))
+    for name, page in render(view, images).items():
+        write_text(out / name, page)
+    if pdf:
+        observe(Step("report", "PDF"))
+        write_bytes(out / "report.pdf", print_page(out / "report.html"))
+    observe(Step("report", "done"))
+
+
+def _draw_tests(view: CampaignView, out: Path, processes: int) -> dict[str, bytes]:
+    """Draw the figures of every test; what the pages need of each, by its key."""
+    system = SI if view.metric else US
+    drawings = [Drawing(test, system, view.actuation_unit) for test in view.tests]
+    if len(drawings) > ONE_PAGE and processes > 1:
+        for _ in run_tasks(drawings, out, processes, lambda _: None):
+            pass
+    else:
+        for drawing in drawings:
+            drawing.run(out, lambda _: None)
+    images = {}
+    for key in (key for drawing in drawings for key in drawing.pictures):
+        path = out / f"{key}.png"
+        if path.is_file():
+            with path.open("rb") as file:
+                images[key] = needed(view, key, file)
+    return images

@@ -1,0 +1,60 @@
+"""States of sweeps evenly apart in bounded memory, and the draws that they become."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.population import history
+from mfd_bayes.population.history import History, State, TestDraws, by_walker
+
+
+def state(sweep, chains=4, size=3):
+    x = (100 * sweep + np.arange(chains * size)).reshape(chains, size).astype(np.float32)
+    return State(np.zeros((chains, 1, 2)), np.zeros((chains, 2, 2)), x)
+
+
+def fill(wanted, size, sweeps):
+    kept = History(wanted, size)
+    for sweep in range(sweeps):
+        if kept.wants(sweep):
+            kept.add(sweep, state(sweep))
+        assert len(kept.states) <= kept.most
+    return kept
+
+
+@pytest.mark.parametrize("sweeps", [40, 90, 91, 240, 1531, 2000])
+@pytest.mark.parametrize("wanted", [1, 9, 47])
+def test_enough_states_are_left_evenly_apart(wanted, sweeps):
+    kept = list(fill(wanted, 10, sweeps).since(sweeps // 10))
+    assert min(wanted, 0.9 * sweeps) <= len(kept) <= 2 * (wanted + wanted // 9 + 1)
+    assert len(set(np.diff(kept))) <= 1
+    assert min(kept) >= sweeps // 10
+    assert sweeps - 1 - max(kept) < max(np.diff(kept), default=sweeps)
+
+
+def test_the_states_of_many_tests_are_fewer(monkeypatch):
+    monkeypatch.setattr(history, "ROOM", 4000)
+    few, many, most = (fill(47, size, 500) for size in (10, 100, 10_000))
+    assert len(few.states) >= 47
+    assert len(many.states) <= 40 < len(few.states)
+    assert history.FEWEST / 2 <= len(most.states) <= history.FEWEST
+
+
+def test_draws_of_tests_are_their_columns_by_chain_and_walker():
+    states = [state(sweep) for sweep in range(5)]
+    tests = TestDraws(states, [1, 2], ensembles=2)
+    assert len(tests) == 2
+    first, second = tests
+    assert first.shape == (2, 10, 1)
+    assert second.shape == (2, 10, 2)
+    assert first.dtype == np.float64
+    assert first[0, :5, 0].tolist() == [0, 100, 200, 300, 400]  # the first walker's
+    assert second[1, 5, 1] == 3 * 3 + 2  # the last walker's of the second ensemble
+    np.testing.assert_array_equal(tests[-1], second)
+    assert [x.shape for x in tests[:1]] == [(2, 10, 1)]
+    with pytest.raises(IndexError):
+        tests[2]
+
+
+def test_walkers_come_one_after_the_other():
+    steps = [np.array([[1.0], [2.0]]), np.array([[3.0], [4.0]])]
+    assert by_walker(steps, 1)[0, :, 0].tolist() == [1.0, 3.0, 2.0, 4.0]
