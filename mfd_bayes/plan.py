@@ -19,6 +19,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.campaign import Campaign, ModelName, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.manifest import FORMAT
 from mfd_bayes.population.pooling import pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
@@ -137,6 +138,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     }
     manifest = {
         "status": "running",
+        "format": FORMAT,
         "title": campaign.title,
         "command": options.command,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
