@@ -76,6 +76,38 @@ def test_without_build_up_it_is_ornstein_uhlenbeck():
     assert np.all(np.abs(other - expected) > 1.0)
 
 
+@pytest.mark.parametrize("samples", [1, 2, 3, 5, 8, 9, 24])
+def test_records_of_any_length_have_their_density(samples, monkeypatch):
+    monkeypatch.setattr(likelihood, "PIECE", 24)  # pieces of 8 samples
+    rng = np.random.default_rng(4)
+    time = UNIFORM[:samples]
+    travel, residual = travels(rng, time), 0.2 * rng.normal(size=(3, samples))
+    got = STAGED.log_density(residual, time, VALUES, travel)
+    for i in range(3):
+        dense = stats.multivariate_normal(
+            np.zeros(samples), covariance(i, time, travel[i]), allow_singular=True
+        )
+        assert got[i] == pytest.approx(dense.logpdf(residual[i]), rel=1e-9)
+
+
+class Impulses:
+    """In place of a generator: each of n draws has one of the n normal numbers 1, the others 0."""
+
+    def standard_normal(self, shape):
+        return np.eye(*shape)
+
+
+@pytest.mark.parametrize("time", [UNIFORM, IRREGULAR], ids=["uniform", "irregular"])
+@pytest.mark.parametrize("i", range(3))
+def test_draws_are_the_root_of_the_covariance(time, i):
+    n = time.size
+    values = {name: np.full(n, column[i]) for name, column in VALUES.items()}
+    travel = travels(np.random.default_rng(6), time)[i]
+    root = STAGED.draw(Impulses(), time, values, np.tile(travel, (n, 1)))
+    expected = covariance(i, time, travel)
+    np.testing.assert_allclose(root.T @ root, expected, rtol=1e-9, atol=1e-15)
+
+
 def test_draws_have_the_covariance_of_the_density():
     rng = np.random.default_rng(3)
     time = UNIFORM[:12]

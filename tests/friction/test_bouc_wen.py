@@ -158,6 +158,22 @@ def test_the_place_on_a_curve_is_the_inverse_of_its_value(exponent, wide):
     np.testing.assert_allclose(value, w, atol=1e-10 if exponent < 10 else 1e-2)
 
 
+@pytest.mark.parametrize("exponent", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize("begin", [-3.5, -0.8, 0.3, 1.5, 3.5])
+def test_a_wide_curve_follows_its_equation_above_one_and_below_zero(exponent, begin):
+    beta, way = 0.7, np.linspace(0.0, 2.0, 41)
+
+    def slope(_, w):
+        grown = np.abs(w) ** exponent
+        return np.where(w < 0, 1 + (2 * beta - 1) * grown, 1 - grown)
+
+    one = np.ones(1)
+    curve = Curve.of(exponent * one, beta * one, one, wide=True)
+    got = curve.value(curve.move(curve.place(begin * one)[:, None], way[None]))[0]
+    leg = solve_ivp(slope, (0, 2), [begin], t_eval=way, method="LSODA", rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(got, leg.y[0], atol=3e-4)
+
+
 def test_batch_equals_single_vectors():
     batch = vectors(7)
     for trace in (sine(), walk(3), sine(actuation=1.5 + np.sin(np.arange(500) / 40))):
@@ -372,19 +388,25 @@ def test_scales_that_do_not_fit_are_refused(scales):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("name", "value", "words"),
     [
-        ("displacement", np.nan),
-        ("velocity", np.inf),
-        ("dt", np.nan),
-        ("dt", 0.0),
-        ("dt", -0.01),
-        ("actuation", np.nan),
-        ("actuation", -1.0),
+        ("displacement", np.nan, "finite"),
+        ("velocity", np.inf, "finite"),
+        ("dt", np.nan, "finite"),
+        ("dt", 0.0, "positive"),
+        ("dt", -0.01, "positive"),
+        ("actuation", np.nan, "finite and not negative"),
+        ("actuation", -1.0, "finite and not negative"),
     ],
 )
-def test_steps_that_do_not_fit_are_refused_by_name(name, value):
+def test_steps_that_do_not_fit_are_refused_by_name(name, value, words):
     good = {"displacement": 0.0, "velocity": 0.0, "dt": 0.01, "actuation": 1.0}
     _, state = MODEL.step(MODEL.start(theta(), reference_actuation=1.0), **good)
-    with pytest.raises(FitError, match=f"{name} must be .*, got {value}"):
+    with pytest.raises(FitError, match=f"{name} must be {words}, got {value}"):
         MODEL.step(state, **good | {name: value})
+
+
+@pytest.mark.parametrize("reference", [-1.0, np.nan])
+def test_a_reference_actuation_that_does_not_fit_is_refused_by_name(reference):
+    with pytest.raises(FitError, match=f"reference_actuation must be .*, got {reference}"):
+        MODEL.start(theta(), reference_actuation=reference)

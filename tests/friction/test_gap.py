@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.gap import Crossing, Gap, blend, follow
+from mfd_bayes.friction.gap import travel as travel_since_slip
 from mfd_bayes.records.trace import Trace
 
 K2, K3, D2, D3, ELL = 0.5, 30.0, 0.1, 0.12, 0.005
@@ -188,3 +189,21 @@ def test_force_is_the_same_just_before_and_just_after_every_turning_point(ell):
     for k, sample in enumerate(trace.turning_points):
         x = trace.displacement[sample]
         assert force(k + 1, x) == pytest.approx(force(k, x), abs=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_travel_since_slip_is_that_of_the_state_in_every_stretch(sign):
+    # through the gap, back out of it, inside it, and through it again, by two dampers
+    path = legs(*(sign * x for x in (0.1, 1.0, 0.85, 1.3, 0.4, 0.45, -1.0, 0.2))).path
+    gap = Gap(*(np.array(v) for v in ([K2] * 2, [K3] * 2, [D2, 0.02], [D3, 0.03], [ELL] * 2)))
+    start = np.array([0.2, 0.9])
+    got = travel_since_slip(gap, path, start)
+    crossing = follow(gap, path, start, np.zeros((path.turning_points.size, 2)))
+    x = path.displacement[path.samples]
+    for j, width in enumerate(gap.width):
+        for i, k in enumerate(path.stretch):
+            side, edge = crossing.side[k, j], crossing.edge[k, j]
+            expected = x[i] - edge if side > 0 else edge + width - x[i]
+            assert got[i, j] == pytest.approx(expected, abs=1e-12)
+    np.testing.assert_allclose(got[0], start * gap.width)
+    np.testing.assert_allclose(got[-1], 1.2, atol=1e-12)  # since the last turn

@@ -95,6 +95,21 @@ def test_force_stays_bounded_at_any_stiffness_and_step(stiffness):
     assert np.max(np.abs(force)) <= VALUES["Fs_fwd"] * (1 + 1e-12)
 
 
+@pytest.mark.parametrize("velocity", [0.2, -0.2])
+@pytest.mark.parametrize("way", [0.02, -0.02])
+def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms(way, velocity):
+    # forward or backward, then at the same place with a velocity that is still measured
+    time = np.array([0.0, 0.1, 0.2])
+    trace = Trace.from_arrays(time, [0.0, way, way], velocity=[0.0, 0.0, velocity])
+    elastic, force = (
+        LuGre().force(theta(sigma1=sigma1, sigma2=0.0), trace)[0] for sigma1 in (0.0, 0.03)
+    )
+    assert elastic[2] == elastic[1]
+    z = elastic[1] / VALUES["sigma0"]
+    rate = velocity - VALUES["sigma0"] * abs(velocity) * z / VALUES["Fs_fwd"]
+    assert force[2] == pytest.approx(elastic[2] + 0.03 * rate, rel=1e-9)
+
+
 def test_bristles_without_stiffness_give_no_nan():
     # either refused by name, or the limit: nothing but the viscous part
     expected = VALUES["sigma2"] * 0.5

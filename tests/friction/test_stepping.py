@@ -84,6 +84,18 @@ def test_steps_follow_a_varying_actuation(model):
     assert np.max(np.abs(other - expected)) > 0.01
 
 
+@pytest.mark.parametrize("level", [0.3, 1.0, 2.5])
+def test_parameters_belong_to_the_first_actuation_when_no_reference_is_given(level):
+    trace = Trace.from_arrays(TIME[:200], MOTIONS["partial"][:200])
+    constant = Trace.from_arrays(TIME[:200], MOTIONS["partial"][:200], actuation=level)
+    theta = dampers(2)
+    for model in MODELS:
+        np.testing.assert_array_equal(steps(model, theta, constant), steps(model, theta, trace))
+        # the control: with a reference of its own, friction is in proportion to it
+        other = steps(model, theta, constant, reference_actuation=2.0 * level)
+        assert np.max(np.abs(other - steps(model, theta, trace))) > 0.01
+
+
 def test_given_factors_replace_the_proportion():
     trace = Trace.from_arrays(TIME, MOTIONS["partial"])
     theta, model = dampers(3), MODELS[0]

@@ -343,6 +343,23 @@ def test_start_is_the_middle_of_the_gap_when_left_out():
         np.testing.assert_array_equal(MODEL.force(batch, trace, start=start), expected)
 
 
+def test_travel_begins_where_the_damper_starts_and_at_every_turn_after_slip():
+    time = np.arange(0.0, 3.0, 0.01)
+    x = np.interp(time, [0.0, 1.0, 3.0], [0.0, 1.0, -1.0])
+    trace = Trace.from_arrays(time, x)
+    batch = np.concatenate([theta(), theta(d2=0.3)])
+    width = batch[:, 9:10] + batch[:, 10:11]
+    for start in (np.array([0.0, 0.8]), None):
+        travel = MODEL.travel(batch, trace, start=start)
+        begin = 0.5 * width if start is None else start[:, None] * width
+        np.testing.assert_allclose(travel[:, :101], begin + x[:101], atol=1e-12)
+        np.testing.assert_allclose(
+            travel[:, 102:], np.broadcast_to(1.0 - x[102:], (2, 198)), atol=1e-12
+        )
+    with pytest.raises(FitError, match="start"):
+        MODEL.travel(batch, trace, start=1.5)
+
+
 def test_start_matters_until_the_first_turn_after_slip_only():
     trace = FULL.trace()
     batch = np.repeat(theta(), 3, axis=0)

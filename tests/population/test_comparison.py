@@ -2,12 +2,19 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import special, stats
 
-from mfd_bayes.population.comparison import compare_dependence, compare_laws, free_exponents, stack
+from mfd_bayes.population.comparison import (
+    _samples,
+    compare_dependence,
+    compare_laws,
+    free_exponents,
+    stack,
+)
 from mfd_bayes.population.pooling import Setting, pool
 
 LEVELS = (0.5, 0.5, 0.8, 1.5)
@@ -112,6 +119,15 @@ def test_scores_know_of_sessions(campaign):
     np.testing.assert_allclose(found.levels, expected, atol=0.05)
 
 
+def test_what_other_groups_have_in_common_plays_no_part(priors):
+    settings = [Setting(p, s) for p, s in zip(LEVELS, "abab", strict=True)]
+    test = SimpleNamespace(mean=np.zeros(3), covariance=np.eye(3))
+    pooling = pool(priors, ("Fc_fwd", "k3", "offset"), settings)
+    assert {e.group for e in pooling.effects if e.name == "session"} == {0, 1, 2}
+    sample = next(_samples(pooling, [test] * 4, 0, "proportional"))
+    assert sample.rows.shape == (4, 1 + 2)  # the level, and its own effect of two sessions
+
+
 def test_scores_are_always_the_same(campaign):
     pooling, tests = campaign()
     assert compare_laws(pooling, tests) == compare_laws(pooling, tests)
@@ -181,9 +197,51 @@ def test_a_dependence_on_speed_is_found_where_there_is_one(campaign):
     assert none[1].difference < 2 * none[1].se  # the control
 
 
+@pytest.mark.parametrize("sessions", [None, list("aabba")], ids=["one session", "two sessions"])
+def test_leaving_out_a_level_of_one_test_is_leaving_out_that_test(campaign, sessions):
+    apart = {"levels": (0.4, 0.6, 0.9, 1.4, 2.0), "velocities": SPEEDS[:5], "sessions": sessions}
+    pooling, tests = campaign(0.8, laws={"Fc_fwd": "power"}, **apart)
+    by_level = next(s for s in compare_laws(pooling, tests) if s.law == "power")
+    by_test = compare_dependence(pooling, tests)[0]
+    assert by_test.covariate == ""
+    assert by_test.elpd == pytest.approx(by_level.elpd, rel=1e-6)
+
+
+def test_scores_of_a_dependence_are_brute_force(campaign):
+    pooling, tests = campaign(
+        levels=(0.4, 0.6, 0.9, 1.4, 2.0), velocities=SPEEDS[:5], sensitivity=0.3
+    )
+    data = np.array([t.mean[0] for t in tests])
+    noise = np.diag([t.covariance[0, 0] for t in tests])
+    relative = np.array([s.actuation for s in pooling.settings]) / pooling.reference
+    folds = np.log(SPEEDS[:5]) - np.mean(np.log(SPEEDS[:5]))
+    places = (np.arange(60) + 0.5) / 60
+    slopes = stats.norm(0.0, 0.3).ppf(places)[:, None]
+    away = data - (np.log(relative) + slopes * folds) / pooling.spread[0]
+    scale = pooling.scatter_sd[0] / pooling.spread[0]
+
+    def density(kept):
+        terms = []
+        for tau in stats.halfnorm(scale=scale).ppf(places):
+            c = noise + tau**2 * np.eye(5) + 1.0
+            normal = stats.multivariate_normal(cov=c[np.ix_(kept, kept)])
+            terms.append(normal.logpdf(away[:, kept]))
+        return special.logsumexp(terms)
+
+    everyone = list(range(5))
+    parts = [density(everyone) - density([i for i in everyone if i != j]) for j in everyone]
+    found = compare_dependence(pooling, tests)[1]
+    assert found.covariate == "velocity"
+    assert found.elpd == pytest.approx(sum(parts), abs=0.1)
+
+
 def test_a_dependence_needs_tests_and_speeds_that_differ(campaign):
     assert compare_dependence(*campaign(levels=(0.5, 0.8, 1.5), velocities=[1.0, 2.0, 4.0])) == ()
     assert compare_dependence(*campaign(levels=MANY)) == ()
+    pooling, tests = campaign(levels=MANY, velocities=SPEEDS)
+    assert compare_dependence(pooling, tests) != ()
+    unknown = (Setting(MANY[0]), *pooling.settings[1:])  # of one test no speed is known
+    assert compare_dependence(replace(pooling, settings=unknown), tests) == ()
 
 
 # stacking

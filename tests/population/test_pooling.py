@@ -33,6 +33,16 @@ def test_levels_belong_to_the_geometric_mean_of_the_actuations(priors):
     assert pooling.reference == pytest.approx((0.5 * 0.8 * 0.8 * 1.5) ** 0.25)
 
 
+def test_tests_are_compared_at_the_mean_speed_of_a_sine_of_their_typical_peak(priors):
+    peaks = (1.0, 8.0, 0.0)  # none is known of the last
+    those = [Setting(0.5, "", {"velocity": v}) for v in peaks]
+    sine = np.abs(np.cos((np.arange(1000) + 0.5) * np.pi / 1000))
+    expected = sine.mean() * np.sqrt(8.0)
+    assert pool(priors, NAMES, those).coordinates.speed == pytest.approx(expected, rel=1e-5)
+    unknown = pool(priors, NAMES, settings()).coordinates.speed
+    assert unknown == pytest.approx(sine.mean(), rel=1e-5)
+
+
 def test_tests_near_each_other_are_at_one_level():
     folds = levels_of(settings((1.5, 0.8, 0.5, 0.805, 1.51)))
     assert folds == [[2], [1, 3], [0, 4]]
