@@ -12,7 +12,7 @@ from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.evidence import Evidence
-from mfd_bayes.population.history import History, State, TestDraws, by_walker
+from mfd_bayes.population.history import History, TestDraws, by_walker
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import ratio
 from mfd_bayes.population.pooling import Choice, Pooling, Setting
@@ -264,15 +264,14 @@ def infer(
     hyper: list[Array] = []
     levels: list[Array] = []
     sizes = [x.shape[1] for x in chains.x]
-    history = History(-(-max(KEPT, int(effort.ess)) // WALKERS), n * sum(sizes))
+    history = History(-(-max(KEPT, int(effort.ess)) // WALKERS), n, sum(sizes))
     for end in _looks(most_sweeps(effort)):
         for i in range(len(hyper), end):
             joint.sweep(chains)
             hyper.append(chains.h.copy())
             levels.append(chains.latent[:, 0].copy())
             if history.wants(i):
-                x = np.concatenate(chains.x, axis=1, dtype=np.float32, casting="same_kind")
-                history.add(i, State(chains.latent.copy(), joint.products(chains), x))
+                history.add(i, chains.latent.copy(), joint.products(chains), chains.x)
         late = end // 10
         found = _measure(pooling, hyper[late:], levels[late:], effort.ensembles)
         report(end, found)

@@ -37,33 +37,52 @@ class State:
 
 
 class History:
-    """States of sweeps evenly apart: every `step`-th, which doubles when there are too many.
+    """States of sweeps evenly apart: every `step`-th, which doubles when there is no more room.
 
     Parameters
     ----------
     wanted : int
         States that are wanted at the end, of which a tenth is too early. Fewer are held where
         those of many tests would take more than `ROOM`.
+    chains : int
     size : int
-        Numbers in the x of a state.
+        Coordinates of all tests.
     """
 
-    def __init__(self, wanted: int, size: int) -> None:
-        room = max(FEWEST, ROOM // size)
+    def __init__(self, wanted: int, chains: int, size: int) -> None:
+        room = max(FEWEST, ROOM // (chains * size))
         self.most = min(2 * (wanted + wanted // 9 + 1), room)
         self.step = 1
         self.states: dict[int, State] = {}
+        # taken at once: what is taken and given back bit by bit leaves holes in the memory
+        self._room = np.empty((self.most, chains, size), dtype=np.float32)
+        self._free = list(range(self.most))
+        self._taken: dict[int, int] = {}
 
     def wants(self, sweep: int) -> bool:
         """Whether the state after a sweep is to be added."""
         return (sweep + 1) % self.step == 0
 
-    def add(self, sweep: int, state: State) -> None:
-        """Take a state in, and let every other one go where there are too many."""
-        self.states[sweep] = state
-        if len(self.states) > self.most:
+    def add(self, sweep: int, latent: Array, products: Array, x: Sequence[Array]) -> None:
+        """Take a state in; where there is no room, every other one goes first.
+
+        Parameters
+        ----------
+        sweep : int
+        latent, products
+            As of `State`.
+        x : sequence of (n, D)
+            Of each test.
+        """
+        if not self._free:
             self.step *= 2
-            self.states = {i: s for i, s in self.states.items() if self.wants(i)}
+            for gone in [i for i in self.states if not self.wants(i)]:
+                del self.states[gone]
+                self._free.append(self._taken.pop(gone))
+        if self.wants(sweep):
+            slot = self._taken[sweep] = self._free.pop()
+            np.concatenate(x, axis=1, out=self._room[slot], casting="same_kind")
+            self.states[sweep] = State(latent, products, self._room[slot])
 
     def since(self, sweep: int) -> dict[int, State]:
         """States of a sweep and those after it, in their order."""

@@ -13,10 +13,11 @@ def state(sweep, chains=4, size=3):
 
 
 def fill(wanted, size, sweeps):
-    kept = History(wanted, size)
+    kept = History(wanted, 4, size)
     for sweep in range(sweeps):
         if kept.wants(sweep):
-            kept.add(sweep, state(sweep))
+            x = [np.full((4, 1), sweep), np.full((4, size - 1), sweep + 0.5)]
+            kept.add(sweep, np.zeros((4, 1, 2)), np.zeros((4, 2, 2)), x)
         assert len(kept.states) <= kept.most
     return kept
 
@@ -24,16 +25,21 @@ def fill(wanted, size, sweeps):
 @pytest.mark.parametrize("sweeps", [40, 90, 91, 240, 1531, 2000])
 @pytest.mark.parametrize("wanted", [1, 9, 47])
 def test_enough_states_are_left_evenly_apart(wanted, sweeps):
-    kept = list(fill(wanted, 10, sweeps).since(sweeps // 10))
+    states = fill(wanted, 10, sweeps).since(sweeps // 10)
+    kept = list(states)
     assert min(wanted, 0.9 * sweeps) <= len(kept) <= 2 * (wanted + wanted // 9 + 1)
     assert len(set(np.diff(kept))) <= 1
+    for sweep, found in states.items():
+        assert found.x.dtype == np.float32
+        assert np.all(found.x[:, 0] == sweep)  # none is written over
+        assert np.all(found.x[:, 1:] == sweep + 0.5)
     assert min(kept) >= sweeps // 10
     assert sweeps - 1 - max(kept) < max(np.diff(kept), default=sweeps)
 
 
 def test_the_states_of_many_tests_are_fewer(monkeypatch):
     monkeypatch.setattr(history, "ROOM", 4000)
-    few, many, most = (fill(47, size, 500) for size in (10, 100, 10_000))
+    few, many, most = (fill(47, size, 500) for size in (5, 25, 2500))
     assert len(few.states) >= 47
     assert len(many.states) <= 40 < len(few.states)
     assert history.FEWEST / 2 <= len(most.states) <= history.FEWEST
