@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-ROOM = 1 << 26
-"""Numbers that are held of the tests, in single precision: 256 MiB."""
+ROOM = 1 << 25
+"""Numbers that are held of the tests, in single precision: 128 MiB."""
 
 FEWEST = 16
 """Sweeps that are held, however many tests there are."""

@@ -36,12 +36,7 @@ LOOSE = 0.005
 """Least weight of a quantity among those that are moved with their tests."""
 
 TOGETHER = 2
-"""Such moves in a sweep, and one more for each `MORE` tests up to `MOST`."""
-
-MORE, MOST = 100, 5
-
-FEW = 8
-"""Tests up to which these moves have their full size; that of more is by the square root less."""
+"""Such moves in a sweep."""
 
 EVOLUTIONS = 4
 """Updates of scatter and shapes in a sweep."""
@@ -124,7 +119,7 @@ class Joint:
                 self._step_near(chains, j, means[:, j], tau)
             else:
                 self._evolve_test(chains, j, means[:, j], tau)
-        for _ in range(min(MOST, TOGETHER + len(self.tests) // MORE)):
+        for _ in range(TOGETHER):
             self._move_together(chains)
 
     def looseness(self) -> Array:
@@ -300,7 +295,6 @@ class Joint:
         pooling, n = self.pooling, len(chains.h)
         k = int(self.rng.choice(self.d, p=self.loose))
         size = self.rng.choice([3.0, 1.0, 0.3], size=n)
-        size *= np.sqrt(FEW / max(FEW, len(self.tests)))
         h, latent = chains.h.copy(), chains.latent.copy()
         what = self.rng.integers(3, size=n)  # the level, the scatter, or both
         h[:, k] += (what != 0) * 0.5 * size * self.rng.standard_normal(n)
