@@ -93,6 +93,7 @@ def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
             yield key, to_png(figure)
             if number % _FIGURES_HELD == 0:
                 gc.collect()
+        gc.collect()
 
 
 @contextmanager
