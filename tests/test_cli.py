@@ -1,6 +1,7 @@
 """The command line: what a user who errs is told, and that nothing is written then."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -725,8 +726,7 @@ def test_a_mistyped_campaign_file_is_guessed(tmp_path):
 
 def test_the_effort_of_a_run_is_taken_where_it_is_resumed(tmp_path):
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "manifest.json").write_text('{"effort": {"name": "quick"}}')
+    shutil.copytree(Path(__file__).parent / "data" / "run_format_0", out)
     assert pipeline.effort_of(out, None, resume=True) == "quick"
     assert pipeline.effort_of(out, "thorough", resume=True) == "thorough"
     assert pipeline.effort_of(out, None, resume=False) == "standard"
