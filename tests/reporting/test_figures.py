@@ -8,6 +8,7 @@ import pytest
 
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.figures import laws
 from mfd_bayes.reporting.figures.loops import stretches
 from mfd_bayes.reporting.figures.style import BANDS
 from mfd_bayes.reporting.views import Marginal
@@ -195,3 +196,12 @@ def test_a_file_is_whole_or_not_there(test_view, tmp_path, monkeypatch):
 def test_one_colour_has_one_meaning():
     colours = [colour for kind in BANDS.values() for colour in kind]
     assert len(set(colours)) == len(colours)
+
+
+@pytest.mark.parametrize("number", [1, 3, 50])
+def test_tests_at_one_level_stay_near_it(number):
+    levels = np.array([0.5, 0.6, 1.5])
+    shifted = laws._apart(np.repeat(levels, number)).reshape(3, number)
+    assert np.max(np.abs(shifted - levels[:, None])) < 0.05  # half of the way to the next one
+    assert len(np.unique(shifted)) == 3 * number
+    np.testing.assert_allclose(shifted.mean(axis=1), levels)

@@ -77,11 +77,17 @@ def _fill(axes: Axes, law: LawView, fan: Fan, colour: str, name: str) -> None:
 
 
 def _apart(actuation: np.ndarray) -> np.ndarray:
-    """Tests at one level side by side, so that their bars do not hide each other."""
-    step = 0.012 * max(float(np.ptp(actuation)), 1e-3 * float(np.max(np.abs(actuation))))
+    """Tests at one level side by side, so that their bars do not hide each other.
+
+    However many they are, they stay nearer to their level than to the next one.
+    """
+    span = max(float(np.ptp(actuation)), 1e-3 * float(np.max(np.abs(actuation))))
+    levels = np.unique(actuation)
+    room = 0.5 * float(np.min(np.diff(levels), initial=span))
     shifted = actuation.astype(np.float64)
-    for level in np.unique(actuation):
+    for level in levels:
         same = np.flatnonzero(actuation == level)
+        step = min(0.012 * span, room / max(1, same.size - 1))
         shifted[same] += step * (np.arange(same.size) - 0.5 * (same.size - 1))
     return shifted
 
