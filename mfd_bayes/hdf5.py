@@ -31,6 +31,8 @@ class UnsafeError(Exception):
 def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
     """Refuse a file whose data lie elsewhere, are linked in circles, or are declared without end.
 
+    Its heaps are checked first: the library reads texts from them as soon as it looks at objects.
+
     Parameters
     ----------
     file : h5py.File
@@ -43,6 +45,7 @@ def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
     ------
     UnsafeError
     """
+    check_heaps(file)
     declared = 0
     for dataset in _datasets(file):
         shown = repr(str(dataset.name)[-_NAMED:])

@@ -13,7 +13,7 @@ from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
 from mfd_bayes.reporting.figures import OF_TEST, draw_shared, draw_test
 from mfd_bayes.reporting.html import ONE_PAGE, needed, render
 from mfd_bayes.reporting.pdf import print_page
-from mfd_bayes.reporting.systems import SI, US, System
+from mfd_bayes.reporting.systems import System, shown_in
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.views import CampaignView, TestView
 from mfd_bayes.store import write_bytes, write_text
@@ -98,7 +98,7 @@ def publish(
 
 def _draw_tests(view: CampaignView, out: Path, processes: int) -> dict[str, bytes]:
     """Draw the figures of every test; what the pages need of each, by its key."""
-    system = SI if view.metric else US
+    system = shown_in(view)
     drawings = [Drawing(test, system, view.actuation_unit) for test in view.tests]
     if len(drawings) > ONE_PAGE and processes > 1:
         for _ in run_tasks(drawings, out, processes, lambda _: None):

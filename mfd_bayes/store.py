@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.hdf5 import UnsafeError, check_heaps, check_objects
+from mfd_bayes.hdf5 import UnsafeError, check_objects
 from mfd_bayes.records.trace import Trace
 
 if TYPE_CHECKING:
@@ -346,7 +346,6 @@ def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
     groups = {}
     with h5py.File(path, "r") as file:
         # It is written unpacked, so that it holds what it declares.
-        check_heaps(file)
         check_objects(file, 2 * path.stat().st_size + _SLACK, plain=True)
     for name in names:
         with xr.open_dataset(path, group=name, engine="h5netcdf", decode_times=False) as dataset:

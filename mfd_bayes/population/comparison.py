@@ -128,9 +128,9 @@ class _Sample:
         density: Array = -0.5 * (rest + log_det - np.sum(standard**2, axis=1))
         return density
 
-    def log_density_of_each(self) -> Array:
-        """Log density of each test given all others, (n, J)."""
-        gram, pull, _ = self.sums(slice(None))
+    def log_density_of_each(self, sums: tuple[Array, Array, Array]) -> Array:
+        """Log density of each test given all others, (n, J), from the sums of all."""
+        gram, pull, _ = sums
         inverse = np.linalg.inv(gram + np.eye(gram.shape[-1]))
         inverse *= self.sds[:, :, None] * self.sds[:, None, :]
         share = np.einsum("jk,nkl,jl->nj", self.rows, inverse, self.rows, optimize=True)
@@ -307,9 +307,10 @@ def _each_left_out(samples: Iterable[_Sample]) -> Array:
     """Log predictive density of each test given the others, (J,)."""
     everything, others = [], []
     for sample in samples:
-        density = sample.log_density(sample.sums(slice(None)))
+        whole = sample.sums(slice(None))
+        density = sample.log_density(whole)
         everything.append(density)
-        rest = density[:, None] - sample.log_density_of_each()
+        rest = density[:, None] - sample.log_density_of_each(whole)
         others.append(special.logsumexp(rest, axis=0))
     found: Array = special.logsumexp(np.concatenate(everything)) - special.logsumexp(others, axis=0)
     return found

@@ -83,6 +83,11 @@ def system_of(units: Iterable[str]) -> System:
     return SI if metric > 0 else US
 
 
+def shown_in(view: CampaignView) -> System:
+    """System whose units the figures of a report are in: the campaign's own."""
+    return SI if view.metric else US
+
+
 def in_system(view: CampaignView, system: System) -> CampaignView:
     """Show a report, whose figures are in internal units, in those of a system.
 

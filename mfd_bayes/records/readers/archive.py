@@ -9,9 +9,7 @@ from xml.parsers import expat
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 from mfd_bayes.errors import RecordError
-
-UNPACKED = 256
-"""Most that a workbook may unpack to, MB."""
+from mfd_bayes.records.readers.bounds import UNPACKED, unpacks_to_too_much
 
 CELLS = 2_000_000
 """Most cells of a sheet: eight minutes of four columns at 1024 Hz."""
@@ -113,10 +111,7 @@ def check_archive(path: Path, file: IO[bytes]) -> None:
     with ZipFile(file) as archive:
         parts = archive.infolist()
         if sum(part.file_size for part in parts) > UNPACKED * _MB:
-            raise RecordError(
-                f"{path} unpacks to more than {UNPACKED} MB, the most that is read; "
-                "save the sheet as .csv"
-            )
+            raise unpacks_to_too_much(path, "save the sheet as .csv")
         for part in parts:
             try:
                 _weigh(archive, part)

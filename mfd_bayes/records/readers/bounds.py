@@ -1,4 +1,4 @@
-"""Bounds on what reading a text or JSON file may take, checked before anything parses it."""
+"""Bounds on what reading a file may take, and checks of text and JSON before they are parsed."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ JSON = 64
 
 LISTS = 1_000_000
 """Most lists and objects of a JSON file: each takes some hundred bytes to hold."""
+
+UNPACKED = 256
+"""Most that a packed file may unpack to, MB."""
 
 CELLS = 20_000_000
 """Most cells of a JSON file whose rows are objects."""
@@ -97,6 +100,13 @@ def read_json_text(path: Path) -> str:
             "expected one list for each column"
         )
     return text
+
+
+def unpacks_to_too_much(path: Path, way_out: str) -> RecordError:
+    """Error for a packed file that is more than `UNPACKED`, with what to do instead."""
+    return RecordError(
+        f"{path} unpacks to more than {UNPACKED} MB, the most that is read; {way_out}"
+    )
 
 
 def _check_size(path: Path, most: int) -> None:

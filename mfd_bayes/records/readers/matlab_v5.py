@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-
-UNPACKED = 256
-"""Most that a file may unpack to, MB."""
+from mfd_bayes.records.readers.bounds import UNPACKED, unpacks_to_too_much
 
 Numbers = NDArray[np.generic]
 
@@ -98,10 +96,7 @@ def open_columns(
 
 
 def _too_much(path: Path) -> RecordError:
-    return RecordError(
-        f"{path} unpacks to more than {UNPACKED} MB, the most that is read; "
-        "save only the test's own columns"
-    )
+    return unpacks_to_too_much(path, "save only the test's own columns")
 
 
 def _vectors(data: memoryview, order: str) -> Iterator[tuple[str, Numbers]]:

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.hdf5 import UnsafeError, check_heaps, check_objects, check_pieces
+from mfd_bayes.hdf5 import UnsafeError, check_objects, check_pieces
+from mfd_bayes.records.readers.bounds import UNPACKED
 
 if TYPE_CHECKING:
     import h5py
-
-UNPACKED = 256
-"""Most that all numbers of a file may unpack to, MB."""
 
 Numbers = NDArray[np.generic]
 
@@ -51,7 +49,6 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
     try:
         with h5py.File(path, "r") as file:
-            check_heaps(file)
             check_objects(file, UNPACKED * 2**20)
             yield file
     except UnsafeError as error:

@@ -19,7 +19,7 @@ from mfd_bayes.reporting.figures.posteriors import (
 )
 from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
-from mfd_bayes.reporting.systems import SI, US, System, convert_test, in_system
+from mfd_bayes.reporting.systems import System, convert_test, in_system, shown_in
 from mfd_bayes.reporting.views import CampaignView, Fan, TestView
 
 OF_TEST = ("loops", "history", "residuals", "corner", "trace", "marginals")
@@ -30,11 +30,7 @@ _FIGURES_HELD = 8
 
 def draw_all(view: CampaignView) -> dict[str, bytes]:
     """PNG of every figure, by its key: what `draw_shared` and `draw_test` draw."""
-    system = SI if view.metric else US
-    drawn = dict(draw_shared(view))
-    for test in view.tests:
-        drawn |= draw_test(test, system, view.actuation_unit)
-    return drawn
+    return dict(_pngs(figures(view)))
 
 
 def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
@@ -64,7 +60,7 @@ def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[t
 
 def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     """Every figure with its key, one at a time so that they need not all be held."""
-    system = SI if view.metric else US
+    system = shown_in(view)
     yield from shared_figures(view)
     for test in view.tests:
         yield from figures_of_test(convert_test(test, system, view.actuation_unit), system)
@@ -72,7 +68,7 @@ def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
 
 def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     """Figures of all tests together, each with its key."""
-    system = SI if view.metric else US
+    system = shown_in(view)
     if view.tests:
         shown = in_system(view, system).tests
         yield "overview", draw_overview("Measured loops over 50 and 95 % bands", shown, system)
