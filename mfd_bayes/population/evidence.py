@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.pooling import Pooling
 
 Array = NDArray[np.float64]
@@ -18,6 +19,9 @@ ROOM = 1 << 25
 
 FEWEST = 500
 """Draws of a test that are held, however many tests there are."""
+
+ORDINARY = 20.0
+"""Coordinates nearer to 0 than this have a finite prior density, whatever the prior."""
 
 LEAST_INFORMATION = 1e-3
 """Precision, in prior units, below which a test is taken to say nothing about a direction."""
@@ -66,6 +70,43 @@ class Evidence:
         return replace(self, log_likelihood=log_likelihood, gaussian=True)
 
 
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Log likelihood of one test's coordinates in prior units; it can be sent to a process.
+
+    Attributes
+    ----------
+    posterior : Posterior
+    coordinates : Coordinates
+        Of the pooled quantities, which are the first.
+    middle, scale : (D,)
+        Origin and length of the units.
+    back : tuple of int
+        Where each of the posterior's coordinates is.
+    """
+
+    posterior: Posterior
+    coordinates: Coordinates
+    middle: Array
+    scale: Array
+    back: tuple[int, ...]
+
+    def __call__(self, x: Array) -> Array:
+        """Log likelihood of (n, D) coordinates, (n,); −inf out of the priors' support."""
+        q = self.middle + self.scale * x
+        d = len(self.coordinates.names)
+        q[:, :d] = self.coordinates.to_own(q[:, :d])
+        q = q[:, self.back]
+        density = np.full(len(q), -np.inf)
+        inside = np.all(np.abs(q) < ORDINARY, axis=1)  # of all priors, so they need not be asked
+        beyond = ~inside & np.all(np.isfinite(q), axis=1)
+        inside[beyond] = np.isfinite(self.posterior.log_prior_own(q[beyond]))
+        if np.any(inside):
+            own = self.posterior.from_own(q[inside])
+            density[inside] = self.posterior.log_likelihood(own)
+        return density
+
+
 def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Array]) -> Evidence:
     """What a calibrated test tells, from its stored draws by name, (S,) each.
 
@@ -83,17 +124,6 @@ def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Arr
         spread.append(float(drawn.std()))
     middle, scale = np.array(centre), np.array(spread)
 
-    def log_likelihood(x: Array) -> Array:
-        q = middle + scale * x
-        q[:, :d] = pooling.coordinates.to_own(q[:, :d])
-        q = q[:, back]
-        density = np.full(len(q), -np.inf)
-        inside = np.all(np.isfinite(q), axis=1)
-        inside[inside] = np.isfinite(posterior.log_prior_own(q[inside]))
-        if np.any(inside):
-            density[inside] = posterior.log_likelihood(posterior.from_own(q[inside]))
-        return density
-
     def log_own_prior(x: Array) -> Array:
         total = np.zeros(len(x))
         for i, name in enumerate(own):
@@ -110,7 +140,7 @@ def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Arr
     most = max(FEWEST, ROOM // (len(pooling.settings) * draws.shape[1]))
     draws = draws[:: -(-len(draws) // most)].astype(np.float32)
     return Evidence(
-        log_likelihood,
+        Likelihood(posterior, pooling.coordinates, middle, scale, tuple(back)),
         log_interim_prior,
         log_own_prior,
         draws,

@@ -13,8 +13,9 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.evidence import Evidence
 from mfd_bayes.population.history import History, TestDraws, by_walker
-from mfd_bayes.population.joint import Joint
+from mfd_bayes.population.joint import Evaluate, Joint
 from mfd_bayes.population.laws import ratio
+from mfd_bayes.population.lines import tune
 from mfd_bayes.population.pooling import Choice, Pooling, Setting
 
 Array = NDArray[np.float64]
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 WALKERS = 32
 """Chains of each ensemble."""
 
-WARM_UP = 150
+WARM_UP = 80
 """Sweeps with Gaussians in place of the likelihoods, which are cheap."""
 
 KEPT = 1500
@@ -32,7 +33,10 @@ ALONE = 2.0
 """Tests without any correlation of the scatter that its prior is worth."""
 
 SETTLE = 20
-"""Sweeps after that which are not kept, and as many again as a tenth of those that are."""
+"""Sweeps after that which are not kept."""
+
+LATE = (0.1, 0.25, 0.5)
+"""Shares of the sweeps after those that may be left out, as too early."""
 
 SWEEPS = {100.0: 240, 400.0: 2000, 2000.0: 6000}
 """Sweeps at most, by the effective sample size that is asked for."""
@@ -233,6 +237,7 @@ def infer(
     effort: Effort,
     rng: np.random.Generator,
     report: Callable[[int, Convergence], None] = lambda _, __: None,
+    evaluate: Evaluate | None = None,
 ) -> Inference:
     """Draws of the population and of every test given all tests.
 
@@ -248,19 +253,26 @@ def infer(
     rng : numpy.random.Generator
     report : callable, optional
         Called with the sweeps done and the convergence, now and then.
+    evaluate : callable, optional
+        Computes the tests' likelihoods, as in several processes.
     """
     n = effort.ensembles * WALKERS
     approximate = Joint(pooling, [test.approximated() for test in tests], rng)
     chains = approximate.begin(n, pooling.draw_choice(n), effort.ensembles)
-    for _ in range(WARM_UP):
+    for i in range(WARM_UP):
+        if i in (WARM_UP // 3, 2 * WARM_UP // 3):
+            approximate.tune(tune(pooling, approximate.tests, chains))
         approximate.sweep(chains)
     joint = approximate
     if not all(test.gaussian for test in tests):
-        joint = Joint(pooling, tests, rng)
-        joint.loose = approximate.looseness()
+        joint = Joint(pooling, tests, rng, evaluate)
+        joint.tune(tune(pooling, approximate.tests, chains))
         joint.resume(chains)
-        for _ in range(SETTLE):
+        for i in range(SETTLE):
+            if i == SETTLE // 2:
+                joint.tune(tune(pooling, tests, chains))
             joint.sweep(chains)
+        joint.settle()
     hyper: list[Array] = []
     levels: list[Array] = []
     sizes = [x.shape[1] for x in chains.x]
@@ -272,8 +284,7 @@ def infer(
             levels.append(chains.latent[:, 0].copy())
             if history.wants(i):
                 history.add(i, chains.latent.copy(), joint.products(chains), chains.x)
-        late = end // 10
-        found = _measure(pooling, hyper[late:], levels[late:], effort.ensembles)
+        late, found = _settled(pooling, hyper, levels, effort)
         report(end, found)
         if found.reached(effort.r_hat, effort.ess):
             break
@@ -294,6 +305,20 @@ def infer(
     )
     accepted = {name: float(np.mean(shares)) for name, shares in joint.accepted.items()}
     return Inference(population, TestDraws(states, sizes, effort.ensembles), accepted, end)
+
+
+def _settled(
+    pooling: Pooling, hyper: Sequence[Array], levels: Sequence[Array], effort: Effort
+) -> tuple[int, Convergence]:
+    """The first share of `LATE` after which all has converged, or else best has, in sweeps."""
+    tried = []
+    for share in LATE:
+        late = int(share * len(hyper))
+        found = _measure(pooling, hyper[late:], levels[late:], effort.ensembles)
+        if found.reached(effort.r_hat, effort.ess):
+            return late, found
+        tried.append((late, found))
+    return min(tried, key=lambda look: look[1].worst_r_hat)
 
 
 def _looks(limit: int) -> list[int]:

@@ -42,7 +42,7 @@ class History:
     Parameters
     ----------
     wanted : int
-        States that are wanted at the end, of which a tenth is too early. Fewer are held where
+        States that are wanted at the end, where half may be too early. Fewer are held where
         those of many tests would take more than `ROOM`.
     chains : int
     size : int
@@ -51,8 +51,8 @@ class History:
 
     def __init__(self, wanted: int, chains: int, size: int) -> None:
         room = max(FEWEST, ROOM // (chains * size))
-        self.most = min(2 * (wanted + wanted // 9 + 1), room)
-        self.step = 1
+        self.most = min(4 * wanted + 2, room)
+        self.wanted, self.step = wanted, 1
         self.states: dict[int, State] = {}
         # taken at once: what is taken and given back bit by bit leaves holes in the memory
         self._room = np.empty((self.most, chains, size), dtype=np.float32)
@@ -85,8 +85,10 @@ class History:
             self.states[sweep] = State(latent, products, self._room[slot])
 
     def since(self, sweep: int) -> dict[int, State]:
-        """States of a sweep and those after it, in their order."""
-        return {i: state for i, state in self.states.items() if i >= sweep}
+        """States of a sweep and those after it, in their order; every so many, if too many."""
+        late = [i for i in self.states if i >= sweep]
+        apart = max(1, len(late) // self.wanted)
+        return {i: self.states[i] for i in late[::-1][::apart][::-1]}
 
 
 class TestDraws(Sequence[Array]):

@@ -6,18 +6,19 @@ go on with the likelihoods themselves. A sweep
 1.  updates scatter, effects' sd and shapes given the tests' coordinates, with levels and
     effects integrated out: differential evolution between chains, block by block;
 2.  draws levels and effects from their Gaussian;
-3.  updates every test's coordinates given the population: independence proposals from its
-    stored draws, which carry their likelihood, then one of a Gaussian close to the conditional
-    (a Crank-Nicolson step around it) or of differential evolution, with the likelihood computed;
-4.  moves scatter and level of one quantity and its tests' coordinates together: where these are
-    not informed they would hold each other.
+3.  updates every test's coordinates given the population: one of some of its stored draws or
+    where it is, by importance, then proposals of a Gaussian close to the conditional
+    (Crank-Nicolson steps around it) and of differential evolution, with the likelihood computed;
+4.  moves scatter and level of one quantity and its tests' coordinates together (`lines`): where
+    these are not informed they would hold each other.
 
 Every step leaves the joint posterior as it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.population.evidence import Evidence
 from mfd_bayes.population.laws import draw_shape
+from mfd_bayes.population.lines import FAR, Tuning, redraw, transport, untuned
 from mfd_bayes.population.pooling import Choice, Pooling
 
 Array = NDArray[np.float64]
@@ -32,20 +34,29 @@ Array = NDArray[np.float64]
 TRIES = 30
 """Stored draws of each test that every chain tries in a sweep."""
 
-LOOSE = 0.005
-"""Least weight of a quantity among those that are moved with their tests."""
+NEAR = 2
+"""Proposals from near the conditional in a sweep, for every test."""
+
+STEPS = (1.0, 1.0, 0.8, 0.6)
+"""Crank-Nicolson steps of these; 1 is independent of where a test is."""
 
 TOGETHER = 2
-"""Such moves in a sweep."""
+"""Moves of scatter and level with the tests in a sweep."""
+
+EVOLVED = 0.25
+"""Share of sweeps in which a test is also moved by differential evolution."""
+
+BLUNT = 0.1
+"""Share of redraws that has to be accepted, or transport takes their place."""
 
 EVOLUTIONS = 4
 """Updates of scatter and shapes in a sweep."""
 
-HOPELESS = 40.0
-"""Change of the log density, after some of the tests, at which such a move is given up."""
 
-FAR = 15.0
-"""Hyperparameters are not further than this from 0: scatter of e⁻¹⁹ is beyond double precision."""
+Index = NDArray[np.intp]
+
+Evaluate = Callable[[Iterable[tuple[int, Array]]], Iterator[Array]]
+"""Log likelihoods of points of tests, given by the tests' numbers, in their order."""
 
 
 @dataclass
@@ -60,20 +71,41 @@ class Chains:
     ensemble: NDArray[np.intp]
 
 
+@dataclass(frozen=True, eq=False)
+class _Proposal:
+    """Where some chains of test j might go, with log N(x) − log N(there) and log chance."""
+
+    j: int
+    which: Index
+    x: Array
+    correction: Array | float
+    chance: Array
+
+
 class Joint:
-    """The joint density of a population and its tests, and the sweeps that sample it."""
+    """The joint density of a population and its tests, and the sweeps that sample it.
+
+    Likelihoods are computed by `evaluate`, one test's after the other's where it is not given.
+    """
 
     def __init__(
-        self, pooling: Pooling, tests: Sequence[Evidence], rng: np.random.Generator
+        self,
+        pooling: Pooling,
+        tests: Sequence[Evidence],
+        rng: np.random.Generator,
+        evaluate: Evaluate | None = None,
     ) -> None:
         self.pooling, self.tests, self.rng = pooling, tests, rng
+        self.evaluate = evaluate or self._in_turn
         self.d = len(pooling.names)
         self.design = pooling.design()  # (J, m)
         self.gram = self.design.T @ self.design
         self.precisions = [np.linalg.inv(test.covariance) for test in tests]
         self.roots = [np.linalg.cholesky(precision) for precision in self.precisions]
         self.accepted: dict[str, list[float]] = {}
-        self.loose = np.full(self.d, 1.0 / self.d)
+        self.blunt = np.full(self.d, all(test.gaussian for test in tests))
+        self._stored: list[Array] = []
+        self.tune(untuned(pooling, tests))
 
     def begin(self, n: int, choice: Choice, ensembles: int) -> Chains:
         """Chains whose scatter is about half of its prior's scale, tests by their Gaussians."""
@@ -109,29 +141,34 @@ class Joint:
             self._evolve_hyper(chains)
         self._draw_latent(chains)
         means, tau = (
-            self._means(chains.h, chains.latent, chains.choice),
+            self.means(chains.h, chains.latent, chains.choice),
             self.pooling.scatter(chains.h),
         )
-        for j in range(len(self.tests)):
-            if not self.tests[j].gaussian:
-                self._try_stored(chains, j, means[:, j], tau)
-            if self.rng.random() < 0.6:
-                self._step_near(chains, j, means[:, j], tau)
-            else:
-                self._evolve_test(chains, j, means[:, j], tau)
+        self._try_stored(chains, means, tau)
+        for _ in range(NEAR):
+            self._step_near(chains, means, tau)
+        self._evolve_tests(chains, means, tau)
         for _ in range(TOGETHER):
             self._move_together(chains)
 
-    def looseness(self) -> Array:
-        """How often each quantity is to be moved with its tests, by how often that was accepted."""
-        names = self.pooling.names
-        shares = [np.mean(self.accepted.get(f"together {name}", [0.0])) for name in names]
-        weights = np.maximum(np.array(shares), LOOSE)
-        return np.asarray(weights / weights.sum())
+    def _in_turn(self, points: Iterable[tuple[int, Array]]) -> Iterator[Array]:
+        for j, x in points:
+            yield self.tests[j].log_likelihood(x)
+
+    def tune(self, tuning: Tuning) -> None:
+        """Aim the moves of scatter and level; not while chains are kept."""
+        self.tuning = tuning
+        self.weights = tuning.missing / tuning.missing.sum()
+
+    def settle(self) -> None:
+        """Choose between the two such moves by what was accepted; not while chains are kept."""
+        for k, name in enumerate(self.pooling.names):
+            shares = self.accepted.get(f"redraw {name}")
+            self.blunt[k] |= bool(shares) and np.mean(shares) < BLUNT
 
     def products(self, chains: Chains) -> Array:
         """Of the tests' places in the scatter, standardised, summed over the tests, (n, d, d)."""
-        means = self._means(chains.h, chains.latent, chains.choice)
+        means = self.means(chains.h, chains.latent, chains.choice)
         tau = self.pooling.scatter(chains.h)[:, None]
         places: Array = (self._pooled(chains) - means) / tau
         return np.asarray(np.swapaxes(places, 1, 2) @ places)
@@ -201,27 +238,33 @@ class Joint:
         own: Array = density + self.tests[j].log_own_prior(x[:, self.d :])
         return own
 
-    def _try_stored(self, chains: Chains, j: int, mean: Array, tau: Array) -> None:
-        """Independence proposals from the stored draws: their likelihood cancels."""
-        test = self.tests[j]
-        n, moved = len(mean), np.zeros(len(mean), dtype=bool)
-        picks = self.rng.integers(len(test.draws), size=(TRIES, n))
-        tried = test.draws[picks, : self.d]  # (TRIES, n, d)
-        standard = (tried - mean) / tau
-        ratio = -0.5 * np.einsum("tnk,tnk->tn", standard, standard) - test.draws_log_prior[picks]
-        standard = (chains.x[j][:, : self.d] - mean) / tau
-        here = -0.5 * np.einsum("nk,nk->n", standard, standard)
-        here -= test.log_interim_prior(chains.x[j][:, : self.d])
-        latest = np.full(n, -1)
-        for t, chance in enumerate(np.log(self.rng.random((TRIES, n)))):
-            yes = chance < ratio[t] - here
-            here = np.where(yes, ratio[t], here)
-            latest = np.where(yes, picks[t], latest)
-            moved |= yes
-        if np.any(moved):
-            chains.x[j][moved] = test.draws[latest[moved]]
-            chains.log_likelihood[j][moved] = test.log_likelihood(chains.x[j][moved])
-        self._note(f"stored {j}", moved)
+    def _try_stored(self, chains: Chains, means: Array, tau: Array) -> None:
+        """One of some stored draws, or where a test is, by importance: likelihoods cancel."""
+        for j, test in enumerate(self.tests):
+            if test.gaussian:  # what is near its conditional will be that itself
+                continue
+            n, x = len(tau), chains.x[j]
+            picks = self.rng.integers(len(test.draws), size=(TRIES, n))
+            tried = test.draws[picks, : self.d]  # (TRIES, n, d)
+            standard = (tried - means[:, j]) / tau
+            there = -0.5 * np.einsum("tnk,tnk->tn", standard, standard)
+            there -= test.draws_log_prior[picks]
+            standard = (x[:, : self.d] - means[:, j]) / tau
+            here = -0.5 * np.einsum("nk,nk->n", standard, standard)
+            here -= test.log_interim_prior(x[:, : self.d])
+            weights = np.concatenate([here[None], there]) + self.rng.gumbel(size=(TRIES + 1, n))
+            taken = np.argmax(weights, axis=0)  # one of all, in proportion to exp of their weights
+            moved = taken > 0
+            latest = picks[taken[moved] - 1, np.flatnonzero(moved)]
+            x[moved] = test.draws[latest]
+            chains.log_likelihood[j][moved] = self._stored_likelihood(j)[latest]
+            self._note(f"stored {j}", moved)
+
+    def _stored_likelihood(self, j: int) -> Array:
+        if not self._stored:
+            draws = ((i, test.draws.astype(np.float64)) for i, test in enumerate(self.tests))
+            self._stored = list(self.evaluate(draws))
+        return self._stored[j]
 
     def _near(
         self, j: int, mean: Array, tau: Array, beta: Array, x: Array | None
@@ -250,83 +293,71 @@ class Joint:
         new = np.sum((moved @ known + about * moved) * moved, axis=1)
         return centre + moved, 0.5 * (new - old)
 
-    def _step_near(self, chains: Chains, j: int, mean: Array, tau: Array) -> None:
-        beta = self.rng.choice([1.0, 0.5, 0.2], size=len(mean))
-        proposed, correction = self._near(j, mean, tau, beta, chains.x[j])
-        everyone = np.arange(len(mean))
-        self._accept(chains, j, everyone, proposed, mean, tau, correction, "near")
+    def _step_near(self, chains: Chains, means: Array, tau: Array) -> None:
+        everyone = np.arange(len(tau))
 
-    def _evolve_test(self, chains: Chains, j: int, mean: Array, tau: Array) -> None:
-        size = chains.x[j].shape[1]
+        def propose() -> Iterator[_Proposal]:
+            for j, test in enumerate(self.tests):
+                steps = (1.0,) if test.gaussian else STEPS
+                beta = self.rng.choice(steps, size=len(tau))
+                x, correction = self._near(j, means[:, j], tau, beta, chains.x[j])
+                yield _Proposal(j, everyone, x, correction, np.log(self.rng.random(len(tau))))
+
+        self._accept(chains, propose(), means, tau, "near")
+
+    def _evolve_tests(self, chains: Chains, means: Array, tau: Array) -> None:
+        share = self.rng.random(len(self.tests))
+        chosen = [j for j, t in enumerate(self.tests) if not t.gaussian and share[j] < EVOLVED]
         for half, first, second in self._partners(chains):
-            gamma = 2.38 / np.sqrt(2 * size) * self.rng.choice([1.0, 0.4], size=(len(half), 1))
-            jump = gamma * (chains.x[j][first] - chains.x[j][second])
-            proposed = chains.x[j][half] + jump
-            proposed += 1e-4 * self.rng.standard_normal(proposed.shape)
-            self._accept(chains, j, half, proposed, mean[half], tau[half], 0.0, "evolution")
+
+            def propose(
+                half: Index = half, first: Index = first, second: Index = second
+            ) -> Iterator[_Proposal]:
+                for j in chosen:
+                    x = chains.x[j]
+                    shorter = self.rng.choice([1.0, 0.4], size=(len(half), 1))
+                    jump = 2.38 / np.sqrt(2 * x.shape[1]) * shorter * (x[first] - x[second])
+                    there = x[half] + jump + 1e-4 * self.rng.standard_normal(jump.shape)
+                    yield _Proposal(j, half, there, 0.0, np.log(self.rng.random(len(half))))
+
+            self._accept(chains, propose(), means, tau, "evolution")
 
     def _accept(
         self,
         chains: Chains,
-        j: int,
-        which: NDArray[np.intp],
-        proposed: Array,
-        mean: Array,
+        proposals: Iterable[_Proposal],
+        means: Array,
         tau: Array,
-        correction: Array | float,
         name: str,
     ) -> None:
-        x = chains.x[j][which]
-        prior = self._log_population(j, proposed, mean, tau)
-        prior -= self._log_population(j, x, mean, tau)
-        chance = np.log(self.rng.random(len(which))) - prior - correction
-        chance += chains.log_likelihood[j][which]
-        density = np.full(len(which), -np.inf)
-        asked = np.isfinite(prior)
-        if np.any(asked):
-            density[asked] = self.tests[j].log_likelihood(proposed[asked])
-        yes = asked & (chance < density)
-        chains.x[j][which[yes]] = proposed[yes]
-        chains.log_likelihood[j][which[yes]] = density[yes]
-        self._note(f"{name} {j}", yes)
+        """Take proposals of different tests, or not, in place."""
+        waiting: deque[_Proposal] = deque()
+
+        def points() -> Iterator[tuple[int, Array]]:
+            for proposal in proposals:
+                waiting.append(proposal)
+                yield proposal.j, proposal.x
+
+        for density in self.evaluate(points()):
+            proposal = waiting.popleft()
+            j, which = proposal.j, proposal.which
+            given = means[which, j], tau[which]
+            prior = self._log_population(j, proposal.x, *given)
+            prior -= self._log_population(j, chains.x[j][which], *given)
+            chance = proposal.chance - prior - proposal.correction
+            chance += chains.log_likelihood[j][which]
+            yes = np.isfinite(prior) & (chance < density)
+            chains.x[j][which[yes]] = proposal.x[yes]
+            chains.log_likelihood[j][which[yes]] = density[yes]
+            self._note(f"{name} {j}", yes)
 
     def _move_together(self, chains: Chains) -> None:
-        """Scatter and level of one quantity, with its tests' places among them kept."""
-        pooling, n = self.pooling, len(chains.h)
-        k = int(self.rng.choice(self.d, p=self.loose))
-        size = self.rng.choice([3.0, 1.0, 0.3], size=n)
-        h, latent = chains.h.copy(), chains.latent.copy()
-        what = self.rng.integers(3, size=n)  # the level, the scatter, or both
-        h[:, k] += (what != 0) * 0.5 * size * self.rng.standard_normal(n)
-        latent[:, 0, k] += (what != 1) * 0.3 * size * self.rng.standard_normal(n)
-        old_tau, new_tau = pooling.scatter(chains.h), pooling.scatter(h)
-        old = self._means(chains.h, chains.latent, chains.choice)
-        new = self._means(h, latent, chains.choice)
-        prior = (pooling.log_prior(h) - pooling.log_prior(chains.h)).sum(axis=1)
-        prior += 0.5 * (chains.latent[:, 0, k] ** 2 - latent[:, 0, k] ** 2)
-        xs, densities = [], []
-        ratio, alive = prior, np.ones(n, dtype=bool)
-        for j, test in enumerate(self.tests):
-            x = chains.x[j].copy()
-            place = (x[:, k] - old[:, j, k]) / old_tau[:, k]
-            x[:, k] = new[:, j, k] + new_tau[:, k] * place
-            density = np.full(n, -np.inf)
-            if np.any(alive):
-                density[alive] = test.log_likelihood(x[alive])
-            ratio = ratio + density - chains.log_likelihood[j]
-            # No move may lose this much on the way, for hardly one could make up for it; nor gain
-            # it, so that the way back is as open as the way there.
-            alive &= np.abs(ratio) < HOPELESS
-            xs.append(x)
-            densities.append(density)
-        yes = alive & (np.log(self.rng.random(n)) < ratio)
-        chains.h[yes], chains.latent[yes] = h[yes], latent[yes]
-        for j in range(len(self.tests)):
-            chains.x[j][yes] = xs[j][yes]
-            chains.log_likelihood[j][yes] = densities[j][yes]
-        self._note(f"together {pooling.names[k]}", yes)
+        """Scatter and level of one quantity, with its tests' values of it."""
+        k = int(self.rng.choice(self.d, p=self.weights))
+        move, name = (transport, "transport") if self.blunt[k] else (redraw, "redraw")
+        self._note(f"{name} {self.pooling.names[k]}", move(self, chains, k))
 
-    def _means(self, h: Array, latent: Array, choice: Choice) -> Array:
+    def means(self, h: Array, latent: Array, choice: Choice) -> Array:
         """Tests' coordinates but for their scatter, (n, J, d)."""
         means = self.pooling.offsets(h, choice) + self.design @ latent
         return np.asarray(means)

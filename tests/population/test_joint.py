@@ -7,6 +7,7 @@ import pytest
 
 from mfd_bayes.population.evidence import Evidence
 from mfd_bayes.population.joint import Chains, Joint
+from mfd_bayes.population.lines import redraw, transport
 from mfd_bayes.population.pooling import Pooling
 
 CHAINS = 4096
@@ -92,8 +93,7 @@ def near_and_evolve(part: str):
         pooling = joint.pooling
         means = pooling.offsets(chains.h, chains.choice)
         means = means + np.einsum("jm,nmk->njk", pooling.design(), chains.latent)
-        for j in range(len(joint.tests)):
-            getattr(joint, part)(chains, j, means[:, j], pooling.scatter(chains.h))
+        getattr(joint, part)(chains, means, pooling.scatter(chains.h))
 
     return kernel
 
@@ -104,12 +104,24 @@ def hyper(joint: Joint, chains: Chains) -> None:
     joint._draw_latent(chains)
 
 
+def along_lines(move):
+    """Scatter and level of each quantity in turn, with the tests' values of it."""
+
+    def kernel(joint: Joint, chains: Chains) -> None:
+        for k in range(joint.d):
+            assert np.any(move(joint, chains, k))
+
+    return kernel
+
+
 KERNELS = {
     "hyper": hyper,
     "latent": lambda joint, chains: joint._draw_latent(chains),
     "stored": near_and_evolve("_try_stored"),
     "near": near_and_evolve("_step_near"),
-    "evolution": near_and_evolve("_evolve_test"),
+    "evolution": near_and_evolve("_evolve_tests"),
+    "transport": along_lines(transport),
+    "redraw": along_lines(redraw),
     "together": lambda joint, chains: joint._move_together(chains),
     "sweep": lambda joint, chains: joint.sweep(chains),
 }
@@ -120,12 +132,12 @@ def test_a_kernel_leaves_the_posterior_as_it_is(case, name):
     assert shift(case, KERNELS[name]) < FAR
 
 
-@pytest.mark.parametrize("name", ["hyper", "stored", "near", "together", "sweep"])
+@pytest.mark.parametrize("name", ["hyper", "stored", "near", "transport", "redraw", "sweep"])
 def test_a_kernel_keeps_quantities_that_are_known_together(pair, name):
     assert shift(pair, KERNELS[name], 20) < FAR
 
 
-@pytest.mark.parametrize("name", ["stored", "near", "sweep"])
+@pytest.mark.parametrize("name", ["stored", "near", "transport", "redraw", "sweep"])
 def test_a_kernel_keeps_tests_that_tell_little(vague, name):
     assert shift(vague, KERNELS[name], 20) < FAR
 
@@ -182,7 +194,8 @@ def broken_scatter(case: Case) -> Joint:
         ("hyper", broken_scatter),
         ("latent", broken_scatter),
         ("near", broken_correction),
-        ("together", broken_prior),
+        ("transport", broken_prior),
+        ("redraw", broken_prior),
     ],
 )
 def test_a_broken_kernel_does_not(case, name, wrong):
