@@ -164,6 +164,7 @@ def _pool_tests(
         options.effort,
         (options.seed, 0),
         lambda progress: observe(Step("population", "sampling", progress)),
+        jobs=options.processes,
     )
     inference = pooled.inference
     population = inference.population

@@ -13,6 +13,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Progress
+from mfd_bayes.evaluation import several_processes
 from mfd_bayes.population.comparison import (
     DependenceScore,
     LawScore,
@@ -56,6 +57,8 @@ def pool_tests(
     effort: str,
     seed: Sequence[int],
     report: Callable[[Progress], None] = lambda _: None,
+    *,
+    jobs: int = 1,
 ) -> Pooled:
     """Population of calibrated tests.
 
@@ -69,6 +72,8 @@ def pool_tests(
     seed : sequence of int
     report : callable, optional
         Told now and then where the sampling stands.
+    jobs : int
+        Processes that compute the tests' likelihoods; the draws are the same.
 
     Raises
     ------
@@ -96,14 +101,16 @@ def pool_tests(
         share = found.share(chosen.r_hat, chosen.ess)
         report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
-    inference = infer(
-        replace(pooling, weights=weights),
-        evidence,
-        some.priors,
-        settings["actuation_unit"],
-        chosen,
-        np.random.default_rng(list(seed)),
-        tell,
-    )
+    with several_processes([test.log_likelihood for test in evidence], jobs) as evaluate:
+        inference = infer(
+            replace(pooling, weights=weights),
+            evidence,
+            some.priors,
+            settings["actuation_unit"],
+            chosen,
+            np.random.default_rng(list(seed)),
+            tell,
+            evaluate,
+        )
     exponents = free_exponents(pooling, evidence)
     return Pooled(inference, scores, exponents, compare_dependence(pooling, evidence))

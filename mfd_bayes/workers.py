@@ -105,7 +105,7 @@ class _Crew:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs, self.out), daemon=True)
-        with _one_thread(), _deaf():
+        with one_thread(), deaf():
             process.start()
         theirs.close()  # so that the line ends when the process does
         self.members[ours] = _Member(process)
@@ -151,7 +151,7 @@ class _Crew:
 
 def _work(line: Connection, out: Path) -> None:
     """Do what comes down the line, until nothing more does."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
     def tell(news: Step | Outcome | StoreError | None) -> None:
         try:
@@ -169,7 +169,7 @@ def _work(line: Connection, out: Path) -> None:
                 tell(error)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Wait for the parent to end, however it does, and end too: another run may follow it."""
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -178,7 +178,7 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Let numpy in a new process use one thread: how many there are must not reach the draws."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ |= dict.fromkeys(_THREADS, "1")
@@ -193,7 +193,7 @@ def _one_thread() -> Iterator[None]:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
+def deaf() -> Iterator[None]:
     """Hold back Ctrl-C while a process starts, which inherits that: this one is to stop it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -163,8 +163,8 @@ class Joint:
     def settle(self) -> None:
         """Choose between the two such moves by what was accepted; not while chains are kept."""
         for k, name in enumerate(self.pooling.names):
-            shares = self.accepted.get(f"redraw {name}")
-            self.blunt[k] |= bool(shares) and np.mean(shares) < BLUNT
+            shares = self.accepted.get(f"redraw {name}", [1.0])
+            self.blunt[k] |= bool(np.mean(shares) < BLUNT)
 
     def products(self, chains: Chains) -> Array:
         """Of the tests' places in the scatter, standardised, summed over the tests, (n, d, d)."""

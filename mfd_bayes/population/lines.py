@@ -233,7 +233,7 @@ class Lines:
             yield Visit(j, t, moved, self.prior(j, moved), likelihood.reshape(t.shape))
 
 
-def transport(joint: Joint, chains: Chains, k: int) -> Array:
+def transport(joint: Joint, chains: Chains, k: int) -> NDArray[np.bool_]:
     """A step of scatter and level of quantity k, in place; whether it was taken, (n,)."""
     lines, rng, n = Lines.through(joint, chains, k), joint.rng, len(chains.h)
     here = chains.h[:, k].copy(), chains.latent[:, 0, k].copy()
@@ -247,7 +247,7 @@ def transport(joint: Joint, chains: Chains, k: int) -> Array:
     return _accept(lines, chains, there, new, ratio, np.log(rng.random(n)))
 
 
-def redraw(joint: Joint, chains: Chains, k: int) -> Array:
+def redraw(joint: Joint, chains: Chains, k: int) -> NDArray[np.bool_]:
     """New scatter and level of quantity k and values of all tests, in place; whether, (n,)."""
     lines, rng, n = Lines.through(joint, chains, k), joint.rng, len(chains.h)
     profile = _Profile.of(lines, chains)
@@ -291,7 +291,7 @@ def _accept(
     new: Array,
     ratio: Array,
     chance: Array,
-) -> Array:
+) -> NDArray[np.bool_]:
     """Take chains to scatter and level there and tests' values new (n, J), or leave them.
 
     ratio has all of the acceptance ratio but the tests' log densities.
@@ -305,7 +305,7 @@ def _accept(
         j = visit.j
         ratio += visit.prior - lines.prior(j, chains.x[j])
         ratio += visit.likelihood - chains.log_likelihood[j]
-    yes = np.isfinite(ratio) & (chance < ratio)
+    yes: NDArray[np.bool_] = np.isfinite(ratio) & (chance < ratio)
     chains.h[yes, k], chains.latent[yes, 0, k] = there[0][yes], there[1][yes]
     for visit in visits:
         chains.x[visit.j][yes] = visit.x[yes]

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mfd_bayes.population import lines
 from mfd_bayes.population.evidence import Evidence
 from mfd_bayes.population.joint import Chains, Joint
-from mfd_bayes.population.lines import redraw, transport
+from mfd_bayes.population.lines import Lines, _Profile, redraw, transport
 from mfd_bayes.population.pooling import Pooling
 
 CHAINS = 4096
@@ -200,6 +201,79 @@ def broken_scatter(case: Case) -> Joint:
 )
 def test_a_broken_kernel_does_not(case, name, wrong):
     assert shift(case, KERNELS[name], 100, joint=wrong(case)) > 1.5 * FAR
+
+
+def test_transport_that_forgets_how_it_spreads_the_tests_does_not(vague, monkeypatch):
+    gaussian = Lines.gaussian
+
+    def narrow(lines, log_scatter, level):
+        centre, sd, weight = gaussian(lines, log_scatter, level)
+        return centre, np.ones_like(sd), weight
+
+    assert shift(vague, KERNELS["transport"], 20) < FAR
+    monkeypatch.setattr(Lines, "gaussian", narrow)  # keeps distances: no Jacobian, still exact
+    assert shift(vague, KERNELS["transport"], 20) < FAR
+    monkeypatch.setattr(lines, "_accept", forgetful(lines._accept))
+    assert shift(vague, KERNELS["transport"], 40) > 1.5 * FAR
+
+
+def forgetful(accept):
+    """Moves that are weighed as if the population's density of the tests did not matter."""
+
+    def wrong(moved, chains, there, new, ratio, chance):
+        here = chains.h[:, moved.k], chains.latent[:, 0, moved.k]
+        old = np.stack([x[:, moved.k] for x in chains.x], axis=1)
+        lost = moved.of_population(new, *there) - moved.of_population(old, *here)
+        return accept(moved, chains, there, new, ratio - lost.sum(axis=1), chance)
+
+    return wrong
+
+
+def test_redraws_whose_densities_are_forgotten_do_not(vague, monkeypatch):
+    monkeypatch.setattr(_Profile, "log_density", lambda self, t, *_: np.zeros_like(t))
+    assert shift(vague, KERNELS["redraw"], 20) > 1.5 * FAR
+
+
+def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
+    """A bend and a step within a test's sd, at which profiles are wrong by much."""
+
+    def bent(test: Evidence) -> Evidence:
+        def log_likelihood(x):
+            away = np.abs(x[:, 0] - test.mean[0])
+            return test.log_likelihood(x) - 0.5 * away - 0.7 * (away < 0.4)
+
+        return replace(test, log_likelihood=log_likelihood)
+
+    tests = [bent(test) for test in vague.tests]
+    joint, chains = Joint(vague.linear.pooling, tests, np.random.default_rng(4)), vague.chains()
+    joint.resume(chains)
+    for _ in range(60):  # to the joint posterior of these, without what is tested
+        joint._evolve_hyper(chains)
+        joint._draw_latent(chains)
+        near_and_evolve("_step_near")(joint, chains)
+        transport(joint, chains, 0)
+    before = features(chains)
+    for _ in range(20):
+        redraw(joint, chains, 0)
+    after = features(chains)
+    error = np.sqrt((before.var(axis=0) + after.var(axis=0)) / CHAINS)
+    assert np.max(np.abs(after.mean(axis=0) - before.mean(axis=0)) / error) < FAR
+
+
+def test_redraws_are_nearly_all_taken_where_lines_are_smooth(vague):
+    joint, chains = (
+        Joint(vague.linear.pooling, vague.tests, np.random.default_rng(4)),
+        vague.chains(),
+    )
+    assert np.mean([redraw(joint, chains, 0).mean() for _ in range(5)]) > 0.95
+
+
+def test_a_quantity_whose_redraws_are_refused_is_transported(case):
+    joint = Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    joint.accepted["redraw Fc_fwd"] = [0.05, 0.1]
+    joint.settle()
+    joint._move_together(case.chains())
+    assert joint.accepted["transport Fc_fwd"]
 
 
 def test_stored_draws_with_wrong_weights_do_not(vague):
