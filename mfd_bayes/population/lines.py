@@ -410,6 +410,7 @@ class _Profile:
             at = np.clip((place - _GRID[0]) / step, 0.0, len(_GRID) - 1.0 - 1e-9)
             cell = at.astype(np.intp)
             left, right = density[rows, cell], density[rows, cell + 1]
-            told[:, j] = np.log(left + (right - left) * (at - cell)) - np.log(sd[:, j])
+            with np.errstate(divide="ignore"):  # densities that are too small for a number
+                told[:, j] = np.log(left + (right - left) * (at - cell)) - np.log(sd[:, j])
             told[np.abs(place) > _GRID[-1], j] = -np.inf
         return told
