@@ -26,7 +26,8 @@ from mfd_bayes.lock import alone_in
 
 with end_on_signals(), alone_in(Path(sys.argv[1])):
     print("in", flush=True)
-    time.sleep(120)
+    for _ in range(2400):  # one long sleep would not hear of a signal that came just before it
+        time.sleep(0.05)
 """
 
 
