@@ -165,9 +165,8 @@ def _bound(statement: ast.stmt, home: _Home) -> tuple[str, ...]:
         return ()
     if home:
         return (home[-1].name,)
-    return tuple(
-        n.id for n in ast.walk(statement) if isinstance(getattr(n, "ctx", None), ast.Store)
-    )
+    names = (node for node in ast.walk(statement) if isinstance(node, ast.Name))
+    return tuple(name.id for name in names if isinstance(name.ctx, ast.Store))
 
 
 def _changes(node: ast.AST, parent: ast.AST, name: str) -> Iterator[ast.AST | None]:
