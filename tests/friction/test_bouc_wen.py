@@ -380,6 +380,7 @@ def test_theta_of_another_shape_is_refused(shape):
         {"Fy_fwd": np.ones((2, 500))},
         {"Fy_fwd": np.full((1, 500), np.nan)},
         {"Fy_bwd": -np.ones((1, 500))},
+        {"Fy_bwd": np.where(np.arange(500) == 7, -1.0, 1.0)[None]},
     ],
 )
 def test_scales_that_do_not_fit_are_refused(scales):

@@ -256,3 +256,22 @@ def test_correlations_are_those_of_the_places_less_than_they_show(priors):
 
 def products_of(places):
     return np.swapaxes(places, -1, -2) @ places
+
+
+def test_shapes_are_watched_where_a_law_of_weight_has_them(priors):
+    settings = [Setting(p) for p in (0.5, 0.9, 1.6)]
+    mixed = pool(priors, ["Fc_fwd"], settings, {"Fc_fwd": "compare"})
+    shapes = [shape for _, shape in mixed.shapes]
+    assert sorted(shapes) == ["exponent", "share"]
+    begin = len(mixed.names) + len(mixed.effects)
+
+    def watched(**weights):
+        pooling = replace(mixed, weights={"Fc_fwd": weights})
+        active = set(hierarchy._active(pooling).tolist())
+        assert active >= {*range(begin), pooling.dim}
+        return {shape for i, shape in enumerate(shapes) if begin + i in active}
+
+    assert watched(power=0.4, affine=0.6) == {"exponent", "share"}
+    assert watched(power=0.4, affine=0.0, proportional=0.6) == {"exponent"}
+    assert watched(power=0.0, affine=1.0) == {"share"}
+    assert watched(proportional=1.0) == set()
