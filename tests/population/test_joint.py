@@ -346,3 +346,14 @@ def test_partners_are_two_others_of_the_same_ensemble(case):
             np.testing.assert_array_equal(chains.ensemble[own], chains.ensemble[other])
         everyone.append(own)
     np.testing.assert_array_equal(np.sort(np.concatenate(everyone)), np.arange(CHAINS))
+
+
+def test_products_are_of_the_standardised_places_summed_over_tests(pair):
+    chains, pooling = pair.chains(), pair.linear.pooling
+    joint = Joint(pooling, pair.tests, np.random.default_rng(4))
+    found = joint.products(chains)
+    for i in (0, 7):
+        mean = chains.latent[i, 0] + pooling.offsets(chains.h[i : i + 1], chains.choice[:1])[0]
+        tau = np.exp(chains.h[i, :2]) / pooling.spread
+        places = (np.stack([x[i] for x in chains.x]) - mean) / tau
+        np.testing.assert_allclose(found[i], places.T @ places, rtol=1e-9)
