@@ -158,7 +158,7 @@ def test_ctrl_c_leaves_the_table_and_says_how_to_resume(terminal, delay):
     written = one.read()
     assert one.process.wait(timeout=10) == 130
     table, _, words = written.rpartition("\x1b[0m\x1b[?25h")
-    assert "finding modes" in table
+    assert "sampling" in table
     assert re.sub(r"\s+", " ", words).strip() == (
         "mfd-bayes: interrupted; what is finished is kept, go on with: "
         "mfd-bayes calibrate campaign.toml -o out --resume"
