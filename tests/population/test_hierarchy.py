@@ -275,3 +275,34 @@ def test_shapes_are_watched_where_a_law_of_weight_has_them(priors):
     assert watched(power=0.4, affine=0.0, proportional=0.6) == {"exponent"}
     assert watched(power=0.0, affine=1.0) == {"share"}
     assert watched(proportional=1.0) == set()
+
+
+def test_effects_and_dependences_have_columns_of_their_own(priors):
+    known = {"velocity": 1.0, "amplitude": 2.0}
+    settings = [Setting(p, s, known) for p in (0.5, 0.9, 1.6) for s in ("a", "b")]
+    follows = {"Fc_fwd": ("velocity", "amplitude")}
+    laws = {"Fc_fwd": "power"}
+    pooling = pool(priors, ["Fc_fwd", "offset"], settings, laws, follows)
+    assert len(pooling.effects) > 2
+    h = np.arange(pooling.dim, dtype=float) * np.ones((2, 3, 1))
+    d, cells = len(pooling.names), sum(len(effect.cells) for effect in pooling.effects)
+    population = Population(
+        pooling=pooling,
+        h=h,
+        latent=np.zeros((2, 3, 1 + cells, d)),
+        choice=np.zeros((2, 3, 1), dtype=int),
+        together=np.broadcast_to(np.eye(d), (2, 3, d, d)),
+        priors=priors.parameters,
+        actuation_unit="ksi",
+        walkers=1,
+        convergence=None,
+    )
+    sds = population.effect_sds
+    for i, effect in enumerate(pooling.effects):
+        found = sds[f"{effect.name}_{pooling.groups[effect.group]}"]
+        np.testing.assert_allclose(found, np.exp(d + i))
+    begin = d + len(pooling.effects)
+    shapes = [f"{name}_{shape}" for name, shape in pooling.shapes]
+    assert set(population.dependences) == {"Fc_fwd_velocity", "Fc_fwd_amplitude"}
+    for name, found in population.dependences.items():
+        np.testing.assert_array_equal(found, begin + shapes.index(name))

@@ -1,9 +1,11 @@
 """Every kernel of a sweep leaves a linear-Gaussian joint posterior as it is; broken ones do not."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from scipy.stats import kstest, norm
 
 from mfd_bayes.population import lines
 from mfd_bayes.population.evidence import Evidence
@@ -357,3 +359,37 @@ def test_products_are_of_the_standardised_places_summed_over_tests(pair):
         tau = np.exp(chains.h[i, :2]) / pooling.spread
         places = (np.stack([x[i] for x in chains.x]) - mean) / tau
         np.testing.assert_allclose(found[i], places.T @ places, rtol=1e-9)
+
+
+def test_tests_are_drawn_from_the_density_that_is_said(vague):
+    """Of one chain, many times: the shares below each value against the density's integral."""
+    chains = vague.chains()
+    for array in (chains.h, chains.latent, *chains.x, *chains.log_likelihood):
+        array[:] = array[:1]
+    joint = Joint(vague.linear.pooling, vague.tests, np.random.default_rng(4))
+    through = Lines.through(joint, chains, 0)
+    profile = _Profile.of(through, chains)
+    profile.coefficients[..., 1:4] += (0.4, -0.5, 0.2)  # skewed and heavy, as real ones may be
+    here = chains.h[:, 0], chains.latent[:, 0, 0]
+    drawn, told = profile.draw(*here, np.random.default_rng(5))
+    np.testing.assert_allclose(profile.log_density(drawn, *here), told, rtol=1e-6, atol=1e-9)
+    centre, sd, _ = through.gaussian(*here)
+    grid = centre + sd * np.linspace(-5.0, 5.0, CHAINS)[:, None]
+    density = np.exp(profile.log_density(grid, *here))
+    for j in range(len(vague.tests)):
+        steps = np.diff(grid[:, j]) * 0.5 * (density[1:, j] + density[:-1, j])
+        shares = np.append(0.0, np.cumsum(steps))
+        assert shares[-1] == pytest.approx(1.0, abs=1e-3)
+        below = partial(np.interp, xp=grid[:, j], fp=shares)
+        assert kstest(drawn[:, j], below).pvalue > 1e-3
+
+
+def test_scatter_and_level_have_their_priors_in_a_move(vague):
+    chains = vague.chains()
+    joint = Joint(vague.linear.pooling, vague.tests, np.random.default_rng(4))
+    h, level = chains.h.copy(), np.linspace(-3.0, 3.0, CHAINS)
+    h[:, 0] = np.linspace(-4.0, 1.0, CHAINS)
+    expected = joint.pooling.log_prior(h).sum(axis=1) + norm.logpdf(level)
+    found = lines._prior(joint, chains, 0, h[:, 0], level)
+    np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-12)
+    assert np.all(lines._prior(joint, chains, 0, np.full(CHAINS, 16.0), level) == -np.inf)
