@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ class Chains:
     x: list[Array]
     log_likelihood: list[Array]
     choice: Choice
-    ensemble: NDArray[np.intp]
+    ensemble: Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,21 @@ class _Proposal:
     x: Array
     correction: Array | float
     chance: Array
+
+
+class At(Protocol):
+    """Some points of a test."""
+
+    @property
+    def j(self) -> int:
+        """Number of the test."""
+
+    @property
+    def x(self) -> Array:
+        """The points, (…, D)."""
+
+
+T = TypeVar("T", bound=At)
 
 
 class Joint:
@@ -140,10 +156,8 @@ class Joint:
         for _ in range(EVOLUTIONS):
             self._evolve_hyper(chains)
         self._draw_latent(chains)
-        means, tau = (
-            self.means(chains.h, chains.latent, chains.choice),
-            self.pooling.scatter(chains.h),
-        )
+        means = self.means(chains.h, chains.latent, chains.choice)
+        tau = self.pooling.scatter(chains.h)
         self._try_stored(chains, means, tau)
         for _ in range(NEAR):
             self._step_near(chains, means, tau)
@@ -154,6 +168,19 @@ class Joint:
     def _in_turn(self, points: Iterable[tuple[int, Array]]) -> Iterator[Array]:
         for j, x in points:
             yield self.tests[j].log_likelihood(x)
+
+    def with_likelihoods(self, asked: Iterable[T]) -> Iterator[tuple[T, Array]]:
+        """Each of what is asked, in its order, with the log likelihoods of its points, (…,)."""
+        waiting: deque[T] = deque()
+
+        def points() -> Iterator[tuple[int, Array]]:
+            for one in asked:
+                waiting.append(one)
+                yield one.j, one.x.reshape(-1, one.x.shape[-1])
+
+        for density in self.evaluate(points()):
+            one = waiting.popleft()
+            yield one, density.reshape(one.x.shape[:-1])
 
     def tune(self, tuning: Tuning) -> None:
         """Aim the moves of scatter and level; not while chains are kept."""
@@ -331,15 +358,7 @@ class Joint:
         name: str,
     ) -> None:
         """Take proposals of different tests, or not, in place."""
-        waiting: deque[_Proposal] = deque()
-
-        def points() -> Iterator[tuple[int, Array]]:
-            for proposal in proposals:
-                waiting.append(proposal)
-                yield proposal.j, proposal.x
-
-        for density in self.evaluate(points()):
-            proposal = waiting.popleft()
+        for proposal, density in self.with_likelihoods(proposals):
             j, which = proposal.j, proposal.which
             given = means[which, j], tau[which]
             prior = self._log_population(j, proposal.x, *given)
@@ -366,9 +385,7 @@ class Joint:
         """Tests' pooled coordinates, (n, J, d)."""
         return np.stack([x[:, : self.d] for x in chains.x], axis=1)
 
-    def _partners(
-        self, chains: Chains
-    ) -> list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]]:
+    def _partners(self, chains: Chains) -> list[tuple[Index, Index, Index]]:
         """Halves of the chains, and two different partners of each in its ensemble's other half."""
         found = []
         order = self.rng.permutation(len(chains.h))

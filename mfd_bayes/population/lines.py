@@ -20,7 +20,6 @@ changes.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -125,16 +124,11 @@ def _conditional_covariances(tests: Sequence[Evidence], scatter: Array) -> list[
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """A test at values t of a quantity (…, n): coordinates (…, n, D), and log densities (…, n).
-
-    `prior` is all of the log prior density but for that of t.
-    """
+    """Test j at values t of a quantity (…, n): its coordinates x (…, n, D)."""
 
     j: int
     t: Array
     x: Array
-    prior: Array
-    likelihood: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,20 +211,17 @@ class Lines:
         density = own.reshape(x.shape[:-1])
         return np.asarray(density - 0.5 * np.einsum("...k,...k->...", standard, standard))
 
-    def visit(self, chains: Chains, places: Callable[[int], Array]) -> Iterator[Visit]:
-        """Every test, at values t of the quantity, (…, n)."""
-        waiting: deque[tuple[Array, Array]] = deque()
+    def visit(
+        self, chains: Chains, places: Callable[[int], Array]
+    ) -> Iterator[tuple[Visit, Array]]:
+        """Every test at values t of the quantity, (…, n), and its log likelihoods there."""
 
-        def points() -> Iterator[tuple[int, Array]]:
+        def visits() -> Iterator[Visit]:
             for j, x in enumerate(chains.x):
                 t = places(j)
-                moved = x + (t - x[:, self.k])[..., None] * self.ways[j]
-                waiting.append((t, moved))
-                yield j, moved.reshape(-1, moved.shape[-1])
+                yield Visit(j, t, x + (t - x[:, self.k])[..., None] * self.ways[j])
 
-        for j, likelihood in enumerate(self.joint.evaluate(points())):
-            t, moved = waiting.popleft()
-            yield Visit(j, t, moved, self.prior(j, moved), likelihood.reshape(t.shape))
+        return self.joint.with_likelihoods(visits())
 
 
 def transport(joint: Joint, chains: Chains, k: int) -> NDArray[np.bool_]:
@@ -241,7 +232,7 @@ def transport(joint: Joint, chains: Chains, k: int) -> NDArray[np.bool_]:
     ratio = _prior(joint, chains, k, *there) - _prior(joint, chains, k, *here)
     before, old_sd, _ = lines.gaussian(*here)
     after, new_sd, _ = lines.gaussian(*there)
-    old = np.stack([x[:, k] for x in chains.x], axis=1)
+    old = _values(chains, k)
     new = after + new_sd / old_sd * (old - before)
     ratio += np.sum(np.log(new_sd / old_sd), axis=1)
     return _accept(lines, chains, there, new, ratio, np.log(rng.random(n)))
@@ -260,11 +251,16 @@ def redraw(joint: Joint, chains: Chains, k: int) -> NDArray[np.bool_]:
         yes = np.log(rng.random(n)) < density - told
         told = np.where(yes, density, told)
         here = np.where(yes, there[0], here[0]), np.where(yes, there[1], here[1])
-    old = np.stack([x[:, k] for x in chains.x], axis=1)
+    old = _values(chains, k)
     new, forth = profile.draw(*here, rng)
     ratio = _prior(joint, chains, k, *here) - _prior(joint, chains, k, *start) - (told - began)
     ratio += np.sum(profile.log_density(old, *start) - forth, axis=1)
     return _accept(lines, chains, here, new, ratio, np.log(rng.random(n)))
+
+
+def _values(chains: Chains, k: int) -> Array:
+    """The tests' values of quantity k, (n, J)."""
+    return np.stack([x[:, k] for x in chains.x], axis=1)
 
 
 def _step(joint: Joint, k: int, log_scatter: Array, level: Array) -> tuple[Array, Array]:
@@ -297,19 +293,19 @@ def _accept(
     ratio has all of the acceptance ratio but the tests' log densities.
     """
     k = lines.k
-    old = np.stack([x[:, k] for x in chains.x], axis=1)
+    old = _values(chains, k)
     ratio = ratio + np.sum(lines.of_population(new, *there), axis=1)
     ratio -= np.sum(lines.of_population(old, chains.h[:, k], chains.latent[:, 0, k]), axis=1)
     visits = list(lines.visit(chains, lambda j: new[:, j]))
-    for visit in visits:
+    for visit, likelihood in visits:
         j = visit.j
-        ratio += visit.prior - lines.prior(j, chains.x[j])
-        ratio += visit.likelihood - chains.log_likelihood[j]
+        ratio += lines.prior(j, visit.x) - lines.prior(j, chains.x[j])
+        ratio += likelihood - chains.log_likelihood[j]
     yes: NDArray[np.bool_] = np.isfinite(ratio) & (chance < ratio)
     chains.h[yes, k], chains.latent[yes, 0, k] = there[0][yes], there[1][yes]
-    for visit in visits:
+    for visit, likelihood in visits:
         chains.x[visit.j][yes] = visit.x[yes]
-        chains.log_likelihood[visit.j][yes] = visit.likelihood[yes]
+        chains.log_likelihood[visit.j][yes] = likelihood[yes]
     return yes
 
 
@@ -339,8 +335,10 @@ class _Profile:
         middle = (lines.pull + about * (lines.base + tuning.level[k])) / precision
         width = precision**-0.5
         excess = np.empty((*middle.shape, len(NODES)))
-        for visit in lines.visit(chains, lambda j: middle[:, j] + width[j] * NODES[:, None]):
-            j, told = visit.j, visit.prior + visit.likelihood
+        nodes = lines.visit(chains, lambda j: middle[:, j] + width[j] * NODES[:, None])
+        for visit, likelihood in nodes:
+            j = visit.j
+            told = lines.prior(j, visit.x) + likelihood
             told += 0.5 * lines.information[j] * visit.t**2 - lines.pull[:, j] * visit.t
             excess[:, j] = told.T
         known = np.isfinite(excess)
