@@ -17,7 +17,7 @@ from mfd_bayes.dispatch import check_workers
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.initiation import Draft, campaign_text, doubts, draft_campaign, gaps
-from mfd_bayes.inspection import (
+from mfd_bayes.records.inspection import (
     Inspection,
     inspect_record,
     inspect_test,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.hdf5 import UnsafeError, check_objects
+from mfd_bayes.records.readers.hdf5 import UnsafeError, check_objects
 from mfd_bayes.records.trace import Trace
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "mfd_bayes"
 # A room may import from those before it in this list, and from itself.
 LAYERS = (
     ("mfd_bayes.errors", "mfd_bayes.interruption"),
-    ("mfd_bayes.units", "mfd_bayes.hdf5", "mfd_bayes.toml_file", "mfd_bayes.schema"),
+    ("mfd_bayes.units", "mfd_bayes.records.readers.hdf5", "mfd_bayes.toml_file", "mfd_bayes.schema"),
     ("mfd_bayes.records",),
     ("mfd_bayes.campaign", "mfd_bayes.friction", "mfd_bayes.store"),
     ("mfd_bayes.calibration",),
@@ -26,7 +26,7 @@ LAYERS = (
     ("mfd_bayes.cluster", "mfd_bayes.lock", "mfd_bayes.publication"),
     ("mfd_bayes.dispatch",),
     ("mfd_bayes.execution", "mfd_bayes.crossvalidation"),
-    ("mfd_bayes.inspection", "mfd_bayes.comparison", "mfd_bayes.initiation"),
+    ("mfd_bayes.records.inspection", "mfd_bayes.comparison", "mfd_bayes.initiation"),
     ("mfd_bayes.pipeline", "mfd_bayes.console", "mfd_bayes.arguments"),
     ("mfd_bayes.progress", "mfd_bayes.ending"),
     ("mfd_bayes.cli",),
@@ -49,7 +49,7 @@ HOMES = {
         *("mfd_bayes.campaign", "mfd_bayes.manifest", "mfd_bayes.schema"),
         *("mfd_bayes.calibration.stored", "mfd_bayes.population.stored"),
     ),
-    "h5py": ("mfd_bayes.records.readers.matlab_v73", "mfd_bayes.hdf5", "mfd_bayes.store"),
+    "h5py": ("mfd_bayes.records.readers.matlab_v73", "mfd_bayes.records.readers.hdf5", "mfd_bayes.store"),
     "openpyxl": ("mfd_bayes.records.readers.excel",),
     "nptdms": ("mfd_bayes.records.readers.tdms",),
     "dask": ("mfd_bayes.cluster",),
