@@ -17,6 +17,11 @@ from mfd_bayes.dispatch import check_workers
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.initiation import Draft, campaign_text, doubts, draft_campaign, gaps
+from mfd_bayes.lock import alone_in
+from mfd_bayes.manifest import check_links, read_begun
+from mfd_bayes.plan import Options, Plan, plan_campaign
+from mfd_bayes.population.predict import Band, setting_of
+from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.inspection import (
     Inspection,
     inspect_record,
@@ -25,11 +30,6 @@ from mfd_bayes.records.inspection import (
     same_record,
     share_inside,
 )
-from mfd_bayes.lock import alone_in
-from mfd_bayes.manifest import check_links, read_begun
-from mfd_bayes.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.predict import Band, setting_of
-from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import (

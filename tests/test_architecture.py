@@ -12,7 +12,12 @@ PACKAGE = Path(__file__).parents[1] / "mfd_bayes"
 # A room may import from those before it in this list, and from itself.
 LAYERS = (
     ("mfd_bayes.errors", "mfd_bayes.interruption"),
-    ("mfd_bayes.units", "mfd_bayes.records.readers.hdf5", "mfd_bayes.toml_file", "mfd_bayes.schema"),
+    (
+        "mfd_bayes.units",
+        "mfd_bayes.records.readers.hdf5",
+        "mfd_bayes.toml_file",
+        "mfd_bayes.schema",
+    ),
     ("mfd_bayes.records",),
     ("mfd_bayes.campaign", "mfd_bayes.friction", "mfd_bayes.store"),
     ("mfd_bayes.calibration",),
@@ -49,7 +54,11 @@ HOMES = {
         *("mfd_bayes.campaign", "mfd_bayes.manifest", "mfd_bayes.schema"),
         *("mfd_bayes.calibration.stored", "mfd_bayes.population.stored"),
     ),
-    "h5py": ("mfd_bayes.records.readers.matlab_v73", "mfd_bayes.records.readers.hdf5", "mfd_bayes.store"),
+    "h5py": (
+        "mfd_bayes.records.readers.matlab_v73",
+        "mfd_bayes.records.readers.hdf5",
+        "mfd_bayes.store",
+    ),
     "openpyxl": ("mfd_bayes.records.readers.excel",),
     "nptdms": ("mfd_bayes.records.readers.tdms",),
     "dask": ("mfd_bayes.cluster",),

@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from mfd_bayes.friction.arrays import add_outer, rows_of, scratch
 from mfd_bayes.friction.recurrence import solve
-from mfd_bayes.records.trace import Path
+from mfd_bayes.records.trace import MotionPath
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -82,7 +82,7 @@ class Crossing:
         return np.flatnonzero((displacement >= low[stretch]) & (displacement <= high[stretch]))
 
 
-def follow(gap: Gap, path: Path, start: Array, slip: Array) -> Crossing:
+def follow(gap: Gap, path: MotionPath, start: Array, slip: Array) -> Crossing:
     """State of the gap in every stretch between turning points.
 
     At a turning point after slip (u ≥ D or u ≤ 0) the travel starts again at 0 in the new
@@ -92,7 +92,7 @@ def follow(gap: Gap, path: Path, start: Array, slip: Array) -> Crossing:
     Parameters
     ----------
     gap : Gap
-    path : Path
+    path : MotionPath
     start : (n,), 1
         u/D at the first sample.
     slip : (K, n), kip
@@ -102,7 +102,7 @@ def follow(gap: Gap, path: Path, start: Array, slip: Array) -> Crossing:
     return turn(gap, first, path.displacement[path.turning_points], path.direction, slip)
 
 
-def travel(gap: Gap, path: Path, start: Array) -> Array:
+def travel(gap: Gap, path: MotionPath, start: Array) -> Array:
     """Travel u since the last slip at every sample, (T, n), in; see `follow`.
 
     From 0 to D the gap is crossed; beyond, the device slips.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.friction.arrays import add_outer, add_row, outer, rows_of, scratch
 from mfd_bayes.friction.recurrence import Blocks
-from mfd_bayes.records.trace import Path
+from mfd_bayes.records.trace import MotionPath
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -140,7 +140,7 @@ class Piece:
     turns_place: Rows
 
     @classmethod
-    def of(cls, path: Path, begin: int, end: int) -> Piece:
+    def of(cls, path: MotionPath, begin: int, end: int) -> Piece:
         """The path's samples from `begin` to `end`."""
         blocks = Blocks.of(end - begin)
         rows = begin + blocks.order
@@ -155,7 +155,7 @@ class Piece:
 
 
 @lru_cache(maxsize=8)
-def _pieces(path: Path, length: int) -> list[Piece]:
+def _pieces(path: MotionPath, length: int) -> list[Piece]:
     """A path in pieces; a sampler asks for the same path again and again."""
     samples = path.time.size
     return [
@@ -163,7 +163,7 @@ def _pieces(path: Path, length: int) -> list[Piece]:
     ]
 
 
-def slip_force(friction: Friction, path: Path) -> tuple[Array, Array]:
+def slip_force(friction: Friction, path: MotionPath) -> tuple[Array, Array]:
     """Force F1 of the bristles that start undeflected.
 
     F1 = σ0 z + σ1 ż + σ2 v with ż = v − σ0 |v| z / g(v). Between samples the velocity is

@@ -23,7 +23,7 @@ SMOOTH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class MotionPath:
     """A trace's motion with the vertex of every turn as a sample of its own.
 
     The true extreme lies between two samples. Left out, the way since the turn would be
@@ -154,7 +154,7 @@ class Trace:
         return self.time.size
 
     @cached_property
-    def path(self) -> Path:
+    def path(self) -> MotionPath:
         """The motion with the vertices of its turns, on which forces are computed."""
         return _path(self)
 
@@ -169,7 +169,7 @@ class Trace:
         return float(np.mean(self.actuation))
 
 
-def _path(trace: Trace) -> Path:
+def _path(trace: Trace) -> MotionPath:
     """Path of a trace: every vertex that is a turning point, between its two samples."""
     t, x, v = trace.time, trace.displacement, trace.velocity
     left, share, vertex = vertices(t, x, v)
@@ -187,7 +187,7 @@ def _path(trace: Trace) -> Path:
     time = np.insert(t, at, t[left] + share * (t[left + 1] - t[left]))
     step = np.diff(displacement, prepend=displacement[0])
     duration = np.diff(time, prepend=time[0] - 1.0)
-    return Path(
+    return MotionPath(
         time=time,
         displacement=displacement,
         velocity=np.insert(v, at, 0.0),

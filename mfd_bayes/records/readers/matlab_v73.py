@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.hdf5 import UnsafeError, check_objects, check_pieces
 from mfd_bayes.records.readers.bounds import UNPACKED
+from mfd_bayes.records.readers.hdf5 import UnsafeError, check_objects, check_pieces
 
 if TYPE_CHECKING:
     import h5py
