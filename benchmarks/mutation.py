@@ -56,7 +56,7 @@ LOADED = (
     *("pytest", "hypothesis", "emcee", "arviz", "xarray", "pandas", "h5py", "pint", "pydantic"),
     *("scipy.stats.qmc", "scipy.optimize", "scipy.integrate", "scipy.interpolate", "scipy.signal"),
     *(
-        "mfd_bayes.store",
+        "mfd_bayes.store.files",
         "mfd_bayes.records.trace",
         "mfd_bayes.units",
         "mfd_bayes.records.readers.hdf5",

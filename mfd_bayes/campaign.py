@@ -27,7 +27,7 @@ from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.bounds import NAME
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.roles import header_unit
-from mfd_bayes.toml_file import TomlError, read_toml
+from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,

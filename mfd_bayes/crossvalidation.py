@@ -25,7 +25,7 @@ from mfd_bayes.population.pooling import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
 from mfd_bayes.population.scores import Score, score
 from mfd_bayes.run import Run, TestResult, open_run
-from mfd_bayes.store import MANIFEST, read_json, write_json
+from mfd_bayes.store.files import MANIFEST, read_json, write_json
 from mfd_bayes.task import Outcome, Step
 
 DRAWS = 800

@@ -15,7 +15,7 @@ from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.calibration.posterior import theta_of
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store import write_text
+from mfd_bayes.store.files import write_text
 
 Array = NDArray[np.float64]
 

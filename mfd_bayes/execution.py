@@ -31,7 +31,7 @@ from mfd_bayes.run import (
     posterior_of,
     record_of,
 )
-from mfd_bayes.store import (
+from mfd_bayes.store.files import (
     MANIFEST,
     is_part,
     save_trace,

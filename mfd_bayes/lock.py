@@ -20,7 +20,7 @@ from pathlib import Path
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.interruption import before_end
-from mfd_bayes.store import read_json, write_json
+from mfd_bayes.store.files import read_json, write_json
 
 try:
     import fcntl

@@ -48,7 +48,7 @@ from mfd_bayes.reporting.views import (
     LeftOutView,
 )
 from mfd_bayes.run import Run, open_run
-from mfd_bayes.store import (
+from mfd_bayes.store.files import (
     MANIFEST,
     sweep,
     write_atomically,

@@ -16,7 +16,7 @@ from mfd_bayes.reporting.pdf import print_page
 from mfd_bayes.reporting.systems import System, shown_in
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.views import CampaignView, TestView
-from mfd_bayes.store import write_bytes, write_text
+from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.task import Outcome, Step
 from mfd_bayes.workers import run_tasks
 

@@ -15,11 +15,11 @@ LAYERS = (
     (
         "mfd_bayes.units",
         "mfd_bayes.records.readers.hdf5",
-        "mfd_bayes.toml_file",
-        "mfd_bayes.schema",
+        "mfd_bayes.store.toml",
+        "mfd_bayes.store.schema",
     ),
     ("mfd_bayes.records",),
-    ("mfd_bayes.campaign", "mfd_bayes.friction", "mfd_bayes.store"),
+    ("mfd_bayes.campaign", "mfd_bayes.friction", "mfd_bayes.store.files"),
     ("mfd_bayes.calibration",),
     ("mfd_bayes.population", "mfd_bayes.quantities"),
     ("mfd_bayes.reporting",),
@@ -40,9 +40,9 @@ LAYERS = (
 
 HOMES = {
     "emcee": ("mfd_bayes.calibration.sampling", "mfd_bayes.calibration.moves"),
-    "arviz": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store"),
-    "arviz_stats": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store"),
-    "xarray": ("mfd_bayes.store", "mfd_bayes.run"),
+    "arviz": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.files"),
+    "arviz_stats": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.files"),
+    "xarray": ("mfd_bayes.store.files", "mfd_bayes.run"),
     "matplotlib": ("mfd_bayes.reporting.figures",),
     "corner": ("mfd_bayes.reporting.figures",),
     "PIL": ("mfd_bayes.reporting.figures",),
@@ -51,13 +51,13 @@ HOMES = {
     "markupsafe": ("mfd_bayes.reporting.html", "mfd_bayes.reporting.symbols"),
     "pint": ("mfd_bayes.units",),
     "pydantic": (
-        *("mfd_bayes.campaign", "mfd_bayes.manifest", "mfd_bayes.schema"),
+        *("mfd_bayes.campaign", "mfd_bayes.manifest", "mfd_bayes.store.schema"),
         *("mfd_bayes.calibration.stored", "mfd_bayes.population.stored"),
     ),
     "h5py": (
         "mfd_bayes.records.readers.matlab_v73",
         "mfd_bayes.records.readers.hdf5",
-        "mfd_bayes.store",
+        "mfd_bayes.store.files",
     ),
     "openpyxl": ("mfd_bayes.records.readers.excel",),
     "nptdms": ("mfd_bayes.records.readers.tdms",),

@@ -21,7 +21,7 @@ from mfd_bayes.manifest import check_links, check_stored, hash_stored, read_begu
 from mfd_bayes.pipeline import effort_of, report
 from mfd_bayes.plan import Options
 from mfd_bayes.run import open_run
-from mfd_bayes.store import write_text
+from mfd_bayes.store.files import write_text
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.schema import Figure, Index, Part, Positive, check
+from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
 
 class Sample(Part):

@@ -10,7 +10,7 @@ import xarray as xr
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.model import UNITS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store import (
+from mfd_bayes.store.files import (
     is_part,
     load_arrays,
     load_test,

@@ -11,7 +11,7 @@ import numpy as np
 
 from mfd_bayes.calibration.priors import FAMILIES, KINDS, Prior
 from mfd_bayes.errors import PriorError, UnitError
-from mfd_bayes.toml_file import TomlError, read_toml
+from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
 _LONGEST = 1000

@@ -14,7 +14,7 @@ from typing import Any
 from distributed import get_worker
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from mfd_bayes.store import write_bytes
+from mfd_bayes.store.files import write_bytes
 from mfd_bayes.task import Step
 from mfd_bayes.workers import Job
 

@@ -13,7 +13,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.pooling import Pooling
-from mfd_bayes.schema import Figure, Index, Part, Positive, check
+from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
 _WIDEST = 40.0
 """Of a half-normal scale: no draw of a scatter is beyond."""

@@ -1,0 +1,1 @@
+"""Bytes on a disk: a file is written whole, or it is not there."""
