@@ -38,7 +38,8 @@ from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.views import CampaignView
 from mfd_bayes.run import Run, load_result, open_run
-from mfd_bayes.store.files import load_trace, save_test, save_trace, write_json
+from mfd_bayes.store.files import write_json
+from mfd_bayes.store.netcdf import load_trace, save_test, save_trace
 
 LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
 MANIFEST = "manifest.json"

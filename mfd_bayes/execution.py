@@ -31,14 +31,8 @@ from mfd_bayes.run import (
     posterior_of,
     record_of,
 )
-from mfd_bayes.store.files import (
-    MANIFEST,
-    is_part,
-    save_trace,
-    sweep,
-    write_bytes,
-    write_json,
-)
+from mfd_bayes.store.files import MANIFEST, is_part, sweep, write_bytes, write_json
+from mfd_bayes.store.netcdf import save_trace
 from mfd_bayes.task import Outcome, Step
 
 Observe = Callable[[Step], None]

@@ -14,8 +14,8 @@ from pydantic import AfterValidator, Field, model_validator
 from mfd_bayes.campaign import LawName, check_id
 from mfd_bayes.errors import StoreError
 from mfd_bayes.records.record import hash_file
-from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 from mfd_bayes.store.files import MANIFEST, read_json
+from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
 Id = Annotated[str, AfterValidator(check_id)]
 _Three = Annotated[list[Figure], Field(min_length=3, max_length=3)]

@@ -20,7 +20,7 @@ from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.pooling import SAME_LEVEL, same_level
 from mfd_bayes.population.predict import Band, Forecast, predict
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import StoredTest, load_test, load_trace
+from mfd_bayes.store.netcdf import StoredTest, load_test, load_trace
 
 if TYPE_CHECKING:
     import xarray as xr

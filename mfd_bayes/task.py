@@ -19,7 +19,7 @@ from mfd_bayes.calibration.sampling import Draws, Progress, sample
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.quantities import UNITS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import save_test
+from mfd_bayes.store.netcdf import save_test
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import pytest
 
 from mfd_bayes.friction.model import UNITS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import save_test
+from mfd_bayes.store.netcdf import save_test
 
 NAMES = ("Fc_fwd", "k3", "gamma2")
 

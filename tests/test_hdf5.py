@@ -9,7 +9,7 @@ import pytest
 from mfd_bayes.errors import RecordError, StoreError
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.hdf5 import UnsafeError, check_heaps, check_objects, check_pieces
-from mfd_bayes.store.files import load_arrays, save_arrays
+from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
 TIME = np.arange(30) / 10
 

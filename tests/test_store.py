@@ -12,18 +12,20 @@ from mfd_bayes.friction.model import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import (
     is_part,
-    load_arrays,
-    load_test,
-    load_trace,
     read_json,
-    save_arrays,
-    save_test,
-    save_trace,
     sweep,
     write_atomically,
     write_bytes,
     write_json,
     write_text,
+)
+from mfd_bayes.store.netcdf import (
+    load_arrays,
+    load_test,
+    load_trace,
+    save_arrays,
+    save_test,
+    save_trace,
 )
 
 RNG = np.random.default_rng(0)

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import StoreError
+from mfd_bayes.store.netcdf import StoredTest
 from mfd_bayes.store.schema import LARGEST, Index, Part, Positive, check
-from mfd_bayes.store.files import StoredTest
 
 _DENSITIES = ("log_prior", "log_likelihood")
 

@@ -17,7 +17,7 @@ from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.pooling import Effect, Pooling, Setting
 from mfd_bayes.population.stored import check_draws, check_facts
-from mfd_bayes.store.files import load_arrays, save_arrays
+from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
 Array = NDArray[np.float64]
 

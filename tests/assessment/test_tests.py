@@ -6,7 +6,7 @@ import xarray as xr
 
 from mfd_bayes.assessment.tests import _rows
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import StoredTest
+from mfd_bayes.store.netcdf import StoredTest
 
 TRACE = Trace.from_arrays([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], 1.0, [0.0, 1.0, 2.0])
 

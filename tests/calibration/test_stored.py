@@ -8,7 +8,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.stored import check_draws, check_facts
 from mfd_bayes.errors import StoreError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import StoredTest
+from mfd_bayes.store.netcdf import StoredTest
 
 TIME = np.arange(60) * 0.05
 TRACE = Trace.from_arrays(TIME, np.sin(TIME), 0.5, np.cos(TIME))

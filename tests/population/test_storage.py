@@ -16,7 +16,7 @@ from mfd_bayes.population.pooling import Pooling, Setting, pool
 from mfd_bayes.population.predict import Forecast, predict
 from mfd_bayes.population.storage import load_population, save_pooled, save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import load_arrays
+from mfd_bayes.store.netcdf import load_arrays
 
 NAMES = (
     "sigma0",
