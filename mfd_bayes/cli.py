@@ -22,7 +22,7 @@ from mfd_bayes.arguments import (
     Seed,
 )
 from mfd_bayes.ending import mistakes, resumption, this_command
-from mfd_bayes.interruption import end_on_signals
+from mfd_bayes.jobs.signals import end_on_signals
 
 if TYPE_CHECKING:
     from mfd_bayes import pipeline

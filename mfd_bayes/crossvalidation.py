@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.calibration.predictive import replicate
-from mfd_bayes.dispatch import run_jobs
+from mfd_bayes.jobs.dispatch import run_jobs
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.manifest import check_stored, read_predictions_of
 from mfd_bayes.plan import Options

@@ -14,7 +14,7 @@ import typer
 
 from mfd_bayes.console import clean, say
 from mfd_bayes.errors import MfdError
-from mfd_bayes.interruption import hinting
+from mfd_bayes.jobs.signals import hinting
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mfd_bayes.calibration.sampling import Progress
-from mfd_bayes.dispatch import check_workers, run_jobs
+from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.lock import OWNER, alone_in
 from mfd_bayes.manifest import FOLDERS, check_links, check_stored, hash_stored, read_begun

@@ -19,7 +19,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.interruption import before_end
+from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.store.files import read_json, write_json
 
 try:

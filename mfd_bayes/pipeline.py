@@ -13,7 +13,7 @@ from mfd_bayes.campaign import load_campaign
 from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
 from mfd_bayes.crossvalidation import fold_id, folds_of, parts_of, run_folds
 from mfd_bayes.demo import write_campaign
-from mfd_bayes.dispatch import check_workers
+from mfd_bayes.jobs.dispatch import check_workers
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.initiation import Draft, campaign_text, doubts, draft_campaign, gaps

@@ -13,7 +13,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Progress
-from mfd_bayes.evaluation import several_processes
+from mfd_bayes.jobs.likelihoods import several_processes
 from mfd_bayes.population.comparison import (
     DependenceScore,
     LawScore,

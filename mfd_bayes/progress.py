@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mfd_bayes.console import clean, open_console, say
-from mfd_bayes.interruption import before_end
+from mfd_bayes.jobs.signals import before_end
 
 Observe = Callable[[Any], None]
 

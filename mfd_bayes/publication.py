@@ -18,7 +18,7 @@ from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.views import CampaignView, TestView
 from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.task import Outcome, Step
-from mfd_bayes.workers import run_tasks
+from mfd_bayes.jobs.workers import run_tasks
 
 
 @dataclass(frozen=True, eq=False)

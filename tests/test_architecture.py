@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "mfd_bayes"
 
 # A room may import from those before it in this list, and from itself.
 LAYERS = (
-    ("mfd_bayes.errors", "mfd_bayes.interruption"),
+    ("mfd_bayes.errors", "mfd_bayes.jobs.signals"),
     (
         "mfd_bayes.units",
         "mfd_bayes.records.readers.hdf5",
@@ -25,11 +25,11 @@ LAYERS = (
     ("mfd_bayes.reporting",),
     ("mfd_bayes.manifest",),
     ("mfd_bayes.run", "mfd_bayes.task", "mfd_bayes.demo"),
-    ("mfd_bayes.plan", "mfd_bayes.assessment", "mfd_bayes.workers"),
-    ("mfd_bayes.evaluation",),
+    ("mfd_bayes.plan", "mfd_bayes.assessment", "mfd_bayes.jobs.workers"),
+    ("mfd_bayes.jobs.likelihoods",),
     ("mfd_bayes.pooled",),
-    ("mfd_bayes.cluster", "mfd_bayes.lock", "mfd_bayes.publication"),
-    ("mfd_bayes.dispatch",),
+    ("mfd_bayes.jobs.cluster", "mfd_bayes.lock", "mfd_bayes.publication"),
+    ("mfd_bayes.jobs.dispatch",),
     ("mfd_bayes.execution", "mfd_bayes.crossvalidation"),
     ("mfd_bayes.records.inspection", "mfd_bayes.comparison", "mfd_bayes.initiation"),
     ("mfd_bayes.pipeline", "mfd_bayes.console", "mfd_bayes.arguments"),
@@ -61,9 +61,9 @@ HOMES = {
     ),
     "openpyxl": ("mfd_bayes.records.readers.excel",),
     "nptdms": ("mfd_bayes.records.readers.tdms",),
-    "dask": ("mfd_bayes.cluster",),
-    "distributed": ("mfd_bayes.cluster",),
-    "threadpoolctl": ("mfd_bayes.cluster",),
+    "dask": ("mfd_bayes.jobs.cluster",),
+    "distributed": ("mfd_bayes.jobs.cluster",),
+    "threadpoolctl": ("mfd_bayes.jobs.cluster",),
     "typer": ("mfd_bayes.cli", "mfd_bayes.console", "mfd_bayes.arguments", "mfd_bayes.ending"),
     "rich": ("mfd_bayes.console", "mfd_bayes.progress"),
 }

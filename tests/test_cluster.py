@@ -26,7 +26,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.execution import calibrate
 from mfd_bayes.plan import Options, plan_campaign
 from mfd_bayes.task import Outcome
-from mfd_bayes.workers import run_tasks
+from mfd_bayes.jobs.workers import run_tasks
 
 pytestmark = [
     pytest.mark.skipif(
@@ -180,7 +180,7 @@ def refused(outcome, *words):
 
 
 def on_cluster(*arguments):
-    from mfd_bayes.cluster.crew import run_on_cluster
+    from mfd_bayes.jobs.cluster.crew import run_on_cluster
 
     return run_on_cluster(*arguments)
 
@@ -298,7 +298,7 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
 
 
 def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
-    from mfd_bayes.cluster.crew import _Crew
+    from mfd_bayes.jobs.cluster.crew import _Crew
 
     alone, seen = {"tcp://w:1": 1}, []
     client = SimpleNamespace(status="running", nthreads=lambda: alone)
@@ -319,7 +319,7 @@ def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
 def test_a_worker_that_is_lost_while_it_is_asked_is_not_refused(monkeypatch):
     from distributed.comm import CommClosedError
 
-    from mfd_bayes.cluster import crew
+    from mfd_bayes.jobs.cluster import crew
 
     answers = {"tcp://w:1": "", "tcp://w:2": CommClosedError("in <TCP>: Stream is closed")}
     client = SimpleNamespace(run=lambda *_, **__: answers)
@@ -384,7 +384,7 @@ def test_a_run_is_on_a_cluster_or_here(campaign, tmp_path):
 
 @pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "scipy", "emcee", "Python"])
 def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeypatch, name):
-    from mfd_bayes.cluster import crew
+    from mfd_bayes.jobs.cluster import crew
 
     ours = crew.versions()
     monkeypatch.setattr(crew, "versions", lambda: ours | {name: "0.0.1"})
@@ -400,13 +400,13 @@ def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeyp
 
 
 def test_a_cluster_of_the_same_versions_is_accepted(address):
-    from mfd_bayes.cluster.crew import check_cluster
+    from mfd_bayes.jobs.cluster.crew import check_cluster
 
     check_cluster(address)
 
 
 def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
-    from mfd_bayes.cluster import work
+    from mfd_bayes.jobs.cluster import work
 
     pools = [{"num_threads": 1, "filepath": "libone.so"}]
     monkeypatch.setattr(work, "threadpool_limits", lambda limits: None)
@@ -420,7 +420,7 @@ def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
 
 
 def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
-    from mfd_bayes.cluster.crew import _Crew, _Place
+    from mfd_bayes.jobs.cluster.crew import _Crew, _Place
 
     answer = {"refused": "", "status": "done", "seconds": 1.0, "error": "", "steps": []}
     future = SimpleNamespace(

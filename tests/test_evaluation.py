@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation import several_processes
+from mfd_bayes.jobs.likelihoods import several_processes
 
 TESTS = 9
 

@@ -21,7 +21,7 @@ from mfd_bayes.lock import OWNER, Owner, alone_in
 HOLD = """\
 import sys, time
 from pathlib import Path
-from mfd_bayes.interruption import end_on_signals
+from mfd_bayes.jobs.signals import end_on_signals
 from mfd_bayes.lock import alone_in
 
 with end_on_signals(), alone_in(Path(sys.argv[1])):

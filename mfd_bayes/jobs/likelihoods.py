@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.population.joint import Evaluate
-from mfd_bayes.workers import deaf, end_with_parent, one_thread
+from mfd_bayes.jobs.workers import deaf, end_with_parent, one_thread
 
 Array = NDArray[np.float64]
 Likelihood = Callable[[Array], Array]

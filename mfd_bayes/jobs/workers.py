@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.interruption import end_children
+from mfd_bayes.jobs.signals import end_children
 from mfd_bayes.task import Outcome, Step
 
 ATTEMPTS = 3

@@ -9,7 +9,7 @@ from types import ModuleType
 from mfd_bayes.errors import FitError
 from mfd_bayes.plan import Options
 from mfd_bayes.task import Outcome, Step
-from mfd_bayes.workers import Job, run_tasks
+from mfd_bayes.jobs.workers import Job, run_tasks
 
 
 def run_jobs(
@@ -44,7 +44,7 @@ def check_workers(options: Options) -> None:
 def _crew() -> ModuleType:
     """The module that needs dask.distributed, which not everybody has."""
     try:
-        from mfd_bayes.cluster import crew
+        from mfd_bayes.jobs.cluster import crew
     except ModuleNotFoundError as error:
         raise FitError(
             f'--scheduler needs {error.name}: pip install "mfd_bayes[cluster]"'

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.task import Step
-from mfd_bayes.workers import Job
+from mfd_bayes.jobs.workers import Job
 
 _ENDED = ("done", "failed")
 _SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")

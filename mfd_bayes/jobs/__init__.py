@@ -1,0 +1,1 @@
+"""Work in other processes or on a cluster, and its news."""
