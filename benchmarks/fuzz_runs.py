@@ -235,7 +235,7 @@ def read_resumed(path: Path) -> object:
     """A run folder as it is gone on with."""
     plan = plan_of(small=True)
     own = replace(plan, manifest=deepcopy(plan.manifest))
-    options = Options(effort_of(path.parent, None, resume=True), resume=True)
+    options = Options(effort=effort_of(path.parent, None, resume=True), resume=True)
     before = prepare_folder(own, path.parent, options)
     return json.dumps(own.manifest), before.keys()
 

@@ -87,7 +87,7 @@ def finished(folder: Path, session: str, noise: str, options: argparse.Namespace
     out = folder / f"{session}_{noise}"
     place = folder / f"campaign_{out.name}"
     campaign = records.lay_out(options.data / "brfd", place, session, noise)
-    chosen = Options(options.effort, 1, options.jobs, resume=out.exists())
+    chosen = Options(effort=options.effort, seed=1, jobs=options.jobs, resume=out.exists())
     return calibrate(campaign, out, chosen, lambda s: print(s.id, s.stage, file=sys.stderr))
 
 

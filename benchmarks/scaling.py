@@ -157,7 +157,7 @@ def study_campaign(case: tuple[int, Path], line) -> None:
     watched = Watched()
     path = lay_out(home / "campaign", tests)
     threading.Thread(target=watched.follow, daemon=True).start()
-    options = Options("quick", seed=1, jobs=WORKERS)
+    options = Options(effort="quick", seed=1, jobs=WORKERS)
     view = calibrate_campaign(path, home / "out", options, watched.observe)
     own = [t["seconds"] for t in read_json(home / "out" / MANIFEST)["tests"].values()]
     stored = sum(file.stat().st_size for file in (home / "out").rglob("*.nc"))

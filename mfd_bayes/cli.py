@@ -409,7 +409,15 @@ def _options(
     from mfd_bayes import pipeline
 
     chosen = pipeline.effort_of(out, effort, resume=resume)
-    return pipeline.Options(chosen, seed, jobs, resume, force, this_command(), scheduler=scheduler)
+    return pipeline.Options(
+        effort=chosen,
+        seed=seed,
+        jobs=jobs,
+        resume=resume,
+        force=force,
+        command=this_command(),
+        scheduler=scheduler,
+    )
 
 
 def _version(wanted: bool) -> None:

@@ -16,17 +16,16 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.calibration.predictive import replicate
-from mfd_bayes.jobs.dispatch import run_jobs
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
+from mfd_bayes.jobs.dispatch import Workplace, run_jobs
+from mfd_bayes.jobs.job import Outcome, Step
 from mfd_bayes.manifest import check_stored, read_predictions_of
-from mfd_bayes.plan import Options
 from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.pooling import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
 from mfd_bayes.population.scores import Score, score
 from mfd_bayes.run import Run, TestResult, open_run
 from mfd_bayes.store.files import MANIFEST, read_json, write_json
-from mfd_bayes.task import Outcome, Step
 
 DRAWS = 800
 """Draws of a band that is scored."""
@@ -260,7 +259,7 @@ def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
 
 
 def run_folds(
-    run: Run, folds: Sequence[Fold], options: Options, observe: Callable[[Step], None]
+    run: Run, folds: Sequence[Fold], workplace: Workplace, observe: Callable[[Step], None]
 ) -> tuple[Prediction, ...]:
     """Predictions of every part, so many at a time; those that are stored are not done again.
 
@@ -274,7 +273,7 @@ def run_folds(
     for fold in folds:
         if fold not in todo:
             observe(Step(fold.id, "kept"))
-    with closing(run_jobs(todo, out, options, observe)) as outcomes:
+    with closing(run_jobs(todo, out, workplace, observe)) as outcomes:
         for outcome in outcomes:
             if outcome.error:
                 raise CampaignError(f"cannot predict {outcome.id}: {outcome.error}")

@@ -12,9 +12,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.calibration.sampling import Progress
-from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.jobs.dispatch import check_workers, run_jobs
+from mfd_bayes.jobs.job import Outcome, Progress, Step
 from mfd_bayes.lock import OWNER, alone_in
 from mfd_bayes.manifest import FOLDERS, check_links, check_stored, hash_stored, read_begun
 from mfd_bayes.plan import Options, Plan, plan_campaign
@@ -33,7 +33,6 @@ from mfd_bayes.run import (
 )
 from mfd_bayes.store.files import MANIFEST, is_part, sweep, write_bytes, write_json
 from mfd_bayes.store.netcdf import save_trace
-from mfd_bayes.task import Outcome, Step
 
 Observe = Callable[[Step], None]
 

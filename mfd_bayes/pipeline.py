@@ -13,10 +13,11 @@ from mfd_bayes.campaign import load_campaign
 from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
 from mfd_bayes.crossvalidation import fold_id, folds_of, parts_of, run_folds
 from mfd_bayes.demo import write_campaign
-from mfd_bayes.jobs.dispatch import check_workers
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.initiation import Draft, campaign_text, doubts, draft_campaign, gaps
+from mfd_bayes.jobs.dispatch import Workplace, check_workers
+from mfd_bayes.jobs.job import Step
 from mfd_bayes.lock import alone_in
 from mfd_bayes.manifest import check_links, read_begun
 from mfd_bayes.plan import Options, Plan, plan_campaign
@@ -56,7 +57,6 @@ from mfd_bayes.store.files import (
     write_json,
     write_text,
 )
-from mfd_bayes.task import Step
 from mfd_bayes.units import parse_actuation
 
 __all__ = [
@@ -282,7 +282,7 @@ def report(
     write_json(out / MANIFEST, run.manifest | {"verdicts": verdicts(view)})
     if view.left_out is None:  # of tests that have changed since
         (out / CROSSVALIDATION).unlink(missing_ok=True)
-    publish(view, out, Options(jobs=jobs).processes, observe, pdf=pdf)
+    publish(view, out, Workplace(jobs).processes, observe, pdf=pdf)
     return view
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -19,6 +18,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.campaign import Campaign, ModelName, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.manifest import FORMAT
 from mfd_bayes.population.pooling import pool
 from mfd_bayes.population.predict import setting_of
@@ -29,40 +29,28 @@ from mfd_bayes.task import Task
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
 
-@dataclass(frozen=True)
-class Options:
-    """How a campaign is calibrated.
+@dataclass(frozen=True, kw_only=True)
+class Options(Workplace):
+    """How a campaign is calibrated, and where.
 
     Attributes
     ----------
     effort : {"quick", "standard", "thorough"}
     seed : int
-    jobs : int
-        Processes; 0 for as many as there are processors.
     resume, force : bool
         What to do with a folder that exists: finish it, or replace it.
     command : str
         Kept for the record.
     model : {"three_stage", "lugre", "bouc_wen"}, optional
         Instead of the campaign's own.
-    scheduler : str
-        Address of a dask.distributed scheduler whose workers do the tests, such as
-        "tcp://host:8786"; "" for processes of this machine.
     """
 
     effort: str = "standard"
     seed: int = 1
-    jobs: int = 0
     resume: bool = False
     force: bool = False
     command: str = ""
     model: ModelName | None = None
-    scheduler: str = ""
-
-    @property
-    def processes(self) -> int:
-        """Processes that are used."""
-        return self.jobs or os.cpu_count() or 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.sampling import Progress
+from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
 from mfd_bayes.population.comparison import (
     DependenceScore,

@@ -15,8 +15,9 @@ from mfd_bayes.calibration.diagnostics import measure_draws
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.sampling import Draws, Progress, sample
+from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.jobs.job import Outcome, Progress, Step
 from mfd_bayes.quantities import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import save_test
@@ -52,36 +53,6 @@ class Task:
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Calibrate the test into a run folder."""
         return calibrate_test(self, out, observe)
-
-
-@dataclass(frozen=True)
-class Step:
-    """News of a test: where its sampling stands, or that it began or ended.
-
-    Attributes
-    ----------
-    id : str
-    stage : str
-        "waiting" before it begins, and at its end "done", "failed", or "kept" where an earlier
-        session did it; what it is at in between.
-    progress : Progress or None
-    message : str
-    """
-
-    id: str
-    stage: str
-    progress: Progress | None = None
-    message: str = ""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a test's calibration ended: status "done", or "failed" with an error."""
-
-    id: str
-    status: str
-    seconds: float
-    error: str = ""
 
 
 def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Outcome:

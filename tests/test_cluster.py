@@ -18,15 +18,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.calibration.sampling import Progress
 from mfd_bayes.cli import app
 from mfd_bayes.crossvalidation import folds_of, run_folds
 from mfd_bayes.demo import Truth, write_campaign
 from mfd_bayes.errors import FitError
 from mfd_bayes.execution import calibrate
-from mfd_bayes.plan import Options, plan_campaign
-from mfd_bayes.task import Outcome
+from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.workers import run_tasks
+from mfd_bayes.plan import Options, plan_campaign
 
 pytestmark = [
     pytest.mark.skipif(
@@ -130,7 +129,7 @@ def campaign(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tasks(campaign):
     """The tests, one with a name that is hard to bear."""
-    first, second = plan_campaign(campaign, Options("quick")).tasks
+    first, second = plan_campaign(campaign, Options(effort="quick")).tasks
     return replace(first, id=ODD), second
 
 
@@ -146,7 +145,7 @@ def reference(tasks, tmp_path_factory):
 def whole(campaign, tmp_path_factory):
     """A whole run by one process of this machine."""
     out = tmp_path_factory.mktemp("whole") / "out"
-    calibrate(campaign, out, Options("quick", jobs=1), lambda _: None)
+    calibrate(campaign, out, Options(effort="quick", jobs=1), lambda _: None)
     return out
 
 
@@ -215,10 +214,10 @@ def test_folds_of_a_cross_validation_need_no_shared_folder(address, whole):
 
     run = open_run(whole)
     folds = folds_of(run, "test", "quick")
-    found = run_folds(run, folds, Options("quick", scheduler=address), lambda _: None)
+    found = run_folds(run, folds, Options(effort="quick", scheduler=address), lambda _: None)
     for fold in folds:
         (whole / "crossvalidation" / fold.file).unlink()
-    assert found == run_folds(run, folds, Options("quick", jobs=1), lambda _: None)
+    assert found == run_folds(run, folds, Options(effort="quick", jobs=1), lambda _: None)
 
 
 # --- losses
@@ -293,7 +292,7 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     assert sentence.startswith(f"mfd-bayes: the scheduler at {address} was lost")
     assert "--resume" in sentence
     assert not list(out.glob(".*"))
-    calibrate(campaign, out, Options("quick", jobs=1, resume=True), lambda _: None)
+    calibrate(campaign, out, Options(effort="quick", jobs=1, resume=True), lambda _: None)
     assert stored(out) == stored(whole)
 
 

@@ -19,12 +19,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.jobs import workers
 from mfd_bayes.cli import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.execution import calibrate, discard
-from mfd_bayes.plan import Options, plan_campaign
+from mfd_bayes.jobs import workers
 from mfd_bayes.jobs.workers import run_tasks
+from mfd_bayes.plan import Options, plan_campaign
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/stat").is_file(), reason="looks for processes in Linux's /proc"
@@ -251,7 +251,7 @@ def test_a_folder_without_its_first_manifest_is_begun(campaign, tmp_path):
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        calibrate(campaign, tmp_path / "out", Options("quick", resume=True), stop)
+        calibrate(campaign, tmp_path / "out", Options(effort="quick", resume=True), stop)
     assert seen
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "running"
     assert not list((tmp_path / "out").rglob(".*"))
@@ -281,7 +281,7 @@ def test_what_was_being_discarded_is_not_resumed(campaign, copied, monkeypatch):
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        calibrate(campaign, copied, Options("quick", seed=7, resume=True), look)
+        calibrate(campaign, copied, Options(effort="quick", seed=7, resume=True), look)
     assert json.loads((copied / "manifest.json").read_text())["seed"] == 7
 
 
@@ -335,7 +335,7 @@ def ended_at_its_start(campaign, tmp_path_factory):
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        calibrate(path, home / "out", Options("quick"), stop)
+        calibrate(path, home / "out", Options(effort="quick"), stop)
     return home
 
 
@@ -377,7 +377,7 @@ def test_another_version_does_not_resume(unfinished, name):
 def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(campaign, tmp_path):
     folder = Path(shutil.copytree(campaign.parent, tmp_path / "campaign"))
     (folder / "campaign.toml").rename(folder / "mfd.toml")
-    inputs = plan_campaign(folder / "mfd.toml", Options("quick")).manifest["inputs"]
+    inputs = plan_campaign(folder / "mfd.toml", Options(effort="quick")).manifest["inputs"]
     assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
 
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
-from mfd_bayes.calibration.sampling import Progress
+from mfd_bayes.jobs.job import Progress, Step
 from mfd_bayes.progress import Board, watch
-from mfd_bayes.task import Step
 
 
 @dataclass

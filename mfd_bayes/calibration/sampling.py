@@ -18,6 +18,7 @@ from mfd_bayes.calibration.mixture import Either, Mixture, Proposal, learn
 from mfd_bayes.calibration.moves import Apart, Independent
 from mfd_bayes.calibration.posterior import UNIDENTIFIABLE, Posterior
 from mfd_bayes.errors import FitError
+from mfd_bayes.jobs.job import Progress
 
 Array = NDArray[np.float64]
 Report = Callable[["Progress"], None]
@@ -53,21 +54,6 @@ REQUIRED = 200
 
 JUMPS = 0.7
 """Share of the steps that are independence proposals; the others are differential evolution."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a sampling stands: steps done, the limit, and the worst figures so far.
-
-    `share` is that of the steps it will take, about; NaN where that is not known.
-    """
-
-    steps: int
-    limit: int
-    r_hat: float
-    ess: float
-    seconds: float
-    share: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,18 +2,41 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.plan import Options
-from mfd_bayes.task import Outcome, Step
-from mfd_bayes.jobs.workers import Job, run_tasks
+from mfd_bayes.jobs.job import Job, Outcome, Step
+from mfd_bayes.jobs.workers import run_tasks
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """Where jobs are done.
+
+    Attributes
+    ----------
+    jobs : int
+        Processes of this machine; 0 for as many as there are processors.
+    scheduler : str
+        Address of a dask.distributed scheduler whose workers do the jobs, such as
+        "tcp://host:8786"; "" for processes of this machine.
+    """
+
+    jobs: int = 0
+    scheduler: str = ""
+
+    @property
+    def processes(self) -> int:
+        """Processes that are used on this machine."""
+        return self.jobs or os.cpu_count() or 1
 
 
 def run_jobs(
-    jobs: Sequence[Job], out: Path, options: Options, observe: Callable[[Step], None]
+    jobs: Sequence[Job], out: Path, workplace: Workplace, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
     """Outcomes of tests as they come; which machine does them does not reach the draws.
 
@@ -22,23 +45,23 @@ def run_jobs(
     MfdError
         When what comes of a test cannot be written, or its processes or the cluster are lost.
     """
-    if not options.scheduler:
-        return run_tasks(jobs, out, options.processes, observe)
-    return _crew().run_on_cluster(jobs, out, options.scheduler, observe)  # type: ignore[no-any-return]
+    if not workplace.scheduler:
+        return run_tasks(jobs, out, workplace.processes, observe)
+    return _crew().run_on_cluster(jobs, out, workplace.scheduler, observe)  # type: ignore[no-any-return]
 
 
-def check_workers(options: Options) -> None:
+def check_workers(workplace: Workplace) -> None:
     """Refuse a cluster that is not there or not the same, before anything is written.
 
     Raises
     ------
     FitError
     """
-    if not options.scheduler:
+    if not workplace.scheduler:
         return
-    if options.jobs:
+    if workplace.jobs:
         raise FitError("give either --jobs, for this machine, or --scheduler, for a cluster")
-    _crew().check_cluster(options.scheduler)
+    _crew().check_cluster(workplace.scheduler)
 
 
 def _crew() -> ModuleType:

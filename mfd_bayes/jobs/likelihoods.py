@@ -14,12 +14,14 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.joint import Evaluate
 from mfd_bayes.jobs.workers import deaf, end_with_parent, one_thread
 
 Array = NDArray[np.float64]
 Likelihood = Callable[[Array], Array]
 Points = list[tuple[int, Array]]
+
+Evaluate = Callable[[Iterable[tuple[int, Array]]], Iterator[Array]]
+"""Log likelihoods of points of tests, given by the tests' numbers, in their order."""
 
 FEWEST = 4
 """Tests below which a process more is not worth its start."""

@@ -14,34 +14,16 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.jobs.job import Job, Outcome, Step
 from mfd_bayes.jobs.signals import end_children
-from mfd_bayes.task import Outcome, Step
 
 ATTEMPTS = 3
 """Processes that a test may lose, as where memory is short, before the run gives up."""
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-class Job(Protocol):
-    """Work for a process, which must be small enough to send."""
-
-    @property
-    def id(self) -> str:
-        """What it is called."""
-
-    @property
-    def makes(self) -> tuple[str, ...]:
-        """Files of a run folder that it stores, by their names in it."""
-
-    def needs(self, out: Path) -> tuple[str, ...]:
-        """Files of a run folder that it reads, by their names in it."""
-
-    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Do it, and store what comes of it in a run folder."""
 
 
 def run_tasks(

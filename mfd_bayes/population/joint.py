@@ -18,13 +18,14 @@ Every step leaves the joint posterior as it is.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.jobs.likelihoods import Evaluate
 from mfd_bayes.population.evidence import Evidence
 from mfd_bayes.population.laws import draw_shape
 from mfd_bayes.population.lines import FAR, Tuning, redraw, transport, untuned
@@ -55,9 +56,6 @@ EVOLUTIONS = 4
 
 
 Index = NDArray[np.intp]
-
-Evaluate = Callable[[Iterable[tuple[int, Array]]], Iterator[Array]]
-"""Log likelihoods of points of tests, given by the tests' numbers, in their order."""
 
 
 @dataclass

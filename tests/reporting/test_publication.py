@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from mfd_bayes.jobs.job import Step
 from mfd_bayes.publication import Drawing, publish
 from mfd_bayes.reporting.figures import draw_all
 from mfd_bayes.reporting.systems import SI, US
-from mfd_bayes.task import Step
 
 
 def files(folder):

@@ -12,13 +12,11 @@ from typing import Any
 
 from distributed import Future, KilledWorker
 
-from mfd_bayes.calibration.sampling import Progress
+from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.cluster.connection import FAULTS, connected, in_a_line, losses, lost
 from mfd_bayes.jobs.cluster.work import differences, other_versions, versions, work
-from mfd_bayes.errors import FitError
+from mfd_bayes.jobs.job import Job, Outcome, Progress, Step
 from mfd_bayes.store.files import write_bytes
-from mfd_bayes.task import Outcome, Step
-from mfd_bayes.jobs.workers import Job
 
 Observe = Callable[[Step], None]
 

@@ -14,9 +14,8 @@ from typing import Any
 from distributed import get_worker
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from mfd_bayes.jobs.job import Job, Step
 from mfd_bayes.store.files import write_bytes
-from mfd_bayes.task import Step
-from mfd_bayes.jobs.workers import Job
 
 _ENDED = ("done", "failed")
 _SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")
