@@ -32,7 +32,7 @@ from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.pooling import Setting, pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.population.storage import load_population, save_population
-from mfd_bayes.quantities import UNITS
+from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables

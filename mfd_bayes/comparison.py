@@ -22,7 +22,7 @@ from mfd_bayes.campaign import ModelName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.reporting.views import ComparisonRow
 from mfd_bayes.run import Run, TestResult
-from mfd_bayes.task import Task
+from mfd_bayes.calibration.task import Task
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from mfd_bayes.manifest import FOLDERS, check_links, check_stored, hash_stored, 
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
-from mfd_bayes.quantities import UNITS
+from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.run import (
     POPULATION,
     PRIORS,

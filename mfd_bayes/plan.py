@@ -24,7 +24,7 @@ from mfd_bayes.population.pooling import pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.task import Task
+from mfd_bayes.calibration.task import Task
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 

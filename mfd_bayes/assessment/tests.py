@@ -22,7 +22,7 @@ from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import check_predictive, replicate
-from mfd_bayes.quantities import UNITS
+from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.systems import US
 from mfd_bayes.reporting.views import Marginal, Row, TestView
