@@ -23,6 +23,8 @@ from mfd_bayes.assessment.tests import calibrated_view, held_out_view
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.result import load_result
 from mfd_bayes.crossvalidation import Fold, read_predictions
 from mfd_bayes.execution import prepare_folder
 from mfd_bayes.manifest import hash_stored, read_manifest
@@ -32,12 +34,11 @@ from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.pooling import Setting, pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.population.storage import load_population, save_population
-from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.views import CampaignView
-from mfd_bayes.run import Run, load_result, open_run
+from mfd_bayes.run import Run, open_run
 from mfd_bayes.store.files import write_json
 from mfd_bayes.store.netcdf import load_trace, save_test, save_trace
 

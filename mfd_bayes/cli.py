@@ -387,7 +387,12 @@ def demo(
         from mfd_bayes import pipeline
 
         options = pipeline.Options(
-            effort, seed, jobs, force=force, command=this_command(), scheduler=scheduler
+            effort=effort,
+            seed=seed,
+            jobs=jobs,
+            force=force,
+            command=this_command(),
+            scheduler=scheduler,
         )
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.demo(out, options, observe)

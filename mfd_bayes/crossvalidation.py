@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, Step
@@ -24,7 +25,7 @@ from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.pooling import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
 from mfd_bayes.population.scores import Score, score
-from mfd_bayes.run import Run, TestResult, open_run
+from mfd_bayes.run import Run, open_run
 from mfd_bayes.store.files import MANIFEST, read_json, write_json
 
 DRAWS = 800

@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Outcome, Progress, Step
@@ -20,17 +22,7 @@ from mfd_bayes.manifest import FOLDERS, check_links, check_stored, hash_stored, 
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.pooled import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
-from mfd_bayes.calibration.quantities import UNITS
-from mfd_bayes.run import (
-    POPULATION,
-    PRIORS,
-    Run,
-    TestResult,
-    load_result,
-    pooled_of,
-    posterior_of,
-    record_of,
-)
+from mfd_bayes.run import POPULATION, PRIORS, Run, pooled_of, posterior_of, record_of
 from mfd_bayes.store.files import MANIFEST, is_part, sweep, write_bytes, write_json
 from mfd_bayes.store.netcdf import save_trace
 

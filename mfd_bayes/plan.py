@@ -16,6 +16,7 @@ import numpy as np
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign import Campaign, ModelName, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.jobs.dispatch import Workplace
@@ -24,7 +25,6 @@ from mfd_bayes.population.pooling import pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.calibration.task import Task
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 

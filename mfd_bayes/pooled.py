@@ -12,6 +12,7 @@ import numpy as np
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
 from mfd_bayes.population.comparison import (
@@ -26,7 +27,6 @@ from mfd_bayes.population.hierarchy import Inference, infer, most_sweeps
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.pooling import pool
 from mfd_bayes.population.predict import setting_of
-from mfd_bayes.run import TestResult
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,19 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.calibration.stored import check_draws, check_facts
-from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.calibration.result import TestResult, load_result
+from mfd_bayes.errors import StoreError
 from mfd_bayes.manifest import check_links, check_stored, read_manifest
 from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.pooling import SAME_LEVEL, same_level
 from mfd_bayes.population.predict import Band, Forecast, predict
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.netcdf import StoredTest, load_test, load_trace
+from mfd_bayes.store.netcdf import load_trace
 
 if TYPE_CHECKING:
-    import xarray as xr
+    pass
 
 Array = NDArray[np.float64]
 
@@ -45,40 +44,6 @@ def pooled_of(test_id: str) -> str:
 def record_of(test_id: str) -> str:
     """Where a run folder holds the record of a test that is predicted, never fitted."""
     return f"tests/{test_id}/record.nc"
-
-
-@dataclass(frozen=True, eq=False)
-class TestResult:
-    """A calibrated test.
-
-    Attributes
-    ----------
-    id : str
-    posterior : Posterior
-    path : Path
-        Of the stored posterior.
-    """
-
-    __test__ = False
-
-    id: str
-    posterior: Posterior
-    path: Path
-
-    @property
-    def stored(self) -> StoredTest:
-        """What is stored of it, read anew each time: the draws of many tests are not all held."""
-        return load_test(self.path)
-
-    @property
-    def draws(self) -> xr.Dataset:
-        """Posterior draws as ArviZ reads them: named variables (chain, draw) with units."""
-        return self.stored.draws
-
-    @property
-    def trace(self) -> Trace:
-        """The record that was fitted."""
-        return self.posterior.trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,24 +192,3 @@ def open_run(folder: str | Path) -> Run:
     if not tests:
         raise StoreError(f"the run in {folder} has no calibrated test")
     return Run(folder, manifest, priors, tests, held_out)
-
-
-def load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
-    """Calibrated test of its stored posterior.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, or holds no posterior under these priors.
-    """
-    stored = load_test(path)
-    facts = stored.facts
-    check_facts(facts, path)
-    try:
-        posterior = Posterior(
-            stored.trace, priors, facts["noise"], facts["model"], start=facts["start"]
-        )
-    except MfdError as error:
-        raise StoreError(f"{path} is damaged or not of this program: {error}") from error
-    check_draws(stored, posterior, path)
-    return TestResult(test_id, posterior, path)

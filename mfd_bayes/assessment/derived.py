@@ -14,10 +14,11 @@ from mfd_bayes.calibration.derived import (
     derive_from_parameters,
 )
 from mfd_bayes.calibration.predictive import Replicas
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import DerivedRow
-from mfd_bayes.run import Run, TestResult
+from mfd_bayes.run import Run
 
 Array = NDArray[np.float64]
 

@@ -23,10 +23,11 @@ from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import check_predictive, replicate
 from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.systems import US
 from mfd_bayes.reporting.views import Marginal, Row, TestView
-from mfd_bayes.run import Run, TestResult
+from mfd_bayes.run import Run
 from mfd_bayes.store.netcdf import StoredTest
 
 Array = NDArray[np.float64]

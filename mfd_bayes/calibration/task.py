@@ -15,10 +15,10 @@ from mfd_bayes.calibration.diagnostics import measure_draws
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.jobs.job import Outcome, Progress, Step
-from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import save_test
 

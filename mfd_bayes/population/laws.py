@@ -101,3 +101,18 @@ def draw_shape(shape: str, uniform: Array) -> Array:
 
 SENSITIVITY = 0.3
 """Prior sd of a dependence: change of a parameter's coordinate per e-fold of what it follows."""
+
+
+def law_unit(name: str, actuation_unit: str) -> str:
+    """Unit of a law's constant: K in kip per unit of actuation, α in kip/in per unit.
+
+    Scatter and deviations are of logarithms, and have none, but for the offset's.
+    """
+    if name.startswith("K_"):
+        return "in^2" if actuation_unit == "ksi" else "1"
+    if name == "alpha_sigma0":
+        return "in" if actuation_unit == "ksi" else "1/in"
+    if name == "sigma0_0":
+        return "kip/in"
+    spread = name.startswith(("scatter_", "deviation_"))
+    return "kip" if spread and name.endswith("_offset") else "1"
