@@ -13,7 +13,7 @@ from scipy import optimize, signal
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.baselines import LuGre
-from mfd_bayes.pooled import pool_tests
+from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 

@@ -21,8 +21,8 @@ from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, Step
 from mfd_bayes.manifest import check_stored, read_predictions_of
-from mfd_bayes.pooled import pool_tests
-from mfd_bayes.population.pooling import Setting, levels_of
+from mfd_bayes.population.inference import pool_tests
+from mfd_bayes.population.layout import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
 from mfd_bayes.population.scores import Score, score
 from mfd_bayes.run import Run, open_run

@@ -27,7 +27,7 @@ LAYERS = (
     ("mfd_bayes.run", "mfd_bayes.calibration.task", "mfd_bayes.demo"),
     ("mfd_bayes.plan", "mfd_bayes.assessment", "mfd_bayes.jobs.workers"),
     ("mfd_bayes.jobs.likelihoods",),
-    ("mfd_bayes.pooled",),
+    ("mfd_bayes.population.inference",),
     ("mfd_bayes.jobs.cluster", "mfd_bayes.lock", "mfd_bayes.publication"),
     ("mfd_bayes.jobs.dispatch",),
     ("mfd_bayes.execution", "mfd_bayes.crossvalidation"),

@@ -13,7 +13,7 @@ from mfd_bayes.assessment.law_scores import weighed
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
-from mfd_bayes.population.pooling import Setting
+from mfd_bayes.population.layout import Setting
 from mfd_bayes.reporting.views import LawView, Row
 from mfd_bayes.run import Run
 

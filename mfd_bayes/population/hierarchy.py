@@ -12,12 +12,12 @@ from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.jobs.likelihoods import Evaluate
-from mfd_bayes.population.evidence import Evidence
-from mfd_bayes.population.history import History, TestDraws, by_walker
+from mfd_bayes.population.test_likelihood import Evidence
+from mfd_bayes.population.chains import History, TestDraws, by_walker
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import ratio
 from mfd_bayes.population.lines import tune
-from mfd_bayes.population.pooling import Choice, Pooling, Setting
+from mfd_bayes.population.layout import Choice, Pooling, Setting
 
 Array = NDArray[np.float64]
 

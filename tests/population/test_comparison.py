@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from mfd_bayes.population.comparison import (
+from mfd_bayes.population.law_scores import (
     _samples,
     compare_dependence,
     compare_laws,
     free_exponents,
     stack,
 )
-from mfd_bayes.population.pooling import Setting, pool
+from mfd_bayes.population.layout import Setting, pool
 
 LEVELS = (0.5, 0.5, 0.8, 1.5)
 MANY = tuple(np.repeat([0.4, 0.6, 0.9, 1.4, 2.0], 2))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.population import evidence
-from mfd_bayes.population.evidence import evidence_of, without_prior
-from mfd_bayes.population.pooling import Setting, pool
+from mfd_bayes.population import test_likelihood as evidence
+from mfd_bayes.population.test_likelihood import evidence_of, without_prior
+from mfd_bayes.population.layout import Setting, pool
 from mfd_bayes.records.trace import Trace
 
 

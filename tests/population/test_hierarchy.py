@@ -9,7 +9,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.population import hierarchy
 from mfd_bayes.population.hierarchy import WALKERS, Population, _correlate, infer
-from mfd_bayes.population.pooling import Setting, pool
+from mfd_bayes.population.layout import Setting, pool
 
 EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
 MEAN, SPREAD = 0.1, 0.1

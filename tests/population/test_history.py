@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population import history
-from mfd_bayes.population.history import History, State, TestDraws, by_walker
+from mfd_bayes.population import chains as history
+from mfd_bayes.population.chains import History, State, TestDraws, by_walker
 
 
 def state(sweep, chains=4, size=3):

@@ -8,7 +8,7 @@ from scipy import stats
 
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.laws import COMPARE, LAWS
-from mfd_bayes.population.pooling import LAW_NAMES, Setting, levels_of, pool, same_level
+from mfd_bayes.population.layout import LAW_NAMES, Setting, levels_of, pool, same_level
 
 NAMES = ("Fc_fwd", "Fc_bwd", "sigma0", "k3", "offset")
 LEVELS = (0.5, 0.8, 0.8, 1.5)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.population.coordinates import Coordinates
-from mfd_bayes.population.pooling import Pooling
+from mfd_bayes.population.layout import Pooling
 
 Array = NDArray[np.float64]
 

@@ -15,17 +15,17 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
-from mfd_bayes.population.comparison import (
+from mfd_bayes.population.law_scores import (
     DependenceScore,
     LawScore,
     compare_dependence,
     compare_laws,
     free_exponents,
 )
-from mfd_bayes.population.evidence import evidence_of
+from mfd_bayes.population.test_likelihood import evidence_of
 from mfd_bayes.population.hierarchy import Inference, infer, most_sweeps
 from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.population.pooling import pool
+from mfd_bayes.population.layout import pool
 from mfd_bayes.population.predict import setting_of
 
 
