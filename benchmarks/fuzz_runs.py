@@ -30,8 +30,8 @@ from mfd_bayes.execution import prepare_folder
 from mfd_bayes.manifest import hash_stored, read_manifest
 from mfd_bayes.pipeline import effort_of
 from mfd_bayes.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace

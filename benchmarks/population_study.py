@@ -17,10 +17,11 @@ from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.population.test_likelihood import Evidence, evidence_of
-from mfd_bayes.population.hierarchy import Inference, Population, infer
 from mfd_bayes.population.layout import Pooling, Setting, pool
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import setting_of
+from mfd_bayes.population.sampling import Inference, infer
+from mfd_bayes.population.test_likelihood import Evidence, evidence_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]

@@ -22,11 +22,11 @@ from mfd_bayes.population.law_scores import (
     compare_laws,
     free_exponents,
 )
-from mfd_bayes.population.test_likelihood import evidence_of
-from mfd_bayes.population.hierarchy import Inference, infer, most_sweeps
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.layout import pool
 from mfd_bayes.population.predict import setting_of
+from mfd_bayes.population.sampling import Inference, infer, most_sweeps
+from mfd_bayes.population.test_likelihood import evidence_of
 
 
 @dataclass(frozen=True, eq=False)

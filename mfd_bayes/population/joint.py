@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.jobs.likelihoods import Evaluate
-from mfd_bayes.population.test_likelihood import Evidence
 from mfd_bayes.population.laws import draw_shape
-from mfd_bayes.population.lines import FAR, Tuning, redraw, transport, untuned
 from mfd_bayes.population.layout import Choice, Pooling
+from mfd_bayes.population.lines import FAR, Tuning, redraw, transport, untuned
+from mfd_bayes.population.test_likelihood import Evidence
 
 Array = NDArray[np.float64]
 

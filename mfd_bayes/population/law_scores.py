@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy import optimize, special
 from scipy.stats import qmc
 
-from mfd_bayes.population.test_likelihood import Evidence
 from mfd_bayes.population.laws import COMPARE, LAWS, draw_shape, ratio, value_of
 from mfd_bayes.population.layout import LEVELS, Pooling, levels_of
+from mfd_bayes.population.test_likelihood import Evidence
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.test_likelihood import Evidence
 from mfd_bayes.population.layout import Pooling
+from mfd_bayes.population.test_likelihood import Evidence
 
 if TYPE_CHECKING:
     from mfd_bayes.population.joint import Chains, Joint

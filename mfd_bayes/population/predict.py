@@ -13,8 +13,8 @@ from mfd_bayes.calibration.posterior import theta_of
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.layout import Setting
+from mfd_bayes.population.population import Population
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]

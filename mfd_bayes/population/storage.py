@@ -13,9 +13,9 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.coordinates import Coordinates
-from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.layout import Effect, Pooling, Setting
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.stored import check_draws, check_facts
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
 

@@ -10,9 +10,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from mfd_bayes.calibration.priors import KINDS
 from mfd_bayes.errors import StoreError
-from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.layout import Pooling
+from mfd_bayes.population.population import Population
 from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
 _WIDEST = 40.0

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.population.test_likelihood import Evidence, without_prior
 from mfd_bayes.population.layout import Pooling, Setting, pool
+from mfd_bayes.population.test_likelihood import Evidence, without_prior
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.population import test_likelihood as evidence
-from mfd_bayes.population.test_likelihood import evidence_of, without_prior
 from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.test_likelihood import evidence_of, without_prior
 from mfd_bayes.records.trace import Trace
 
 

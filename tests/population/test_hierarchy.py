@@ -7,9 +7,10 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.population import hierarchy
-from mfd_bayes.population.hierarchy import WALKERS, Population, _correlate, infer
+from mfd_bayes.population import sampling as hierarchy
 from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.population import Population
+from mfd_bayes.population.sampling import WALKERS, _correlate, infer
 
 EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
 MEAN, SPREAD = 0.1, 0.1

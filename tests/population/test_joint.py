@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import kstest, norm
 
 from mfd_bayes.population import lines
-from mfd_bayes.population.test_likelihood import Evidence
 from mfd_bayes.population.joint import Chains, Joint
-from mfd_bayes.population.lines import Lines, _Profile, redraw, transport
 from mfd_bayes.population.layout import Pooling
+from mfd_bayes.population.lines import Lines, _Profile, redraw, transport
+from mfd_bayes.population.test_likelihood import Evidence
 
 CHAINS = 4096
 LEVELS = (0.5, 0.5, 0.9, 1.6)

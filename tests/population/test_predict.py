@@ -10,8 +10,8 @@ from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import KINDS, Forecast, band_of, predict, setting_of
 from mfd_bayes.records.trace import Trace
 

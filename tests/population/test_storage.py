@@ -10,9 +10,9 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.hierarchy import Population
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.layout import Pooling, Setting, pool
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Forecast, predict
 from mfd_bayes.population.storage import load_population, save_pooled, save_population
 from mfd_bayes.records.trace import Trace

@@ -12,12 +12,12 @@ from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.jobs.likelihoods import Evaluate
-from mfd_bayes.population.test_likelihood import Evidence
 from mfd_bayes.population.chains import History, TestDraws, by_walker
 from mfd_bayes.population.joint import Joint
-from mfd_bayes.population.laws import ratio
+from mfd_bayes.population.layout import Pooling
 from mfd_bayes.population.lines import tune
-from mfd_bayes.population.layout import Choice, Pooling, Setting
+from mfd_bayes.population.population import Population
+from mfd_bayes.population.test_likelihood import Evidence
 
 Array = NDArray[np.float64]
 
@@ -41,173 +41,6 @@ LATE = (0.1, 0.25, 0.5)
 
 SWEEPS = {100.0: 240, 400.0: 2000, 2000.0: 6000}
 """Sweeps at most, by the effective sample size that is asked for."""
-
-
-@dataclass(frozen=True, eq=False)
-class Population:
-    """Draws of the hyperparameters, (chain, draw) first.
-
-    Attributes
-    ----------
-    pooling : Pooling
-    h : (chain, draw, dim)
-        Scatter, effects' sd and shapes, as in `Pooling`.
-    latent : (chain, draw, 1 + cells, d)
-        Levels at the reference actuation, then the cells' effects, in prior units.
-    choice : (chain, draw, L) int
-        Law of each quantity that follows the actuation.
-    together : (chain, draw, d, d)
-        Cholesky factor of the correlation of the scatter: how quantities differ together.
-    priors : mapping of str to Prior
-    actuation_unit : str
-    walkers : int
-        A chain's draws are ordered by walker.
-    convergence : Convergence
-        Of scatter, effects' sd, shapes and levels.
-    """
-
-    pooling: Pooling
-    h: Array
-    latent: Array
-    choice: Choice
-    together: Array
-    priors: Mapping[str, Prior]
-    actuation_unit: str
-    walkers: int
-    convergence: Convergence
-
-    @property
-    def size(self) -> int:
-        """Number of draws of all chains."""
-        return int(self.h.shape[0] * self.h.shape[1])
-
-    @property
-    def levels(self) -> Array:
-        """Pooled coordinates of the medians at the reference actuation, (chain, draw, d)."""
-        return self.pooling.centre + self.pooling.spread * self.latent[:, :, 0]
-
-    @property
-    def scatters(self) -> dict[str, Array]:
-        """Test-to-test scatter of each quantity, (chain, draw); sd of its coordinate.
-
-        That is of the logarithm of what is positive, in kip for the offset.
-        """
-        return {name: np.exp(self.h[..., k]) for k, name in enumerate(self.pooling.names)}
-
-    @property
-    def effect_sds(self) -> dict[str, Array]:
-        """Sd of each effect of cells, by "name_group", (chain, draw)."""
-        begin = len(self.pooling.names)
-        return {
-            f"{effect.name}_{self.pooling.groups[effect.group]}": np.exp(self.h[..., begin + i])
-            for i, effect in enumerate(self.pooling.effects)
-        }
-
-    @property
-    def dependences(self) -> dict[str, Array]:
-        """Change of a quantity's coordinate per e-fold of a covariate, (chain, draw)."""
-        begin = len(self.pooling.names) + len(self.pooling.effects)
-        return {
-            f"{name}_{shape}": self.h[..., begin + i]
-            for i, (name, shape) in enumerate(self.pooling.shapes)
-            if shape in self.pooling.covariate_reference
-        }
-
-    def shapes(self, name: str) -> tuple[Array, Array]:
-        """Share and exponent of a quantity's law, (chain, draw) each."""
-        shape = self.h.shape[:2]
-        flat = self.h.reshape(self.size, -1), self.choice.reshape(self.size, -1)
-        share, exponent = self.pooling.law_shapes(*flat, name)
-        return share.reshape(shape), exponent.reshape(shape)
-
-    def ratio(self, name: str, actuation: Array) -> Array:
-        """Law's value at each actuation over that at the reference, (chain, draw, m)."""
-        relative = np.asarray(actuation) / self.pooling.reference
-        if name not in self.pooling.laws:
-            return np.ones((*self.h.shape[:2], relative.size))
-        share, exponent = self.shapes(name)
-        return ratio(relative, share[..., None], exponent[..., None])
-
-    def median(self, name: str, actuation: Array) -> Array:
-        """Median over tests of a quantity that follows a law, at each actuation.
-
-        (chain, draw, m); of others their median at the reference actuation.
-        """
-        level = self.pooling.coordinates.values(self.levels.reshape(self.size, -1))[name]
-        return level.reshape(*self.h.shape[:2], 1) * self.ratio(name, actuation)
-
-    @property
-    def slopes(self) -> dict[str, Array]:
-        """The paper's constants, as far as the laws are the paper's, (chain, draw) each.
-
-        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of
-        actuation, `sigma0_0` in kip/in.
-        """
-        p0 = self.pooling.reference
-        one = np.array([p0])
-        found: dict[str, Array] = {}
-        for side in ("fwd", "bwd"):
-            if self.pooling.laws.get(f"Fc_{side}") != "proportional":
-                continue
-            kinetic = self.median(f"Fc_{side}", one)[..., 0] / p0
-            found[f"K_c_{side}"] = kinetic
-            if f"static_excess_{side}" in self.pooling.names:
-                excess = self.median(f"static_excess_{side}", one)[..., 0]
-                found[f"K_s_{side}"] = kinetic * (1.0 + excess)
-        if "sigma0" in self.pooling.names:
-            stiffness = self.median("sigma0", np.array([0.0, p0]))
-            if self.pooling.laws.get("sigma0") in ("affine", "proportional"):
-                found["alpha_sigma0"] = (stiffness[..., 1] - stiffness[..., 0]) / p0
-            if self.pooling.laws.get("sigma0") == "affine":
-                found["sigma0_0"] = stiffness[..., 0]
-        return found
-
-    @property
-    def law_weights(self) -> dict[str, dict[str, float]]:
-        """Weight of each law that was considered, by quantity."""
-        return {name: dict(weights) for name, weights in self.pooling.weights.items()}
-
-    def draw_test(
-        self,
-        setting: Setting,
-        index: NDArray[np.intp],
-        rng: np.random.Generator,
-        *,
-        scattered: bool = True,
-    ) -> dict[str, Array]:
-        """Quantities of tests under a setting, by name, (n,) each.
-
-        Parameters
-        ----------
-        setting : Setting
-            Of a calibrated test's cell or of a new one.
-        index : (n,) int
-            Draws of the hyperparameters to take.
-        rng : numpy.random.Generator
-        scattered : bool
-            Whether they are tests with their scatter, or the median over tests.
-        """
-        pooling = self.pooling
-        h = self.h.reshape(self.size, -1)[index]
-        latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
-        x = latent[:, 0].copy()
-        choice = self.choice.reshape(self.size, -1)[index]
-        x += pooling.offsets(h, choice, [setting])[:, 0]
-        sd = pooling.effect_sd(h)
-        begin = 0
-        for effect in pooling.effects:
-            row, new = effect.row(pooling.cell_of(effect, setting))
-            parts = latent[:, 1 + begin : 1 + begin + len(row)]
-            for k in effect.members:
-                x[:, k] += parts[:, :, k] @ row
-                if scattered and new > 0:
-                    x[:, k] += new * sd[:, begin, k] * rng.standard_normal(len(x))
-            begin += len(row)
-        if scattered:
-            factor = self.together.reshape(self.size, *self.together.shape[2:])[index]
-            swing = np.einsum("nij,nj->ni", factor, rng.standard_normal(x.shape))
-            x += pooling.scatter(h) * swing
-        return pooling.coordinates.values(pooling.centre + pooling.spread * x)
 
 
 @dataclass(frozen=True, eq=False)
