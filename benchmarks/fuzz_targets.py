@@ -34,9 +34,9 @@ from fuzz_runs import (
 from fuzz_seeds import CAMPAIGN, jsons, matlab_v5, matlab_v73, priors, tdms, texts, workbook
 
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.campaign import load_campaign
+from mfd_bayes.campaign.draft.columns import guess_columns
+from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import MfdError
-from mfd_bayes.initiation.columns import guess_columns
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import read_record
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from mfd_bayes.demo import Truth, write_campaign
+from mfd_bayes.campaign.synthetic import Truth, write_campaign
 
 COMMAND = [str(Path(sys.executable).parent / "mfd-bayes")]
 EXITS = {

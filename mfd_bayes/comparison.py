@@ -20,7 +20,7 @@ from mfd_bayes.calibration.cycles import find_cycles
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
-from mfd_bayes.campaign import ModelName
+from mfd_bayes.campaign.file import ModelName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.reporting.views import ComparisonRow
 from mfd_bayes.run import Run

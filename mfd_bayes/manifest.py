@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from mfd_bayes.campaign import LawName, check_id
+from mfd_bayes.campaign.file import LawName, check_id
 from mfd_bayes.errors import StoreError
 from mfd_bayes.records.record import hash_file
 from mfd_bayes.store.files import MANIFEST, read_json

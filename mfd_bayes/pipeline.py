@@ -9,13 +9,13 @@ from pathlib import Path
 from mfd_bayes.assessment import assess, fails, verdicts
 from mfd_bayes.assessment.derived import predicted_rows
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.campaign import load_campaign
+from mfd_bayes.campaign.draft import Draft, campaign_text, doubts, draft_campaign, gaps
+from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
 from mfd_bayes.crossvalidation import fold_id, folds_of, parts_of, run_folds
-from mfd_bayes.demo import write_campaign
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import calibrate, discard
-from mfd_bayes.initiation import Draft, campaign_text, doubts, draft_campaign, gaps
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.lock import alone_in

@@ -4,7 +4,7 @@ import pickle
 import numpy as np
 import pytest
 
-from mfd_bayes.campaign import load_campaign
+from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError
 
 COLUMNS = """

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli import app
 from mfd_bayes.crossvalidation import folds_of, run_folds
-from mfd_bayes.demo import Truth, write_campaign
 from mfd_bayes.errors import FitError
 from mfd_bayes.execution import calibrate
 from mfd_bayes.jobs.job import Outcome, Progress

@@ -10,11 +10,11 @@ import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from mfd_bayes.campaign import load_campaign
+from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps
+from mfd_bayes.campaign.draft.levels import levels_in
+from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli import app
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.initiation import campaign_text, doubts, draft_campaign, gaps
-from mfd_bayes.initiation.levels import levels_in
 
 HEADER = "time_s,displacement_in,force_kip"
 

@@ -20,8 +20,8 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes import execution
+from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli import app
-from mfd_bayes.demo import Truth, write_campaign
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.plan import Options, plan_campaign
 

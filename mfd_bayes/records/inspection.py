@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mfd_bayes.assessment.bands import fan_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.campaign import Campaign, Test
+from mfd_bayes.campaign.file import Campaign, Test
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.readers import column_names

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from mfd_bayes.campaign.draft.columns import guess_columns, numbers_of
 from mfd_bayes.errors import RecordError
-from mfd_bayes.initiation.columns import guess_columns, numbers_of
 from mfd_bayes.records.readers import bounds, read_table
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
-from mfd_bayes.initiation.columns import Guess
-from mfd_bayes.initiation.draft import Draft, TestDraft
-from mfd_bayes.initiation.toml import column, commented, quoted
+from mfd_bayes.campaign.draft.columns import Guess
+from mfd_bayes.campaign.draft.draft import Draft, TestDraft
+from mfd_bayes.campaign.draft.toml import column, commented, quoted
 
 ROLES = ("time", "displacement", "force", "velocity")
 

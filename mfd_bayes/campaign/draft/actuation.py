@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mfd_bayes.campaign.draft.columns import Guess, numbers_of, unit_of
+from mfd_bayes.campaign.draft.levels import Level
 from mfd_bayes.errors import RecordError
-from mfd_bayes.initiation.columns import Guess, numbers_of, unit_of
-from mfd_bayes.initiation.levels import Level
 from mfd_bayes.records.readers import Table
 from mfd_bayes.units import ActuationUnit, actuation_factor
 

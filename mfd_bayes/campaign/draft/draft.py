@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.initiation.actuation import (
+from mfd_bayes.campaign.draft.actuation import (
     Seen,
     actuation_of,
     prevailing_unit,
     without_shared_levels,
 )
-from mfd_bayes.initiation.columns import Guess, guess_columns
-from mfd_bayes.initiation.levels import level_in_header, levels_in
+from mfd_bayes.campaign.draft.columns import Guess, guess_columns
+from mfd_bayes.campaign.draft.levels import level_in_header, levels_in
+from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import read_record
 from mfd_bayes.units import ActuationUnit

@@ -1,0 +1,1 @@
+"""The campaign file: read, drafted, or invented for the demo."""

@@ -1,0 +1,6 @@
+"""From a folder of test files to a first campaign file."""
+
+from mfd_bayes.campaign.draft.draft import Draft, draft_campaign
+from mfd_bayes.campaign.draft.writing import campaign_text, doubts, gaps
+
+__all__ = ["Draft", "campaign_text", "doubts", "draft_campaign", "gaps"]
