@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 from mfd_bayes.assessment import assess
-from mfd_bayes.run import open_run
+from mfd_bayes.runs.run import open_run
 
 
 def main() -> None:

@@ -35,7 +35,7 @@ from mfd_bayes.execution import calibrate
 from mfd_bayes.plan import Options
 from mfd_bayes.population.predict import Forecast, predict
 from mfd_bayes.population.scores import Score, score
-from mfd_bayes.run import Run
+from mfd_bayes.runs.run import Run
 
 DRAWS = 800
 PUBLISHED = {

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
-    from mfd_bayes.run import Run, open_run
+    from mfd_bayes.runs.run import Run, open_run
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
@@ -25,10 +25,10 @@ _HOMES = {
     "MfdError": "mfd_bayes.errors",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",
-    "Run": "mfd_bayes.run",
+    "Run": "mfd_bayes.runs.run",
     "ThreeStage": "mfd_bayes.friction.three_stage",
     "Trace": "mfd_bayes.records.trace",
-    "open_run": "mfd_bayes.run",
+    "open_run": "mfd_bayes.runs.run",
     "read_record": "mfd_bayes.records.record",
     "sample": "mfd_bayes.calibration.sampling",
 }

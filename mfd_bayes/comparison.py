@@ -23,7 +23,7 @@ from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign.file import ModelName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.reporting.views import ComparisonRow
-from mfd_bayes.run import Run
+from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, Step
-from mfd_bayes.manifest import check_stored, read_predictions_of
 from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.population.layout import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
 from mfd_bayes.population.scores import Score, score
-from mfd_bayes.run import Run, open_run
+from mfd_bayes.runs.manifest import check_stored, read_predictions_of
+from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import MANIFEST, read_json, write_json
 
 DRAWS = 800

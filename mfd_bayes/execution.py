@@ -17,12 +17,12 @@ from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Outcome, Progress, Step
-from mfd_bayes.lock import OWNER, alone_in
-from mfd_bayes.manifest import FOLDERS, check_links, check_stored, hash_stored, read_begun
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
-from mfd_bayes.run import POPULATION, PRIORS, Run, pooled_of, posterior_of, record_of
+from mfd_bayes.runs.lock import OWNER, alone_in
+from mfd_bayes.runs.manifest import FOLDERS, check_links, check_stored, hash_stored, read_begun
+from mfd_bayes.runs.run import POPULATION, PRIORS, Run, pooled_of, posterior_of, record_of
 from mfd_bayes.store.files import MANIFEST, is_part, sweep, write_bytes, write_json
 from mfd_bayes.store.netcdf import save_trace
 

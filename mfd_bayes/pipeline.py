@@ -18,8 +18,6 @@ from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import calibrate, discard
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.lock import alone_in
-from mfd_bayes.manifest import check_links, read_begun
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
 from mfd_bayes.records.faults import find_faults
@@ -48,7 +46,9 @@ from mfd_bayes.reporting.views import (
     Interval,
     LeftOutView,
 )
-from mfd_bayes.run import Run, open_run
+from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.manifest import check_links, read_begun
+from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import (
     MANIFEST,
     sweep,

@@ -20,11 +20,11 @@ from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign.file import Campaign, ModelName, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.jobs.dispatch import Workplace
-from mfd_bayes.manifest import FORMAT
 from mfd_bayes.population.layout import pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import FORMAT
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import pytest
 
-from mfd_bayes import lock
 from mfd_bayes.errors import StoreError
-from mfd_bayes.lock import OWNER, Owner, alone_in
+from mfd_bayes.runs import lock
+from mfd_bayes.runs.lock import OWNER, Owner, alone_in
 
 HOLD = """\
 import sys, time
 from pathlib import Path
 from mfd_bayes.jobs.signals import end_on_signals
-from mfd_bayes.lock import alone_in
+from mfd_bayes.runs.lock import alone_in
 
 with end_on_signals(), alone_in(Path(sys.argv[1])):
     print("in", flush=True)

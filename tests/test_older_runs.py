@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.manifest import FORMAT
 from mfd_bayes.pipeline import check, effort_of, report
-from mfd_bayes.run import open_run
+from mfd_bayes.runs.manifest import FORMAT
+from mfd_bayes.runs.run import open_run
 
 DATA = Path(__file__).parent / "data"
 

@@ -28,7 +28,7 @@ from mfd_bayes.reporting.views import (
     TestView,
     TruthRow,
 )
-from mfd_bayes.run import Run
+from mfd_bayes.runs.run import Run
 
 
 def assess(run: Run) -> CampaignView:

@@ -18,7 +18,7 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import DerivedRow
-from mfd_bayes.run import Run
+from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

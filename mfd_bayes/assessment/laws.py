@@ -15,7 +15,7 @@ from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
 from mfd_bayes.population.layout import Setting
 from mfd_bayes.reporting.views import LawView, Row
-from mfd_bayes.run import Run
+from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

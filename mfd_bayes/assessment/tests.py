@@ -27,7 +27,7 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.systems import US
 from mfd_bayes.reporting.views import Marginal, Row, TestView
-from mfd_bayes.run import Run
+from mfd_bayes.runs.run import Run
 from mfd_bayes.store.netcdf import StoredTest
 
 Array = NDArray[np.float64]

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import StoreError
-from mfd_bayes.manifest import check_links, check_stored, read_manifest
 from mfd_bayes.population.layout import SAME_LEVEL, same_level
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Band, Forecast, predict
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import check_links, check_stored, read_manifest
 from mfd_bayes.store.netcdf import load_trace
 
 if TYPE_CHECKING:

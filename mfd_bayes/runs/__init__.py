@@ -1,0 +1,1 @@
+"""A run folder: its layout, manifest and lock, and what is in it."""
