@@ -26,7 +26,6 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.crossvalidation import Fold, read_predictions
-from mfd_bayes.execution import prepare_folder
 from mfd_bayes.pipeline import effort_of
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.layout import Setting, pool
@@ -37,7 +36,8 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.views import CampaignView
-from mfd_bayes.runs.manifest import hash_stored, read_manifest
+from mfd_bayes.runs.folder import hash_stored, prepare_folder
+from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import write_json
 from mfd_bayes.store.netcdf import load_trace, save_test, save_trace

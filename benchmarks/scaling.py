@@ -35,7 +35,8 @@ from mfd_bayes.calibration.prior_files import find_priors, load_priors
 from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.pipeline import Options, Step, calibrate_campaign
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import MANIFEST, read_json
+from mfd_bayes.runs.folder import MANIFEST
+from mfd_bayes.store.files import read_json
 
 WORKERS = 2
 STAGES = ("tests", "population", "report")

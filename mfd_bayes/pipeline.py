@@ -15,7 +15,7 @@ from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
 from mfd_bayes.crossvalidation import fold_id, folds_of, parts_of, run_folds
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
-from mfd_bayes.execution import calibrate, discard
+from mfd_bayes.execution import calibrate
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.plan import Options, Plan, plan_campaign
@@ -46,17 +46,11 @@ from mfd_bayes.reporting.views import (
     Interval,
     LeftOutView,
 )
+from mfd_bayes.runs.folder import MANIFEST, check_links, discard, sweep
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.manifest import check_links, read_begun
+from mfd_bayes.runs.manifest import read_begun
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.store.files import (
-    MANIFEST,
-    sweep,
-    write_atomically,
-    write_bytes,
-    write_json,
-    write_text,
-)
+from mfd_bayes.store.files import write_atomically, write_bytes, write_json, write_text
 from mfd_bayes.units import parse_actuation
 
 __all__ = [

@@ -21,10 +21,11 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli import app
 from mfd_bayes.errors import FitError
-from mfd_bayes.execution import calibrate, discard
+from mfd_bayes.execution import calibrate
 from mfd_bayes.jobs import workers
 from mfd_bayes.jobs.workers import run_tasks
 from mfd_bayes.plan import Options, plan_campaign
+from mfd_bayes.runs.folder import discard
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/stat").is_file(), reason="looks for processes in Linux's /proc"

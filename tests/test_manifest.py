@@ -16,16 +16,10 @@ import pytest
 
 from mfd_bayes.crossvalidation import Fold, read_predictions
 from mfd_bayes.errors import StoreError
-from mfd_bayes.execution import discard, prepare_folder
 from mfd_bayes.pipeline import effort_of, report
 from mfd_bayes.plan import Options
-from mfd_bayes.runs.manifest import (
-    check_links,
-    check_stored,
-    hash_stored,
-    read_begun,
-    read_manifest,
-)
+from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored, prepare_folder
+from mfd_bayes.runs.manifest import read_begun, read_manifest
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import write_text
 

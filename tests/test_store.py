@@ -10,10 +10,10 @@ import xarray as xr
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.model import UNITS
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.folder import sweep
 from mfd_bayes.store.files import (
     is_part,
     read_json,
-    sweep,
     write_atomically,
     write_bytes,
     write_json,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import reprlib
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
@@ -13,8 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from mfd_bayes.campaign.file import LawName, check_id
 from mfd_bayes.errors import StoreError
-from mfd_bayes.records.record import hash_file
-from mfd_bayes.store.files import MANIFEST, read_json
+from mfd_bayes.runs.folder import MANIFEST
+from mfd_bayes.store.files import read_json
 from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
 Id = Annotated[str, AfterValidator(check_id)]
@@ -26,9 +25,6 @@ _RESULTS = {"law_scores", "free_exponents", "dependence_scores", "crossvalidatio
 FORMAT = 1
 """Of a run folder. It grows when what older versions of this program wrote is read otherwise; of
 the first, without a number, the manifest has no hashes."""
-
-FOLDERS = ("tests", "figures", "crossvalidation")
-"""Folders of a run folder."""
 
 
 class _Entry(Part):
@@ -242,68 +238,3 @@ def read_predictions_of(path: Path, tests: Iterable[str]) -> list[dict[str, Any]
     if found != list(tests):
         raise StoreError(f"{path} holds predictions of {', '.join(found)[:200]}, not of its part")
     return [prediction.model_dump() for prediction in content.predictions]
-
-
-def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
-    """Refuse a run folder that leads out of itself, where it is read or written.
-
-    Parameters
-    ----------
-    out : Path
-    names : iterable of str
-        Folders in it that are looked at.
-
-    Raises
-    ------
-    StoreError
-        When one of them, or something in them, is a link to outside of the run folder.
-    """
-    try:
-        home = out.resolve()
-        for name in names:
-            _check_inside(out / name, home)
-            for folder, folders, files in os.walk(out / name):
-                for entry in (*folders, *files):
-                    _check_inside(Path(folder) / entry, home)
-    except (OSError, RuntimeError) as error:  # links in a circle
-        raise StoreError(f"cannot read {out}: {error}") from error
-
-
-def _check_inside(path: Path, home: Path) -> None:
-    if path.is_symlink() and not path.resolve().is_relative_to(home):
-        raise StoreError(f"{path} is a link to outside of the run folder")
-
-
-def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
-    """Path of a stored file that is in its run folder and, where its hash is known, unchanged.
-
-    Parameters
-    ----------
-    out : Path
-        Run folder.
-    name : str
-        Path of the file in it, with slashes.
-    digests : mapping of str to str
-        SHA-256 of files by such names.
-
-    Raises
-    ------
-    StoreError
-        When the file lies elsewhere, is missing, or is another than was written.
-    """
-    path = out / name
-    try:
-        if not path.resolve().is_relative_to(out.resolve()):
-            raise StoreError(f"{path} is a link to outside of the run folder")
-        if name in digests and hash_file(path) != digests[name]:
-            raise StoreError(
-                f"{path} is not what this run wrote: its SHA-256 is not that in {MANIFEST}"
-            )
-    except (OSError, RuntimeError) as error:
-        raise StoreError(f"cannot read {path}: {error}") from error
-    return path
-
-
-def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
-    """SHA-256 of those files of a run folder that there are."""
-    return {name: hash_file(out / name) for name in names if (out / name).is_file()}

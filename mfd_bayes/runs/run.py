@@ -18,32 +18,21 @@ from mfd_bayes.population.layout import SAME_LEVEL, same_level
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Band, Forecast, predict
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import check_links, check_stored, read_manifest
+from mfd_bayes.runs.folder import (
+    POPULATION,
+    PRIORS,
+    check_links,
+    check_stored,
+    posterior_of,
+    record_of,
+)
+from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.store.netcdf import load_trace
 
 if TYPE_CHECKING:
     pass
 
 Array = NDArray[np.float64]
-
-
-PRIORS = "priors.toml"
-POPULATION = "population.nc"
-
-
-def posterior_of(test_id: str) -> str:
-    """Where a run folder holds the posterior of a test."""
-    return f"tests/{test_id}/posterior.nc"
-
-
-def pooled_of(test_id: str) -> str:
-    """Where a run folder holds the posterior of a test after pooling."""
-    return f"tests/{test_id}/pooled.nc"
-
-
-def record_of(test_id: str) -> str:
-    """Where a run folder holds the record of a test that is predicted, never fitted."""
-    return f"tests/{test_id}/record.nc"
 
 
 @dataclass(frozen=True, eq=False)

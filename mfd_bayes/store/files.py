@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MANIFEST = "manifest.json"
-
 
 _PART = ".part"
 _LARGEST_JSON = 64 * 2**20
@@ -59,15 +57,6 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 def is_part(path: Path, name: str) -> bool:
     """Whether a file is what a killed process was writing in the place of `name`."""
     return path.name.startswith(f".{name}.") and path.suffix == _PART
-
-
-def sweep(out: Path) -> None:
-    """Remove from a run folder what a killed process was writing, where it can be removed."""
-    folders = [out / name for name in ("tests", "figures", "crossvalidation")]
-    for parts in (out.glob, *(folder.rglob for folder in folders)):
-        for part in parts(f".*{_PART}"):
-            with suppress(OSError):  # why not will be said of what is to be written
-                part.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
