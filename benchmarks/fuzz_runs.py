@@ -36,8 +36,9 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.views import CampaignView
-from mfd_bayes.runs.folder import hash_stored, prepare_folder
+from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.resumption import prepare_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import write_json
 from mfd_bayes.store.netcdf import load_trace, save_test, save_trace
@@ -235,10 +236,10 @@ def read_population(path: Path) -> object:
 def read_resumed(path: Path) -> object:
     """A run folder as it is gone on with."""
     plan = plan_of(small=True)
-    own = replace(plan, manifest=deepcopy(plan.manifest))
-    options = Options(effort=effort_of(path.parent, None, resume=True), resume=True)
-    before = prepare_folder(own, path.parent, options)
-    return json.dumps(own.manifest), before.keys()
+    effort_of(path.parent, None, resume=True)
+    manifest, home = deepcopy(plan.manifest), plan.campaign.folder
+    before = prepare_folder(manifest, home, path.parent, resume=True, force=False)
+    return json.dumps(manifest), before.keys()
 
 
 def read_fold(path: Path) -> object:

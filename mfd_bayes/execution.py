@@ -19,16 +19,17 @@ from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
 from mfd_bayes.runs.folder import (
-    _STORED,
     MANIFEST,
     POPULATION,
     PRIORS,
     hash_stored,
+    pooled_of,
     posterior_of,
-    prepare_folder,
+    record_of,
     sweep,
 )
 from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.resumption import prepare_folder
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_bytes, write_json
 from mfd_bayes.store.netcdf import save_trace
@@ -72,7 +73,9 @@ def calibrate(
     plan.manifest.update(extra or {})
     check_workers(options)
     with alone_in(out):
-        before = prepare_folder(plan, out, options)
+        before = prepare_folder(
+            plan.manifest, plan.campaign.folder, out, resume=options.resume, force=options.force
+        )
         try:
             anew = _calibrate_tests(plan, out, options, observe)
             results = _results(plan, out)
@@ -88,11 +91,11 @@ def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) 
     manifest = plan.manifest
     write_json(out / MANIFEST, manifest)  # before all else: it makes the folder a run's
     write_bytes(out / "campaign.toml", plan.campaign.path.read_bytes())
-    write_bytes(out / "priors.toml", plan.priors.path.read_bytes())
+    write_bytes(out / PRIORS, plan.priors.path.read_bytes())
     for name, trace in plan.held_out.items():
-        save_trace(out / "tests" / name / "record.nc", trace, {})
+        save_trace(out / record_of(name), trace, {})
         manifest["tests"][name]["status"] = "held out"
-    todo = [t for t in plan.tasks if not (out / "tests" / t.id / "posterior.nc").is_file()]
+    todo = [t for t in plan.tasks if not (out / posterior_of(t.id)).is_file()]
     for task in plan.tasks:
         if task not in todo:
             manifest["tests"][task.id]["status"] = "done"
@@ -116,7 +119,7 @@ def _results(plan: Plan, out: Path) -> dict[str, TestResult]:
     """Tests that have a posterior."""
     found: dict[str, TestResult] = {}
     for task in plan.tasks:
-        file = out / "tests" / task.id / "posterior.nc"
+        file = out / posterior_of(task.id)
         if file.is_file():
             found[task.id] = load_result(task.id, file, plan.priors)
     if not found:
@@ -127,7 +130,7 @@ def _results(plan: Plan, out: Path) -> dict[str, TestResult]:
 
 def _keep_population(plan: Plan, out: Path, before: Mapping[str, Any]) -> bool:
     """Take over the population of a run that was finished, where it has one."""
-    if before.get("status") != "finished" or not (out / "population.nc").is_file():
+    if before.get("status") != "finished" or not (out / POPULATION).is_file():
         return False
     keys = [key for key in (*_POPULATION, "crossvalidation") if key in before]
     plan.manifest.update({key: before[key] for key in keys})
@@ -152,9 +155,9 @@ def _pool_tests(
     inference = pooled.inference
     population = inference.population
     for name, draws in zip(results, inference.tests, strict=True):
-        file = out / "tests" / name / "pooled.nc"
+        file = out / pooled_of(name)
         save_pooled(file, population.pooling, draws, UNITS, name)
-    save_population(out / "population.nc", population)
+    save_population(out / POPULATION, population)
     manifest["law_scores"] = [asdict(score) for score in pooled.scores]
     manifest["free_exponents"] = pooled.exponents
     manifest["dependence_scores"] = [asdict(score) for score in pooled.dependence]
@@ -171,7 +174,9 @@ def _pool_tests(
 
 def _finish(plan: Plan, out: Path, results: Mapping[str, TestResult]) -> Run:
     manifest = plan.manifest
-    names = [path(test) for test in manifest["tests"] for path in _STORED]
+    names = [
+        path(test) for test in manifest["tests"] for path in (posterior_of, pooled_of, record_of)
+    ]
     manifest["files"] = hash_stored(out, [PRIORS, POPULATION, *names])
     manifest["status"] = "finished"
     manifest["finished"] = datetime.now(UTC).isoformat(timespec="seconds")

@@ -24,6 +24,7 @@ from mfd_bayes.population.layout import pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.folder import posterior_of
 from mfd_bayes.runs.manifest import FORMAT
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
@@ -196,6 +197,7 @@ def _task(
     digest = hashlib.sha256(test.id.encode()).digest()
     return Task(
         id=test.id,
+        file=posterior_of(test.id),
         trace=trace,
         priors=priors,
         model=campaign.model,

@@ -17,9 +17,9 @@ import pytest
 from mfd_bayes.crossvalidation import Fold, read_predictions
 from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline import effort_of, report
-from mfd_bayes.plan import Options
-from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored, prepare_folder
+from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored
 from mfd_bayes.runs.manifest import read_begun, read_manifest
+from mfd_bayes.runs.resumption import prepare_folder
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import write_text
 
@@ -219,7 +219,7 @@ def resumed(runs, made, tmp_path):
 
 def test_a_finished_run_is_gone_on_with(resumed):
     plan, out = resumed
-    before = prepare_folder(plan, out, Options(effort="quick", resume=True))
+    before = prepare_folder(plan.manifest, plan.campaign.folder, out, resume=True, force=False)
     assert before["status"] == "finished"
     assert plan.manifest["tests"]["a"]["status"] == "done"
     assert plan.manifest["seconds"] == 1.0
@@ -242,7 +242,7 @@ def test_a_run_that_says_something_else_is_not_gone_on_with(resumed, key, value)
     plan, out = resumed
     change(out, lambda manifest: manifest.update({key: value, "status": "running"}))
     with pytest.raises(StoreError, match=f"cannot be resumed: .*{key}.*--force"):
-        prepare_folder(plan, out, Options(effort="quick", resume=True))
+        prepare_folder(plan.manifest, plan.campaign.folder, out, resume=True, force=False)
     with pytest.raises(StoreError, match=key):
         effort_of(out, None, resume=True)
 
@@ -250,7 +250,7 @@ def test_a_run_that_says_something_else_is_not_gone_on_with(resumed, key, value)
 def test_of_an_earlier_session_only_its_end_is_taken_over(resumed):
     plan, out = resumed
     change(out, lambda manifest: manifest["tests"]["a"].update(role="validate", rate=1.0))
-    prepare_folder(plan, out, Options(effort="quick", resume=True))
+    prepare_folder(plan.manifest, plan.campaign.folder, out, resume=True, force=False)
     assert plan.manifest["tests"]["a"]["role"] == "calibrate"
     assert plan.manifest["tests"]["a"]["rate"] != 1.0
 
@@ -260,7 +260,7 @@ def test_settings_with_endless_names_are_told_in_a_sentence(resumed):
     names = {f"{i}{'x' * 3000}": i for i in range(100)}
     change(out, lambda manifest: manifest["settings"].update(names))
     with pytest.raises(StoreError, match=r"settings .*and more") as caught:
-        prepare_folder(plan, out, Options(effort="quick", resume=True))
+        prepare_folder(plan.manifest, plan.campaign.folder, out, resume=True, force=False)
     assert len(str(caught.value)) < 1500
 
 
@@ -326,8 +326,8 @@ def test_nothing_is_written_through_a_link(resumed, tmp_path, name):
         lambda: open_run(out),
         lambda: report(out),
         lambda: discard(out),
-        lambda: prepare_folder(plan, out, Options(effort="quick", resume=True)),
-        lambda: prepare_folder(plan, out, Options(effort="quick", force=True)),
+        lambda: prepare_folder(plan.manifest, plan.campaign.folder, out, resume=True, force=False),
+        lambda: prepare_folder(plan.manifest, plan.campaign.folder, out, resume=False, force=True),
     ):
         with pytest.raises(StoreError, match="outside of the run folder"):
             act()

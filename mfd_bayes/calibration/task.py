@@ -30,9 +30,13 @@ REPLICAS = 50
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """All that a test's calibration needs: small enough to send."""
+    """All that a test's calibration needs: small enough to send.
+
+    `file` is where in the run folder its posterior is stored.
+    """
 
     id: str
+    file: str
     trace: Trace
     priors: PriorFile
     model: str
@@ -44,7 +48,7 @@ class Task:
     @property
     def makes(self) -> tuple[str, ...]:
         """Its posterior."""
-        return (f"tests/{self.id}/posterior.nc",)
+        return (self.file,)
 
     def needs(self, out: Path) -> tuple[str, ...]:
         """Nothing of the run folder."""
@@ -56,7 +60,7 @@ class Task:
 
 
 def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-    """Sample one test's posterior and store it under `out`/tests/ID/posterior.nc.
+    """Sample one test's posterior and store it in a run folder.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
             task.seed,
             report=lambda progress: observe(Step(task.id, "sampling", progress)),
         )
-        _save(task, posterior, draws, out / "tests" / task.id / "posterior.nc")
+        _save(task, posterior, draws, out / task.file)
     except StoreError:
         raise
     except MfdError as error:

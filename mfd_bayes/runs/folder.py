@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.plan import Options, Plan
 from mfd_bayes.records.record import hash_file
-from mfd_bayes.runs.lock import OWNER
-from mfd_bayes.runs.manifest import read_begun
-from mfd_bayes.store.files import is_part
+from mfd_bayes.store.files import PART
 
-if TYPE_CHECKING:
-    pass
-from mfd_bayes.store.files import _PART
-
-if TYPE_CHECKING:
-    pass
-
-
+MANIFEST = "manifest.json"
+CAMPAIGN = "campaign.toml"
 PRIORS = "priors.toml"
-
-
 POPULATION = "population.nc"
+FOLDERS = ("tests", "figures", "crossvalidation")
+"""Folders of a run folder."""
 
 
 def posterior_of(test_id: str) -> str:
@@ -44,10 +34,6 @@ def pooled_of(test_id: str) -> str:
 def record_of(test_id: str) -> str:
     """Where a run folder holds the record of a test that is predicted, never fitted."""
     return f"tests/{test_id}/record.nc"
-
-
-FOLDERS = ("tests", "figures", "crossvalidation")
-"""Folders of a run folder."""
 
 
 def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
@@ -122,101 +108,10 @@ _TABLES = (
 )
 
 
-_OUTPUTS = ("population.nc", *_TABLES, "report.html", "report.pdf", "campaign.toml", "priors.toml")
+_OUTPUTS = (POPULATION, *_TABLES, "report.html", "report.pdf", CAMPAIGN, PRIORS)
 
 
-_STORED = (posterior_of, pooled_of, record_of)
-
-
-_TOLD = 10
-"""Most entries that are told to differ."""
-
-
-_DISCARDED = f".{MANIFEST}.discarded"
-
-
-def prepare_folder(plan: Plan, out: Path, options: Options) -> dict[str, Any]:
-    """Check that a folder may be begun, finished or replaced; leave in it what is kept.
-
-    What the plan's manifest keeps of an earlier session is added to it.
-
-    Returns
-    -------
-    dict
-        Manifest of the run that is gone on with, or empty.
-
-    Raises
-    ------
-    StoreError
-        When the folder may not be begun, or holds something else than this plan's run.
-    """
-    check_links(out)
-    if _is_free(plan, out):
-        return {}
-    if not (options.resume or options.force):
-        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
-    if options.force or (out / _DISCARDED).exists():
-        discard(out)
-        return {}
-    try:
-        before = read_begun(out)
-    except StoreError as error:
-        raise StoreError(
-            f"{out} cannot be resumed: {error}; give --force to start again"
-        ) from error
-    for key in ("settings", "inputs", "seed", "effort", "versions"):
-        changed = _changes(before.get(key), json.loads(json.dumps(plan.manifest[key])))
-        if changed is not None:
-            raise StoreError(
-                f"{out} cannot be resumed: {key}{changed} changed since it was started; "
-                "give --force to start again"
-            )
-    _keep(plan.manifest, before)
-    plan.manifest["files"] = _kept_files(plan.manifest["tests"], out, before.get("files") or {})
-    return before
-
-
-def _keep(manifest: dict[str, Any], before: dict[str, Any]) -> None:
-    """Take over from an earlier session what this one will not find out again."""
-    manifest |= {key: before[key] for key in ("truth", "started") if key in before}
-    manifest["seconds"] = before.get("seconds") or 0.0
-    for name, entry in before["tests"].items():
-        if name in manifest["tests"] and entry["status"] == "done":
-            manifest["tests"][name] |= {k: entry[k] for k in ("status", "seconds") if k in entry}
-
-
-def _kept_files(tests: Iterable[str], out: Path, digests: Mapping[str, str]) -> dict[str, str]:
-    """Hashes of the posteriors that are gone on with, after a look whether they still hold.
-
-    Of other files none is kept, nor of one that is gone: they are written anew, and before
-    their hashes, so that a kill in between would leave a file that is not that of its hash.
-    """
-    names = [name for name in map(posterior_of, tests) if (out / name).is_file()]
-    for name in (*names, *([POPULATION] if (out / POPULATION).is_file() else [])):
-        check_stored(out, name, digests)
-    return {name: digests[name] for name in names if name in digests}
-
-
-def _is_free(plan: Plan, out: Path) -> bool:
-    """Whether a folder holds nothing but the campaign itself, or what was to be its manifest."""
-    return all(
-        entry.resolve() == plan.campaign.folder
-        or entry.name == OWNER
-        or is_part(entry, MANIFEST)
-        or is_part(entry, OWNER)
-        for entry in out.iterdir()
-    )
-
-
-def _changes(old: object, new: object) -> str | None:
-    """Which entries differ, in brackets; "" for a plain value, None where all are the same."""
-    if old == new:
-        return None
-    if not (isinstance(old, dict) and isinstance(new, dict)):
-        return ""
-    names = [key for key in {**old, **new} if old.get(key) != new.get(key)]
-    told = ", ".join(name[:60] for name in names[:_TOLD])
-    return f" ({told}{', and more' if len(names) > _TOLD else ''})"
+DISCARDED = f".{MANIFEST}.discarded"
 
 
 def discard(out: Path) -> None:
@@ -228,7 +123,7 @@ def discard(out: Path) -> None:
         When the folder is not a run folder, or something in it cannot be removed.
     """
     check_links(out)
-    begun = out / _DISCARDED
+    begun = out / DISCARDED
     try:
         if (out / MANIFEST).is_file():
             (out / MANIFEST).replace(begun)
@@ -245,13 +140,10 @@ def discard(out: Path) -> None:
         raise StoreError(f"cannot remove {error.filename}: {error.strerror}") from error
 
 
-MANIFEST = "manifest.json"
-
-
 def sweep(out: Path) -> None:
     """Remove from a run folder what a killed process was writing, where it can be removed."""
-    folders = [out / name for name in ("tests", "figures", "crossvalidation")]
+    folders = [out / name for name in FOLDERS]
     for parts in (out.glob, *(folder.rglob for folder in folders)):
-        for part in parts(f".*{_PART}"):
+        for part in parts(f".*{PART}"):
             with suppress(OSError):  # why not will be said of what is to be written
                 part.unlink(missing_ok=True)

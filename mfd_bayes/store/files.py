@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-_PART = ".part"
+PART = ".part"
 _LARGEST_JSON = 64 * 2**20
 _DEEPEST = 50
 
@@ -36,7 +36,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=_PART)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=PART)
         os.close(handle)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror}") from error
@@ -56,7 +56,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 
 def is_part(path: Path, name: str) -> bool:
     """Whether a file is what a killed process was writing in the place of `name`."""
-    return path.name.startswith(f".{name}.") and path.suffix == _PART
+    return path.name.startswith(f".{name}.") and path.suffix == PART
 
 
 def write_text(path: Path, text: str) -> None:
