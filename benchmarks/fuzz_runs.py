@@ -25,7 +25,6 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import load_result
-from mfd_bayes.crossvalidation import Fold, read_predictions
 from mfd_bayes.pipeline import effort_of
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.layout import Setting, pool
@@ -42,6 +41,7 @@ from mfd_bayes.runs.resumption import prepare_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import write_json
 from mfd_bayes.store.netcdf import load_trace, save_test, save_trace
+from mfd_bayes.validation.folds import Fold, read_predictions
 
 LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
 MANIFEST = "manifest.json"

@@ -30,12 +30,12 @@ from pathlib import Path
 import heldout_records as records
 import numpy as np
 
-from mfd_bayes.crossvalidation import folds_of, run_folds
 from mfd_bayes.execution import calibrate
 from mfd_bayes.plan import Options
 from mfd_bayes.population.predict import Forecast, predict
-from mfd_bayes.population.scores import Score, score
 from mfd_bayes.runs.run import Run
+from mfd_bayes.validation.folds import folds_of, run_folds
+from mfd_bayes.validation.scores import Score, score
 
 DRAWS = 800
 PUBLISHED = {

@@ -12,8 +12,6 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.draft import Draft, campaign_text, doubts, draft_campaign, gaps
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.campaign.synthetic import write_campaign
-from mfd_bayes.comparison import Comparison, check_cycles, check_models, compare_runs
-from mfd_bayes.crossvalidation import fold_id, folds_of, parts_of, run_folds
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.execution import calibrate
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
@@ -52,6 +50,8 @@ from mfd_bayes.runs.manifest import read_begun
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import write_atomically, write_bytes, write_json, write_text
 from mfd_bayes.units import parse_actuation
+from mfd_bayes.validation.folds import fold_id, folds_of, parts_of, run_folds
+from mfd_bayes.validation.models import Comparison, check_cycles, check_models, compare_runs
 
 __all__ = [
     "CampaignView",

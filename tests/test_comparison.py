@@ -8,16 +8,16 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes import comparison
-from mfd_bayes.calibration.cross_validation import CrossValidation
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli import app
-from mfd_bayes.comparison import ALL, compare_runs
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.baselines import BoucWen
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import comparison_csv
+from mfd_bayes.validation import models as comparison
+from mfd_bayes.validation.loo import CrossValidation
+from mfd_bayes.validation.models import ALL, compare_runs
 
 CYCLES = 6
 RNG = np.random.default_rng(0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.scores import Score, score
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.views import Fan, Interval, ScoreRow
+from mfd_bayes.validation.scores import Score, score
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.population.scores import Score
 from mfd_bayes.reporting.views import LeftOutRow, LeftOutView
+from mfd_bayes.validation.scores import Score
 
 
 def left_out_view(stored: Mapping[str, Any] | None) -> LeftOutView | None:

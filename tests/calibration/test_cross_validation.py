@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.cross_validation import (
+from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.sampling import sample
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.validation.evidence import log_evidence
+from mfd_bayes.validation.loo import (
     LARGEST_K,
     CrossValidation,
     cross_validate,
@@ -13,13 +20,6 @@ from mfd_bayes.calibration.cross_validation import (
     leave_out,
     standard_error,
 )
-from mfd_bayes.calibration.diagnostics import psis
-from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.marginal_likelihood import log_evidence
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.calibration.sampling import sample
-from mfd_bayes.records.trace import Trace
 
 FILE = load_priors("brfd")
 SHORT = Effort(ess=60, limit=400, r_hat=1.1, length=2.0, ensembles=2, walkers=32, kept=800)

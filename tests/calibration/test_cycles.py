@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from mfd_bayes.calibration.cycles import (
-    FEWEST,
-    conditional_density,
-    cycle_log_likelihood,
-    find_cycles,
-)
 from mfd_bayes.calibration.likelihood import NOISES, memory
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.validation.cycles import (
+    FEWEST,
+    conditional_density,
+    cycle_log_likelihood,
+    find_cycles,
+)
 
 FILE = load_priors("brfd")
 TIMES = {

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.population.scores import COVERAGES, Score, crps, rrse, score
+from mfd_bayes.validation.scores import COVERAGES, Score, crps, rrse, score
 
 
 def normal_crps(mean, sd, y):

@@ -23,11 +23,11 @@ from mfd_bayes.jobs.job import Outcome, Step
 from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.population.layout import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
-from mfd_bayes.population.scores import Score, score
 from mfd_bayes.runs.folder import MANIFEST, check_stored
 from mfd_bayes.runs.manifest import read_predictions_of
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import read_json, write_json
+from mfd_bayes.validation.scores import Score, score
 
 DRAWS = 800
 """Draws of a band that is scored."""

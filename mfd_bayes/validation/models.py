@@ -9,14 +9,6 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.cross_validation import (
-    LARGEST_K,
-    CrossValidation,
-    cross_validate,
-    difference,
-    join,
-)
-from mfd_bayes.calibration.cycles import find_cycles
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
@@ -24,6 +16,14 @@ from mfd_bayes.campaign.file import ModelName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.reporting.views import ComparisonRow
 from mfd_bayes.runs.run import Run
+from mfd_bayes.validation.cycles import find_cycles
+from mfd_bayes.validation.loo import (
+    LARGEST_K,
+    CrossValidation,
+    cross_validate,
+    difference,
+    join,
+)
 
 Array = NDArray[np.float64]
 

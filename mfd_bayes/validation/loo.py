@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.cycles import Cycles, cycle_log_likelihood, find_cycles
 from mfd_bayes.calibration.diagnostics import measure_draws, psis
-from mfd_bayes.calibration.marginal_likelihood import log_evidence
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.validation.cycles import Cycles, cycle_log_likelihood, find_cycles
+from mfd_bayes.validation.evidence import log_evidence
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""How well tests are predicted that a fit has not seen."""
