@@ -22,13 +22,13 @@ from mfd_bayes.reporting.views import (
     STANDING,
     CampaignView,
     Check,
-    ComparisonRow,
     LawView,
     Row,
     TestView,
     TruthRow,
 )
 from mfd_bayes.runs.run import Run
+from mfd_bayes.validation.models import ComparisonRow
 
 
 def assess(run: Run) -> CampaignView:

@@ -14,13 +14,13 @@ from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.reporting.views import (
     CampaignView,
     Check,
-    ComparisonRow,
     DerivedRow,
     LawChoice,
     LeftOutView,
     Row,
     ScoreRow,
 )
+from mfd_bayes.validation.models import ComparisonRow
 
 _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.identifiability import Identifiability
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.validation.models import ComparisonRow
 
 Array = NDArray[np.float64]
 
@@ -261,42 +262,6 @@ class TestView:
     derived: tuple[DerivedRow, ...] = ()
     stage: NDArray[np.int8] | None = None
     travel: Array | None = None
-
-
-@dataclass(frozen=True)
-class ComparisonRow:
-    """How well a model predicts the cycles of a test, or of all tests, that it has not seen.
-
-    Attributes
-    ----------
-    subject, model : str
-    cycles : int
-    elpd, elpd_se : float
-        Expected log predictive density of all cycles, and its standard error over them.
-    p_loo : float
-        Effective number of parameters.
-    worst_k, bad : float
-        Largest Pareto k of PSIS, and the share of cycles in which it is too large for it.
-    unsettled : float
-        Share of cycles in which k is too large also after they were computed anew.
-    difference, difference_se : float
-        Elpd less that of the best model, and its standard error, paired over cycles.
-    rrse : float
-        Root relative squared error of the posterior median, of the record that it has seen.
-    """
-
-    subject: str
-    model: str
-    cycles: int
-    elpd: float
-    elpd_se: float
-    p_loo: float
-    worst_k: float
-    bad: float
-    unsettled: float
-    difference: float
-    difference_se: float
-    rrse: float
 
 
 @dataclass(frozen=True, eq=False)
