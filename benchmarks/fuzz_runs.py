@@ -17,9 +17,10 @@ from fuzz_mutations import Rng
 from fuzz_seeds import FORCE, MOTION, TIME, priors, texts
 
 from mfd_bayes.assessment import assess, verdicts
-from mfd_bayes.assessment.campaign import put_together
+from mfd_bayes.assessment.fits import calibrated_view, held_out_view
 from mfd_bayes.assessment.laws import law_rows, law_views
-from mfd_bayes.assessment.tests import calibrated_view, held_out_view
+from mfd_bayes.assessment.verdict import put_together
+from mfd_bayes.assessment.views import CampaignView
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
@@ -34,7 +35,6 @@ from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
-from mfd_bayes.reporting.views import CampaignView
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.resumption import prepare_folder

@@ -7,7 +7,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.assessment import assess, fails, verdicts
-from mfd_bayes.assessment.derived import predicted_rows
+from mfd_bayes.assessment.derived_rows import predicted_rows
+from mfd_bayes.assessment.views import (
+    IDENTIFIABILITY,
+    CampaignView,
+    Check,
+    DerivedRow,
+    Fan,
+    Interval,
+    LeftOutView,
+)
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.draft import Draft, campaign_text, doubts, draft_campaign, gaps
 from mfd_bayes.campaign.file import load_campaign
@@ -34,15 +43,6 @@ from mfd_bayes.reporting.tables import (
     bands_csv,
     comparison_csv,
     predicted_csv,
-)
-from mfd_bayes.reporting.views import (
-    IDENTIFIABILITY,
-    CampaignView,
-    Check,
-    DerivedRow,
-    Fan,
-    Interval,
-    LeftOutView,
 )
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard, sweep
 from mfd_bayes.runs.lock import alone_in

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.assessment.views import Fan, Interval, ScoreRow
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.views import Fan, Interval, ScoreRow
 from mfd_bayes.validation.scores import Score, score
 
 Array = NDArray[np.float64]

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
-from mfd_bayes.calibration.predictive import PredictiveCheck
-from mfd_bayes.reporting.views import (
+from mfd_bayes.assessment.views import (
     CONTRACTION,
     DIRECTIONS,
     LIKELIHOOD_SENSITIVITY,
@@ -19,6 +17,8 @@ from mfd_bayes.reporting.views import (
     Check,
     Row,
 )
+from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
+from mfd_bayes.calibration.predictive import PredictiveCheck
 
 INFORMED = 0.5
 """Share of the prior's variance that the data must remove from a parameter to inform it."""

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from mfd_bayes.assessment.bands import fan_of
 from mfd_bayes.assessment.checks import INFORMED, NOT_INFORMED
-from mfd_bayes.assessment.law_scores import weighed
+from mfd_bayes.assessment.law_choices import weighed
+from mfd_bayes.assessment.views import LawView, Row
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
 from mfd_bayes.population.layout import Setting
-from mfd_bayes.reporting.views import LawView, Row
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.reporting.views import LeftOutRow, LeftOutView
+from mfd_bayes.assessment.views import LeftOutRow, LeftOutView
 from mfd_bayes.validation.scores import Score
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.assessment.bands import fan_of
+from mfd_bayes.assessment.views import Fan
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.file import Campaign, Test
@@ -16,7 +17,6 @@ from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.readers import column_names
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.views import Fan
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mfd_bayes.reporting.views import (
+from mfd_bayes.assessment.views import (
     IDENTIFIABILITY,
     STANDING,
     CampaignView,

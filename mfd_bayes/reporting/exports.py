@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+from mfd_bayes.assessment.views import CampaignView, Row
 from mfd_bayes.reporting.latex import laws_tex, parameters_tex
-from mfd_bayes.reporting.views import CampaignView, Row
 
 INTERVAL = {"kind": "equal-tailed", "probability": 0.95}
 _FIGURES = (

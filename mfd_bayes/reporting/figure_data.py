@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
 from mfd_bayes.reporting.tables import csv_text
-from mfd_bayes.reporting.views import Array, CampaignView, Fan, TestView, TruthRow
 
 DRAWS = 2000
 """Draws of a joint posterior that are written."""

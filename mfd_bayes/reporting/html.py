@@ -15,8 +15,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from mfd_bayes.assessment.views import STANDING, CampaignView, TestView
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
+from mfd_bayes.reporting.conversion import SI, SYSTEMS
 from mfd_bayes.reporting.digest import (
     UNINFORMED,
     convergence_of,
@@ -31,8 +33,6 @@ from mfd_bayes.reporting.digest import (
 )
 from mfd_bayes.reporting.explorer import explore
 from mfd_bayes.reporting.figure_data import table_of
-from mfd_bayes.reporting.systems import SI, SYSTEMS
-from mfd_bayes.reporting.views import STANDING, CampaignView, TestView
 
 ONE_PAGE = 12
 """A report of more tests has a page for each."""

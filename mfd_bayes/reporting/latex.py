@@ -6,8 +6,8 @@ import string
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 
+from mfd_bayes.assessment.views import CampaignView, Row, TestView
 from mfd_bayes.reporting.symbols import maths, meaning, number, of_population, printable, unit_text
-from mfd_bayes.reporting.views import CampaignView, Row, TestView
 
 TESTS = 3
 """Columns of tests in one tabular, so that it fits the width of a page of an article."""

@@ -8,10 +8,7 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 
-from mfd_bayes.population.predict import Band
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.symbols import printable
-from mfd_bayes.reporting.views import (
+from mfd_bayes.assessment.views import (
     CampaignView,
     Check,
     DerivedRow,
@@ -20,6 +17,9 @@ from mfd_bayes.reporting.views import (
     Row,
     ScoreRow,
 )
+from mfd_bayes.population.predict import Band
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.validation.models import ComparisonRow
 
 _DIGITS = 6

@@ -7,14 +7,7 @@ from mfd_bayes.assessment.checks import (
     length_check,
     notes,
 )
-from mfd_bayes.calibration.identifiability import (
-    CONFLICT,
-    Directions,
-    Identifiability,
-    Pair,
-    Sensitivity,
-)
-from mfd_bayes.reporting.views import (
+from mfd_bayes.assessment.views import (
     CONTRACTION,
     DIRECTIONS,
     IDENTIFIABILITY,
@@ -22,6 +15,13 @@ from mfd_bayes.reporting.views import (
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
     Row,
+)
+from mfd_bayes.calibration.identifiability import (
+    CONFLICT,
+    Directions,
+    Identifiability,
+    Pair,
+    Sensitivity,
 )
 
 FOUND = Identifiability(

@@ -1,6 +1,6 @@
 import pytest
 
-from mfd_bayes.assessment.law_scores import law_choices, weighed
+from mfd_bayes.assessment.law_choices import law_choices, weighed
 
 
 def scores(**levels):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mfd_bayes.assessment.tests import _rows
+from mfd_bayes.assessment.fits import _rows
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import StoredTest
 

@@ -6,15 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.identifiability import (
-    Directions,
-    Identifiability,
-    Pair,
-    Sensitivity,
-)
-from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.views import (
+from mfd_bayes.assessment.views import (
     CampaignView,
     Check,
     DerivedRow,
@@ -31,6 +23,14 @@ from mfd_bayes.reporting.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.calibration.identifiability import (
+    Directions,
+    Identifiability,
+    Pair,
+    Sensitivity,
+)
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.trace import Trace
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
 UNITS = {"Fc_fwd": "kip", "k3": "kip/in", "gamma1": "1"}

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mfd_bayes.assessment.views import CampaignView
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.figure_data import figure_tables
 from mfd_bayes.reporting.html import render
 from mfd_bayes.reporting.pdf import find_browser, print_page
-from mfd_bayes.reporting.views import CampaignView
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason='no playwright: pip install "mfd_bayes[browser]"'

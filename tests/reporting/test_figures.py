@@ -6,12 +6,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from mfd_bayes.assessment.views import Marginal
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.figures import laws
 from mfd_bayes.reporting.figures.loops import stretches
 from mfd_bayes.reporting.figures.style import BANDS
-from mfd_bayes.reporting.views import Marginal
 
 UNIT = re.compile(r", (in|in/s|s|kip|kip/in|ksi)$")
 

@@ -9,13 +9,13 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 
+from mfd_bayes.assessment.views import DIRECTIONS, IDENTIFIABILITY, Check
 from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.digest import is_of_sampler
 from mfd_bayes.reporting.figure_data import figure_tables
 from mfd_bayes.reporting.html import ONE_PAGE, render
-from mfd_bayes.reporting.views import DIRECTIONS, IDENTIFIABILITY, Check
 from mfd_bayes.validation.models import ComparisonRow
 
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))

@@ -8,8 +8,8 @@ import pytest
 
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.publication import Drawing, publish
+from mfd_bayes.reporting.conversion import SI, US
 from mfd_bayes.reporting.figures import draw_all
-from mfd_bayes.reporting.systems import SI, US
 
 
 def files(folder):

@@ -5,7 +5,7 @@ import pytest
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.systems import SI, US, in_system, system_of
+from mfd_bayes.reporting.conversion import SI, US, in_system, system_of
 from mfd_bayes.units import convert
 
 

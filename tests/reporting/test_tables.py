@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from mfd_bayes.assessment.views import Check
 from mfd_bayes.reporting.tables import (
     checks_csv,
     crossvalidation_csv,
@@ -15,7 +16,6 @@ from mfd_bayes.reporting.tables import (
     report_tables,
     scores_csv,
 )
-from mfd_bayes.reporting.views import Check
 
 
 def read(text):

@@ -9,6 +9,8 @@ from dataclasses import replace
 
 from matplotlib.figure import Figure
 
+from mfd_bayes.assessment.views import CampaignView, Fan, TestView
+from mfd_bayes.reporting.conversion import System, convert_test, in_system, shown_in
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.figures.posteriors import (
@@ -19,8 +21,6 @@ from mfd_bayes.reporting.figures.posteriors import (
 )
 from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
-from mfd_bayes.reporting.systems import System, convert_test, in_system, shown_in
-from mfd_bayes.reporting.views import CampaignView, Fan, TestView
 
 OF_TEST = ("loops", "history", "residuals", "corner", "trace", "marginals")
 """Figures of a test."""

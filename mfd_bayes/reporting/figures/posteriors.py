@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from mfd_bayes.assessment.views import Array, Marginal, TruthRow
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
-from mfd_bayes.reporting.views import Array, Marginal, TruthRow
 
 UNINFORMED = 0.5
 """Below this contraction the data are said not to inform a quantity."""

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mfd_bayes.assessment.views import Array, TestView
+from mfd_bayes.reporting.conversion import US, System
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
-from mfd_bayes.reporting.systems import US, System
-from mfd_bayes.reporting.views import Array, TestView
 
 STAGES = {2: "stick", 3: "build-up", 1: "slip"}
 """Stages in the order in which a stroke goes through them."""

@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from mfd_bayes.assessment.views import Fan, Interval
 from mfd_bayes.reporting.colours import (
     BANDS,
     BLUE,
@@ -32,7 +33,6 @@ from mfd_bayes.reporting.colours import (
     VALIDATE,
     VERMILLION,
 )
-from mfd_bayes.reporting.views import Fan, Interval
 
 __all__ = [
     "BANDS",

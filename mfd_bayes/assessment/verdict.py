@@ -13,12 +13,11 @@ from mfd_bayes.assessment.checks import (
     convergence_checks,
     standing_checks,
 )
-from mfd_bayes.assessment.law_scores import law_choices
+from mfd_bayes.assessment.fits import SCALE_NOTE, calibrated_view, held_out_view
+from mfd_bayes.assessment.law_choices import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.left_out import left_out_view
-from mfd_bayes.assessment.tests import SCALE_NOTE, calibrated_view, held_out_view
-from mfd_bayes.reporting.systems import SI, system_of
-from mfd_bayes.reporting.views import (
+from mfd_bayes.assessment.views import (
     STANDING,
     CampaignView,
     Check,
@@ -27,6 +26,7 @@ from mfd_bayes.reporting.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.reporting.conversion import SI, system_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.models import ComparisonRow
 

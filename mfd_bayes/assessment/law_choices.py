@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.assessment.views import LawChoice, LawScoreRow
 from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.reporting.views import LawChoice, LawScoreRow
 
 
 def law_choices(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.assessment.views import DerivedRow
 from mfd_bayes.calibration.derived import (
     UNITS,
     count_cycles,
@@ -17,7 +18,6 @@ from mfd_bayes.calibration.predictive import Replicas
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.views import DerivedRow
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]

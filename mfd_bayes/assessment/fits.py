@@ -17,7 +17,8 @@ from mfd_bayes.assessment.checks import (
     notes,
     predictive_check,
 )
-from mfd_bayes.assessment.derived import calibrated_rows, held_out_rows
+from mfd_bayes.assessment.derived_rows import calibrated_rows, held_out_rows
+from mfd_bayes.assessment.views import Marginal, Row, TestView
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.posterior import Posterior
@@ -25,8 +26,7 @@ from mfd_bayes.calibration.predictive import check_predictive, replicate
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.systems import US
-from mfd_bayes.reporting.views import Marginal, Row, TestView
+from mfd_bayes.reporting.conversion import US
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.netcdf import StoredTest
 

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeVar
 
-from mfd_bayes.errors import UnitError
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.views import (
+from mfd_bayes.assessment.views import (
     CampaignView,
     DerivedRow,
     Fan,
@@ -21,6 +19,8 @@ from mfd_bayes.reporting.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.errors import UnitError
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import convert, factor
 
 _METRIC = {"kip": "kN", "in": "mm", "ksi": "MPa"}
