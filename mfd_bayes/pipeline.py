@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mfd_bayes.assessment import assess, fails, verdicts
 from mfd_bayes.assessment.derived_rows import predicted_rows
+from mfd_bayes.assessment.prior_check import prior_fan, share_inside
 from mfd_bayes.assessment.views import (
     IDENTIFIABILITY,
     CampaignView,
@@ -28,14 +29,7 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
 from mfd_bayes.records.faults import find_faults
-from mfd_bayes.records.inspection import (
-    Inspection,
-    inspect_record,
-    inspect_test,
-    prior_fan,
-    same_record,
-    share_inside,
-)
+from mfd_bayes.records.inspection import Inspection, inspect_record, inspect_test, same_record
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import (

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mfd_bayes.assessment.systems import System
 from mfd_bayes.assessment.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, Step
 from mfd_bayes.jobs.workers import run_tasks
-from mfd_bayes.reporting.conversion import System, shown_in
+from mfd_bayes.reporting.conversion import shown_in
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
 from mfd_bayes.reporting.figures import OF_TEST, draw_shared, draw_test

@@ -18,6 +18,7 @@ from mfd_bayes.assessment.checks import (
     predictive_check,
 )
 from mfd_bayes.assessment.derived_rows import calibrated_rows, held_out_rows
+from mfd_bayes.assessment.systems import US
 from mfd_bayes.assessment.views import Marginal, Row, TestView
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
@@ -26,7 +27,6 @@ from mfd_bayes.calibration.predictive import check_predictive, replicate
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import US
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.netcdf import StoredTest
 

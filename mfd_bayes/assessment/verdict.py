@@ -17,6 +17,7 @@ from mfd_bayes.assessment.fits import SCALE_NOTE, calibrated_view, held_out_view
 from mfd_bayes.assessment.law_choices import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.left_out import left_out_view
+from mfd_bayes.assessment.systems import SI, system_of
 from mfd_bayes.assessment.views import (
     STANDING,
     CampaignView,
@@ -26,7 +27,6 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
-from mfd_bayes.reporting.conversion import SI, system_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.models import ComparisonRow
 

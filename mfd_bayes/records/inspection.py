@@ -7,11 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.assessment.bands import fan_of
-from mfd_bayes.assessment.views import Fan
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.campaign.file import Campaign, Test
+from mfd_bayes.campaign.file import Test
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.readers import column_names
@@ -20,7 +16,6 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-PRIOR_DRAWS = 400
 
 SAME = 1e-4
 """Share of its range by which a signal may differ in two files of one record."""
@@ -134,21 +129,6 @@ def _range(values: Array) -> str:
     low, middle, high = (float(v) for v in np.quantile(values, [0.0, 0.5, 1.0]))
     wide = high - low > 0.01 * middle
     return f"{middle:.3g} ({low:.3g} to {high:.3g})" if wide else f"{middle:.3g}"
-
-
-def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
-    """Bands of the force under the prior, without noise, for a test's motion."""
-    posterior = Posterior(trace, priors, campaign.noise, campaign.model)
-    drawn = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
-    force = posterior.force(drawn) + drawn["offset"][:, None]
-    return fan_of("prior", force)
-
-
-def share_inside(fan: Fan, trace: Trace) -> float:
-    """Share of the measured force inside the widest band of a fan."""
-    widest = fan.intervals[-1]
-    force = np.asarray(trace.force)
-    return float(np.mean((force >= widest.lower) & (force <= widest.upper)))
 
 
 def inspect_test(test: Test, gap: float | None = None) -> Inspection:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
 from typing import TypeVar
 
+from mfd_bayes.assessment.systems import SI, US, System
 from mfd_bayes.assessment.views import (
     CampaignView,
     DerivedRow,
@@ -19,68 +17,10 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
-from mfd_bayes.errors import UnitError
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import convert, factor
 
-_METRIC = {"kip": "kN", "in": "mm", "ksi": "MPa"}
-_TOKEN = re.compile(r"[A-Za-z]+")
 _FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth")
 
 AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow)
-
-
-@dataclass(frozen=True)
-class System:
-    """Units of a report.
-
-    Attributes
-    ----------
-    name : {"us", "si"}
-    title : str
-    length, force, pressure : str
-    """
-
-    name: str
-    title: str
-    length: str
-    force: str
-    pressure: str
-
-    @property
-    def velocity(self) -> str:
-        """Unit of velocities."""
-        return f"{self.length}/s"
-
-    def unit(self, internal: str) -> str:
-        """Unit that stands for an internal one: "kip/in" is "kN/mm" in the metric system."""
-        if self.name == "us":
-            return internal
-        return _TOKEN.sub(lambda word: _METRIC.get(word[0], word[0]), internal)
-
-    def factor(self, internal: str) -> float:
-        """Factor from an internal unit to the one that stands for it."""
-        return _factor(internal, self.unit(internal))
-
-    def actuation(self, trace: Trace, unit: str) -> str:
-        """Actuation of a trace in words; `unit` is the internal one, "ksi" or "kip"."""
-        level = trace.reference_actuation
-        if self.name == "us":
-            text = f"{1000 * level:.4g} {'psi' if unit == 'ksi' else 'lbf'}"
-        else:
-            text = f"{level * self.factor(unit):.4g} {self.unit(unit)}"
-        return f"{text} (mean of a history)" if trace.varying else text
-
-
-US = System("us", "kip and in", "in", "kip", "ksi")
-SI = System("si", "kN and mm", "mm", "kN", "MPa")
-SYSTEMS = (US, SI)
-
-
-def system_of(units: Iterable[str]) -> System:
-    """System of the units of length that the records were measured in; most records decide."""
-    metric = sum(1 if _is_metric(unit) else -1 for unit in units)
-    return SI if metric > 0 else US
 
 
 def shown_in(view: CampaignView) -> System:
@@ -104,20 +44,6 @@ def in_system(view: CampaignView, system: System) -> CampaignView:
         truth=tuple(_row(row, system) for row in view.truth),
         actuation_unit=system.unit(unit),
     )
-
-
-@cache
-def _factor(unit: str, target: str) -> float:
-    return 1.0 if unit == target else convert(unit, target)
-
-
-def _is_metric(unit: str) -> bool:
-    """Whether a unit of length is a power of ten of a metre."""
-    try:
-        metres = factor(unit, "displacement") * 0.0254
-    except UnitError:
-        return False
-    return any(abs(metres / 10.0**power - 1.0) < 1e-9 for power in range(-9, 4))
 
 
 def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:

@@ -15,10 +15,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from mfd_bayes.assessment.systems import SI, SYSTEMS
 from mfd_bayes.assessment.views import STANDING, CampaignView, TestView
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.conversion import SI, SYSTEMS
 from mfd_bayes.reporting.digest import (
     UNINFORMED,
     convergence_of,

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from mfd_bayes.assessment.systems import SI, US
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.publication import Drawing, publish
-from mfd_bayes.reporting.conversion import SI, US
 from mfd_bayes.reporting.figures import draw_all
 
 

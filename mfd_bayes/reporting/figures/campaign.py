@@ -9,8 +9,9 @@ from dataclasses import replace
 
 from matplotlib.figure import Figure
 
+from mfd_bayes.assessment.systems import System
 from mfd_bayes.assessment.views import CampaignView, Fan, TestView
-from mfd_bayes.reporting.conversion import System, convert_test, in_system, shown_in
+from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.figures.posteriors import (

@@ -14,9 +14,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from mfd_bayes.assessment.systems import US, System
 from mfd_bayes.assessment.views import Array, Fan, Interval, TestView
 from mfd_bayes.records.trace import Trace, turning_points
-from mfd_bayes.reporting.conversion import US, System
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
 

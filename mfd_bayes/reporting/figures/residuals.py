@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mfd_bayes.assessment.systems import US, System
 from mfd_bayes.assessment.views import Array, TestView
-from mfd_bayes.reporting.conversion import US, System
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
 
