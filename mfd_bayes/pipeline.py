@@ -259,8 +259,8 @@ def report(
     ReportError
         When a PDF is asked for and no browser can print it; nothing is written then.
     """
-    from mfd_bayes.publication import publish
     from mfd_bayes.reporting.pdf import find_browser
+    from mfd_bayes.reporting.publication import publish
 
     if pdf:
         find_browser()

@@ -28,7 +28,7 @@ LAYERS = (
     ("mfd_bayes.plan", "mfd_bayes.assessment", "mfd_bayes.jobs.workers"),
     ("mfd_bayes.jobs.likelihoods",),
     ("mfd_bayes.population.inference",),
-    ("mfd_bayes.jobs.cluster", "mfd_bayes.runs.lock", "mfd_bayes.publication"),
+    ("mfd_bayes.jobs.cluster", "mfd_bayes.runs.lock", "mfd_bayes.reporting.publication"),
     ("mfd_bayes.jobs.dispatch",),
     ("mfd_bayes.execution", "mfd_bayes.validation.folds"),
     ("mfd_bayes.records.inspection", "mfd_bayes.validation.models", "mfd_bayes.campaign.draft"),

@@ -8,8 +8,8 @@ import pytest
 
 from mfd_bayes.assessment.systems import SI, US
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.publication import Drawing, publish
 from mfd_bayes.reporting.figures import draw_all
+from mfd_bayes.reporting.publication import Drawing, publish
 
 
 def files(folder):
