@@ -26,8 +26,8 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import load_result
-from mfd_bayes.pipeline import effort_of
-from mfd_bayes.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.commands import effort_of
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.layout import Setting, pool
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import setting_of

@@ -30,8 +30,8 @@ from pathlib import Path
 import heldout_records as records
 import numpy as np
 
-from mfd_bayes.execution import calibrate
-from mfd_bayes.plan import Options
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.plan import Options
 from mfd_bayes.population.predict import Forecast, predict
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.folds import folds_of, run_folds

@@ -25,7 +25,7 @@ from mfd_bayes.ending import mistakes, resumption, this_command
 from mfd_bayes.jobs.signals import end_on_signals
 
 if TYPE_CHECKING:
-    from mfd_bayes import pipeline
+    from mfd_bayes.pipeline import commands as pipeline
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -66,7 +66,7 @@ def init(
       mfd-bayes init tests
       mfd-bayes init tests --force
     """
-    from mfd_bayes import pipeline
+    from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
         path, draft = pipeline.init(folder, force=force)
@@ -104,7 +104,7 @@ def inspect(
       mfd-bayes inspect test.csv
       mfd-bayes inspect campaign.toml -o looks
     """
-    from mfd_bayes import pipeline
+    from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
         found = pipeline.inspect(file, folder)
@@ -132,7 +132,7 @@ def prior_check(
       mfd-bayes prior-check campaign.toml
       mfd-bayes prior-check campaign.toml -o looks
     """
-    from mfd_bayes import pipeline
+    from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
         found = pipeline.prior_check(campaign, folder)
@@ -166,7 +166,7 @@ def calibrate(
       mfd-bayes calibrate campaign.toml -o out --resume
     """
     with mistakes("" if dry_run else resumption()):
-        from mfd_bayes import pipeline
+        from mfd_bayes.pipeline import commands as pipeline
 
         options = _options(out, effort, seed, jobs, scheduler, resume=resume, force=force)
         if dry_run:
@@ -203,7 +203,7 @@ def check(
       mfd-bayes check out --all
       mfd-bayes check out --quiet && echo fit to use
     """
-    from mfd_bayes import pipeline
+    from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
         view = pipeline.check(out)
@@ -230,7 +230,7 @@ def report(
       mfd-bayes report out --pdf
     """
     with mistakes(this_command()):
-        from mfd_bayes import pipeline
+        from mfd_bayes.pipeline import commands as pipeline
 
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.report(out, observe, pdf=pdf)
@@ -261,7 +261,7 @@ def predict(
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
     """
-    from mfd_bayes import pipeline
+    from mfd_bayes.pipeline import commands as pipeline
 
     question = pipeline.Question(motion, actuation, kind.value, probability, bands, compare)
     with mistakes():
@@ -304,7 +304,7 @@ def crossvalidate(
       mfd-bayes crossvalidate campaign.toml -o out --by level --resume
     """
     with mistakes(resumption()):
-        from mfd_bayes import pipeline
+        from mfd_bayes.pipeline import commands as pipeline
 
         options = _options(out, effort, seed, jobs, scheduler, resume=resume, force=force)
         with progress.watch(quiet=quiet) as observe:
@@ -344,7 +344,7 @@ def compare(
       mfd-bayes compare campaign.toml -o out --models three_stage,lugre
     """
     with mistakes(resumption()):
-        from mfd_bayes import pipeline
+        from mfd_bayes.pipeline import commands as pipeline
 
         names = [name.strip() for name in models.split(",") if name.strip()]
         options = _options(out, effort, seed, jobs, scheduler, resume=resume, force=force)
@@ -384,7 +384,7 @@ def demo(
     resume += ["--effort", effort, "--seed", str(seed), "--resume"]
     resume += ["--scheduler", scheduler] if scheduler else []
     with mistakes(shlex.join(resume)):
-        from mfd_bayes import pipeline
+        from mfd_bayes.pipeline import commands as pipeline
 
         options = pipeline.Options(
             effort=effort,
@@ -411,7 +411,7 @@ def _options(
     force: bool,
 ) -> pipeline.Options:
     """Options of a command that calibrates into a folder; a run that is resumed has its effort."""
-    from mfd_bayes import pipeline
+    from mfd_bayes.pipeline import commands as pipeline
 
     chosen = pipeline.effort_of(out, effort, resume=resume)
     return pipeline.Options(

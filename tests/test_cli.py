@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes
-from mfd_bayes import pipeline
 from mfd_bayes.cli import app
+from mfd_bayes.pipeline import commands as pipeline
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 COMMANDS = (

@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli import app
 from mfd_bayes.errors import FitError
-from mfd_bayes.execution import calibrate
 from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.workers import run_tasks
-from mfd_bayes.plan import Options, plan_campaign
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.validation.folds import folds_of, run_folds
 
 pytestmark = [

@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli import app
 from mfd_bayes.errors import FitError
-from mfd_bayes.execution import calibrate
 from mfd_bayes.jobs import workers
 from mfd_bayes.jobs.workers import run_tasks
-from mfd_bayes.plan import Options, plan_campaign
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import discard
 
 pytestmark = pytest.mark.skipif(

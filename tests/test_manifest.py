@@ -15,7 +15,7 @@ from types import ModuleType
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline import effort_of, report
+from mfd_bayes.pipeline.commands import effort_of, report
 from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored
 from mfd_bayes.runs.manifest import read_begun, read_manifest
 from mfd_bayes.runs.resumption import prepare_folder

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline import check, effort_of, report
+from mfd_bayes.pipeline.commands import check, effort_of, report
 from mfd_bayes.runs.manifest import FORMAT
 from mfd_bayes.runs.run import open_run
 

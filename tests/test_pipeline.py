@@ -19,11 +19,11 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes import execution
 from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli import app
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.plan import Options, plan_campaign
+from mfd_bayes.pipeline import calibration as execution
+from mfd_bayes.pipeline.plan import Options, plan_campaign
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")

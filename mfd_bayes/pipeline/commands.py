@@ -23,10 +23,10 @@ from mfd_bayes.campaign.draft import Draft, campaign_text, doubts, draft_campaig
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
-from mfd_bayes.execution import calibrate
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
 from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.inspection import Inspection, inspect_record, inspect_test, same_record

@@ -15,7 +15,7 @@ from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Outcome, Progress, Step
-from mfd_bayes.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
 from mfd_bayes.runs.folder import (
