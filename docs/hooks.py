@@ -82,7 +82,7 @@ def _commands() -> list[str]:
     """Names of the commands, in the program's own order."""
     from typer.main import get_command
 
-    from mfd_bayes.cli import app
+    from mfd_bayes.cli.commands import app
 
     return ["", *get_command(app).commands]  # type: ignore[attr-defined]  # app is a group
 

@@ -32,9 +32,9 @@ LAYERS = (
     ("mfd_bayes.jobs.dispatch",),
     ("mfd_bayes.pipeline.calibration", "mfd_bayes.validation.folds"),
     ("mfd_bayes.records.inspection", "mfd_bayes.validation.models", "mfd_bayes.campaign.draft"),
-    ("mfd_bayes.pipeline.commands", "mfd_bayes.console", "mfd_bayes.arguments"),
-    ("mfd_bayes.progress", "mfd_bayes.ending"),
-    ("mfd_bayes.cli",),
+    ("mfd_bayes.pipeline.commands", "mfd_bayes.cli.console", "mfd_bayes.cli.arguments"),
+    ("mfd_bayes.cli.progress", "mfd_bayes.cli.exits"),
+    ("mfd_bayes.cli.commands",),
     ("mfd_bayes.__main__",),
 )
 
@@ -64,8 +64,13 @@ HOMES = {
     "dask": ("mfd_bayes.jobs.cluster",),
     "distributed": ("mfd_bayes.jobs.cluster",),
     "threadpoolctl": ("mfd_bayes.jobs.cluster",),
-    "typer": ("mfd_bayes.cli", "mfd_bayes.console", "mfd_bayes.arguments", "mfd_bayes.ending"),
-    "rich": ("mfd_bayes.console", "mfd_bayes.progress"),
+    "typer": (
+        "mfd_bayes.cli.commands",
+        "mfd_bayes.cli.console",
+        "mfd_bayes.cli.arguments",
+        "mfd_bayes.cli.exits",
+    ),
+    "rich": ("mfd_bayes.cli.console", "mfd_bayes.cli.progress"),
 }
 
 FORBIDDEN = (

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes
-from mfd_bayes.cli import app
+from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline import commands as pipeline
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"

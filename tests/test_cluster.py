@@ -19,7 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.campaign.synthetic import Truth, write_campaign
-from mfd_bayes.cli import app
+from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.workers import run_tasks

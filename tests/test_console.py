@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mfd_bayes.console import LISTED, clean, open_console, print_checks, print_end, say
+from mfd_bayes.cli.console import LISTED, clean, open_console, print_checks, print_end, say
 
 
 @pytest.mark.parametrize(

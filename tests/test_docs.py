@@ -16,7 +16,7 @@ import mfd_bayes as mb
 from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.campaign import file as campaign_file
 from mfd_bayes.campaign.synthetic import Truth, write_campaign
-from mfd_bayes.cli import app
+from mfd_bayes.cli.commands import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages").glob("*.md"))}

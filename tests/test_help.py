@@ -13,7 +13,7 @@ import typer.main
 from typer.testing import CliRunner
 
 import mfd_bayes
-from mfd_bayes.cli import app
+from mfd_bayes.cli.commands import app
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 COMMANDS = typer.main.get_command(app).commands
@@ -93,7 +93,7 @@ def test_commands_are_listed_in_the_order_of_work():
 
 def test_help_imports_nothing_that_takes_its_time():
     code = (
-        "import sys; from typer.testing import CliRunner; from mfd_bayes.cli import app;"
+        "import sys; from typer.testing import CliRunner; from mfd_bayes.cli.commands import app;"
         "assert CliRunner().invoke(app, ['--help']).exit_code == 0;"
         "heavy = {'numpy', 'scipy', 'pydantic', 'pint', 'xarray', 'importlib.metadata'};"
         "print(sorted(heavy & set(sys.modules)))"

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps
 from mfd_bayes.campaign.draft.levels import levels_in
 from mfd_bayes.campaign.file import load_campaign
-from mfd_bayes.cli import app
+from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, MfdError
 
 HEADER = "time_s,displacement_in,force_kip"

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.cli import app
+from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs import workers
 from mfd_bayes.jobs.workers import run_tasks
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(
 
 # The command as installed, but for the pictures, which take half of the time.
 DRIVER = """\
-from mfd_bayes.cli import main
+from mfd_bayes.cli.commands import main
 
 if __name__ == "__main__":
     from mfd_bayes.reporting import figures

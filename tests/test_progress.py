@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
+from mfd_bayes.cli.progress import Board, watch
 from mfd_bayes.jobs.job import Progress, Step
-from mfd_bayes.progress import Board, watch
 
 
 @dataclass

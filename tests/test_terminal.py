@@ -22,7 +22,7 @@ from types import SimpleNamespace
 
 from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.calibration.sampling import Progress
-from mfd_bayes.cli import main
+from mfd_bayes.cli.commands import main
 from mfd_bayes.pipeline.commands import Step
 
 TESTS, PAUSE, LAST = {tests}, {pause}, {last}

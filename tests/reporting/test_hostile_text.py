@@ -10,7 +10,7 @@ import pytest
 
 from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.campaign.file import load_campaign
-from mfd_bayes.console import say
+from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.reporting import html, tables
 from mfd_bayes.reporting.exports import export_tables

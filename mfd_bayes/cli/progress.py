@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from mfd_bayes.console import clean, open_console, say
+from mfd_bayes.cli.console import clean, open_console, say
 from mfd_bayes.jobs.signals import before_end
 
 Observe = Callable[[Any], None]

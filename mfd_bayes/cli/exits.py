@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import typer
 
-from mfd_bayes.console import clean, say
+from mfd_bayes.cli.console import clean, say
 from mfd_bayes.errors import MfdError
 from mfd_bayes.jobs.signals import hinting
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mfd_bayes import console, progress
-from mfd_bayes.arguments import (
+from mfd_bayes.cli import console, progress
+from mfd_bayes.cli.arguments import (
     Campaign,
     Effort,
     Force,
@@ -21,7 +21,7 @@ from mfd_bayes.arguments import (
     Scheduler,
     Seed,
 )
-from mfd_bayes.ending import mistakes, resumption, this_command
+from mfd_bayes.cli.exits import mistakes, resumption, this_command
 from mfd_bayes.jobs.signals import end_on_signals
 
 if TYPE_CHECKING:
