@@ -3,46 +3,40 @@
 import ast
 import subprocess
 import sys
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "mfd_bayes"
 
-# A room may import from those before it in this list, and from itself.
-LAYERS = (
-    ("mfd_bayes.errors", "mfd_bayes.jobs.signals"),
-    (
-        "mfd_bayes.units",
-        "mfd_bayes.records.readers.hdf5",
-        "mfd_bayes.store.toml",
-        "mfd_bayes.store.schema",
-    ),
-    ("mfd_bayes.records",),
-    ("mfd_bayes.campaign.file", "mfd_bayes.friction", "mfd_bayes.store.files"),
-    ("mfd_bayes.calibration",),
-    ("mfd_bayes.population", "mfd_bayes.calibration.quantities"),
-    ("mfd_bayes.reporting",),
-    ("mfd_bayes.runs.manifest",),
-    ("mfd_bayes.runs.run", "mfd_bayes.calibration.task", "mfd_bayes.campaign.synthetic"),
-    ("mfd_bayes.pipeline.plan", "mfd_bayes.assessment", "mfd_bayes.jobs.workers"),
-    ("mfd_bayes.jobs.likelihoods",),
-    ("mfd_bayes.population.inference",),
-    ("mfd_bayes.jobs.cluster", "mfd_bayes.runs.lock", "mfd_bayes.reporting.publication"),
-    ("mfd_bayes.jobs.dispatch",),
-    ("mfd_bayes.pipeline.calibration", "mfd_bayes.validation.folds"),
-    ("mfd_bayes.records.inspection", "mfd_bayes.validation.models", "mfd_bayes.campaign.draft"),
-    ("mfd_bayes.pipeline.commands", "mfd_bayes.cli.console", "mfd_bayes.cli.arguments"),
-    ("mfd_bayes.cli.progress", "mfd_bayes.cli.exits"),
-    ("mfd_bayes.cli.commands",),
-    ("mfd_bayes.__main__",),
+# From the edge of files to the edge of people: a room may import from those before it in this
+# list, and from itself.
+ROOMS = (
+    "records",
+    "friction",
+    "store",
+    "jobs",
+    "calibration",
+    "population",
+    "campaign",
+    "runs",
+    "validation",
+    "assessment",
+    "reporting",
+    "pipeline",
+    "cli",
 )
+
+ROOT = {"__init__", "__main__", "errors", "units"}
+"""The files that have no room."""
 
 HOMES = {
     "emcee": ("mfd_bayes.calibration.sampling", "mfd_bayes.calibration.moves"),
-    "arviz": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.files"),
-    "arviz_stats": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.files"),
-    "xarray": ("mfd_bayes.store.files", "mfd_bayes.runs.run"),
+    "arviz": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
+    "arviz_stats": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
+    "xarray": ("mfd_bayes.store.netcdf", "mfd_bayes.calibration.result"),
     "matplotlib": ("mfd_bayes.reporting.figures",),
     "corner": ("mfd_bayes.reporting.figures",),
     "PIL": ("mfd_bayes.reporting.figures",),
@@ -57,7 +51,7 @@ HOMES = {
     "h5py": (
         "mfd_bayes.records.readers.matlab_v73",
         "mfd_bayes.records.readers.hdf5",
-        "mfd_bayes.store.files",
+        "mfd_bayes.store.netcdf",
     ),
     "openpyxl": ("mfd_bayes.records.readers.excel",),
     "nptdms": ("mfd_bayes.records.readers.tdms",),
@@ -84,44 +78,80 @@ def module_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports_of(path: Path) -> list[str]:
-    names = []
+@cache
+def imports_of(path: Path) -> tuple[str, ...]:
+    names: list[str] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
             names += [f"{node.module}.{alias.name}" for alias in node.names]
-    return names
+    return tuple(names)
 
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
-
-
-def layer_of(name: str) -> int | None:
-    for number, rooms in enumerate(LAYERS):
-        if any(name == room or name.startswith(room + ".") for room in rooms):
-            return number
-    return None
 
 
 def inside(name: str, homes: tuple[str, ...]) -> bool:
     return any(name == home or name.startswith(home + ".") for home in homes)
 
 
+def files_of(names: tuple[str, ...]) -> set[str]:
+    """The files of the package that names stand in: `mfd_bayes.a.b.C` in `mfd_bayes.a.b`."""
+    known = set(map(module_of, MODULES)) - {"mfd_bayes"}
+    whole = {name if name in known else name.rpartition(".")[0] for name in names}
+    return whole & known
+
+
+def place_of(module: str) -> int:
+    """Number of a module's room, -1 of a file at the root that has none."""
+    first = module.split(".")[1]
+    return ROOMS.index(first) if first in ROOMS else -1
+
+
+def test_every_file_has_a_room() -> None:
+    assert {path.stem for path in PACKAGE.glob("*.py")} == ROOT
+    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert folders == set(ROOMS)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_says_what_it_is_for(room: str) -> None:
+    tree = ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8"))
+    assert (ast.get_docstring(tree) or "").count("\n") <= 8
+    assert ast.get_docstring(tree, clean=True).splitlines()[0].endswith(".")  # type: ignore[union-attr]
+
+
 @pytest.mark.parametrize("path", MODULES, ids=module_of)
 def test_imports_run_one_way(path: Path) -> None:
     module = module_of(path)
-    if module == "mfd_bayes":
+    if module in ("mfd_bayes", "mfd_bayes.__main__"):  # the names of Python, the command
         return
-    own = layer_of(module)
-    assert own is not None, f"{module} belongs to no room: say where in LAYERS"
-    room = ".".join(module.split(".")[:2])
-    for name in imports_of(path):
-        if not name.startswith("mfd_bayes.") or inside(name, (room, "mfd_bayes.__version__")):
-            continue
-        theirs = layer_of(name)
-        assert theirs is not None, f"{module} imports {name}, which belongs to no room"
-        assert theirs < own, f"{module} may not import {name}"
+    for file in files_of(imports_of(path)):
+        same = file.split(".")[1] == module.split(".")[1]
+        assert same or place_of(file) < place_of(module) or place_of(file) == -1, (
+            f"{module} may not import {file}"
+        )
+
+
+def circle_in(imports: dict[str, set[str]]) -> list[str]:
+    """Files that import each other, in a circle; empty where none do."""
+    try:
+        TopologicalSorter(imports).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_two_files_import_each_other() -> None:
+    imports = {module_of(path): files_of(imports_of(path)) for path in MODULES}
+    for room in list(imports):  # a room's __init__ imports what it offers
+        imports[room] -= {room}
+    assert circle_in(imports) == []
+
+
+def test_a_circle_would_be_seen() -> None:
+    assert circle_in({"a": {"b"}, "b": {"c"}, "c": {"a"}})
 
 
 @pytest.mark.parametrize("path", MODULES, ids=module_of)
@@ -152,14 +182,10 @@ def test_what_is_run_would_be_seen() -> None:
 
 
 def test_the_command_line_calls_the_pipeline_alone() -> None:
-    ours = {
-        name.split(".")[1]
-        for name in imports_of(PACKAGE / "cli.py")
-        if name.startswith("mfd_")
-        if "." in name
-    }
-    shows = {"arguments", "console", "ending", "interruption", "progress"}
-    assert ours <= {"pipeline", "__version__"} | shows
+    ours = files_of(imports_of(PACKAGE / "cli" / "commands.py"))
+    rooms = {file.split(".")[1] for file in ours}
+    assert rooms <= {"pipeline", "cli", "jobs"}
+    assert {file for file in ours if ".jobs." in file} <= {"mfd_bayes.jobs.signals"}
 
 
 def test_no_module_is_a_drawer() -> None:

@@ -29,7 +29,7 @@ from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
 from mfd_bayes.records.faults import find_faults
-from mfd_bayes.records.inspection import Inspection, inspect_record, inspect_test, same_record
+from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import (
@@ -376,7 +376,9 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
     if path.suffix.lower() == ".toml":
         campaign = load_campaign(path)
         gap = load_priors(campaign.priors, campaign.folder).gap
-        found = [(inspect_test(t, gap), f"{path.stem}_{t.id}") for t in campaign.tests]
+        found = [
+            (inspect_record(t.id, t.read(), gap), f"{path.stem}_{t.id}") for t in campaign.tests
+        ]
     else:
         found = [(inspect_record(path.name, read_record(path)), path.stem)]
     from mfd_bayes.reporting.figures import draw_inspection, save_png

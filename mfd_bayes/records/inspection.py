@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.campaign.file import Test
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.readers import column_names
@@ -15,7 +14,6 @@ from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
-
 
 SAME = 1e-4
 """Share of its range by which a signal may differ in two files of one record."""
@@ -129,8 +127,3 @@ def _range(values: Array) -> str:
     low, middle, high = (float(v) for v in np.quantile(values, [0.0, 0.5, 1.0]))
     wide = high - low > 0.01 * middle
     return f"{middle:.3g} ({low:.3g} to {high:.3g})" if wide else f"{middle:.3g}"
-
-
-def inspect_test(test: Test, gap: float | None = None) -> Inspection:
-    """What was read of one test of a campaign."""
-    return inspect_record(test.id, test.read(), gap)

@@ -47,7 +47,7 @@ if __name__ == "__main__":
 @pytest.fixture(scope="module")
 def study(tmp_path_factory) -> ModuleType:
     """The benchmark's harness, running the driver."""
-    path = Path(__file__).parents[1] / "benchmarks" / "interruption_harness.py"
+    path = Path(__file__).parents[2] / "benchmarks" / "interruption_harness.py"
     if not path.is_file():
         pytest.skip("benchmarks/ is not part of this distribution")
     spec = importlib.util.spec_from_file_location("interruption_study", path)
@@ -328,7 +328,7 @@ def ended_at_its_start(campaign, tmp_path_factory):
     """Folder of a campaign with priors of its own, and of a run that is ended at its start."""
     home = tmp_path_factory.mktemp("ended")
     folder = Path(shutil.copytree(campaign.parent, home / "campaign"))
-    shutil.copy(Path(__file__).parents[1] / "priors" / "mfd.toml", folder)
+    shutil.copy(Path(__file__).parents[2] / "priors" / "mfd.toml", folder)
     path = folder / "campaign.toml"
     path.write_text(path.read_text().replace('priors = "mfd"', 'priors = "mfd.toml"'))
 

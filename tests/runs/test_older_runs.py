@@ -16,7 +16,7 @@ from mfd_bayes.pipeline.commands import check, effort_of, report
 from mfd_bayes.runs.manifest import FORMAT
 from mfd_bayes.runs.run import open_run
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 
 
 @pytest.fixture

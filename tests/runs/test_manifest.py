@@ -27,7 +27,7 @@ from mfd_bayes.validation.folds import Fold, read_predictions
 @pytest.fixture(scope="module")
 def runs() -> ModuleType:
     """The benchmark's maker of run folders."""
-    benchmarks = Path(__file__).parents[1] / "benchmarks"
+    benchmarks = Path(__file__).parents[2] / "benchmarks"
     if not benchmarks.is_dir():
         pytest.skip("benchmarks/ is not part of this distribution")
     sys.path.insert(0, str(benchmarks))
