@@ -18,7 +18,7 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.jobs.job import Outcome, Progress, Step
+from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import save_test
 
@@ -81,20 +81,20 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
     except StoreError:
         raise
     except MfdError as error:
-        observe(Step(task.id, "failed", message=str(error)))
-        return Outcome(task.id, "failed", time.perf_counter() - began, str(error))
+        observe(Step(task.id, State.FAILED, message=str(error)))
+        return Outcome(task.id, State.FAILED, time.perf_counter() - began, str(error))
     seconds = time.perf_counter() - began
     worst = draws.convergence
     observe(
         Step(
             task.id,
-            "done",
+            State.DONE,
             Progress(
                 draws.chains.steps, draws.chains.steps, worst.worst_r_hat, worst.worst_ess, seconds
             ),
         )
     )
-    return Outcome(task.id, "done", seconds)
+    return Outcome(task.id, State.DONE, seconds)
 
 
 def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:

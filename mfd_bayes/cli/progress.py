@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mfd_bayes.cli.console import clean, open_console, say
+from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.signals import before_end
 
 Observe = Callable[[Any], None]
@@ -20,14 +21,20 @@ Observe = Callable[[Any], None]
 FRAME = 0.25
 """Seconds from one drawing of the table to the next."""
 
-ENDED = ("done", "kept", "failed")
+ENDED = (State.DONE, State.KEPT, State.FAILED)
 """Stages after which nothing more comes of a test."""
 
-ALARMS = ("failed", "begins again:")
+ALARMS = (State.FAILED, State.RESTARTED)
 """Stages that are told of also where nothing else is."""
 
 _GRACE = 1.0
 _KEPT = "done before"
+_STYLES: dict[str, str] = {
+    State.FAILED: "red",
+    State.WAITING: "dim",
+    State.DONE: "green",
+    State.KEPT: "green",
+}
 _FIGURES = {"steps": 5, "R-hat": 5, "ESS": 5, "steps/s": 7, "time": 7, "left": 7}
 _NAME, _STAGE, _LONGEST_STAGE = 8, 14, 36
 """Widths of columns: of the figures, and at the least of a test's name and of its stage."""
@@ -42,7 +49,7 @@ def watch(*, quiet: bool = False) -> Iterator[Observe]:
         with _live() as observe:
             yield observe
     else:
-        yield lambda step: None if step.stage == "waiting" else say(_line(step))
+        yield lambda step: None if step.stage == State.WAITING else say(_line(step))
 
 
 @contextmanager
@@ -85,7 +92,7 @@ class _Row:
 
     id: str
     counted: bool
-    stage: str = "waiting"
+    stage: str = State.WAITING
     message: str = ""
     progress: Any = None
     heard: float = math.nan
@@ -95,7 +102,7 @@ class _Row:
     @property
     def running(self) -> bool:
         """Whether it has begun and not ended."""
-        return self.stage not in ("waiting", *ENDED)
+        return self.stage not in (State.WAITING, *ENDED)
 
     def hear(self, step: Any, now: float) -> None:
         """Take in what is said of it."""
@@ -141,9 +148,9 @@ class Board:
         now = self.now()
         row = self._rows.get(step.id)
         if row is None:  # work that was not announced, such as the report, is no test
-            counted = step.stage in ("waiting", "kept")
+            counted = step.stage in (State.WAITING, State.KEPT)
             row = self._rows[step.id] = _Row(step.id, counted)
-        if step.stage == "waiting":
+        if step.stage == State.WAITING:
             return
         if math.isnan(self._began):
             self._began = now
@@ -173,8 +180,8 @@ class Board:
         total = counts.total()
         parts = []
         if total:
-            parts.append(f"{counts['done'] + counts['kept']} of {total} done")
-        parts += [f"{counts[k]} {k}" for k in ("failed", "running", "waiting") if counts[k]]
+            parts.append(f"{counts[State.DONE] + counts[State.KEPT]} of {total} done")
+        parts += [f"{counts[k]} {k}" for k in (State.FAILED, "running", State.WAITING) if counts[k]]
         parts.append(f"{_clock(now - self._began)} so far")
         left = math.nan if self._closed else _left(rows, now)
         if not math.isnan(left):
@@ -186,7 +193,7 @@ def _left(rows: list[_Row], now: float) -> float:
     """Seconds until all that is known of is done, about; NaN as long as nothing tells."""
     running = [row for row in rows if row.running]
     tests = [row for row in running if row.counted]
-    lengths = [row.seconds(now) for row in rows if row.counted and row.stage == "done"]
+    lengths = [row.seconds(now) for row in rows if row.counted and row.stage == State.DONE]
     lengths += [row.seconds(now) + row.left(now) for row in tests]
     known = [length for length in lengths if not math.isnan(length)]
     usual = sum(known) / len(known) if known else math.nan
@@ -196,7 +203,7 @@ def _left(rows: list[_Row], now: float) -> float:
         if math.isnan(left) and row.counted:
             left = usual if math.isnan(usual) else max(0.0, usual - row.seconds(now))
         rest += left
-    waiting = sum(row.stage == "waiting" for row in rows)
+    waiting = sum(row.stage == State.WAITING for row in rows)
     if waiting:
         rest += waiting * usual
     return rest / max(1, len(running)) if running or waiting else math.nan
@@ -213,7 +220,7 @@ def _choose(rows: list[_Row], room: int) -> tuple[list[_Row], str]:
     shown = [*last, *running]
     hidden = {row.id for row in rows} - {row.id for row in shown}
     counts = Counter("running" if r.running else r.stage for r in rows if r.id in hidden)
-    names = ("done", "kept", "failed", "running", "waiting")
+    names = (State.DONE, State.KEPT, State.FAILED, "running", State.WAITING)
     return shown, "and " + ", ".join(f"{counts[k]} {k}" for k in names if counts[k])
 
 
@@ -228,14 +235,13 @@ def _table(rows: list[_Row], now: float, width: int) -> Any:
     for head, digits in _FIGURES.items():
         table.add_column(head, no_wrap=True, justify="right", min_width=digits)
     for row in rows:
-        style = {"failed": "red", "waiting": "dim", "done": "green", "kept": "green"}.get(row.stage)
-        table.add_row(clean(row.id), *_cells(row, now), style=style)
+        table.add_row(clean(row.id), *_cells(row, now), style=_STYLES.get(row.stage))
     return table
 
 
 def _cells(row: _Row, now: float) -> tuple[str, ...]:
     """What a row says after its name."""
-    stage = {"kept": _KEPT}.get(row.stage, row.stage)
+    stage = _KEPT if row.stage == State.KEPT else row.stage
     if row.running:
         stage = clean(f"{stage} {row.message}".strip())
     progress = row.progress
@@ -247,7 +253,7 @@ def _cells(row: _Row, now: float) -> tuple[str, ...]:
     left = row.left(now)
     return (
         *(stage, *figures),
-        "" if math.isnan(row.began) or row.stage == "kept" else _clock(row.seconds(now)),
+        "" if math.isnan(row.began) or row.stage == State.KEPT else _clock(row.seconds(now)),
         "" if math.isnan(left) else _clock(left),
     )
 
@@ -271,11 +277,11 @@ def _rate_text(progress: Any) -> str:
 def _line(step: Any) -> str:
     """What a step says, in a line."""
     progress = step.progress
-    if step.stage == "kept":
+    if step.stage == State.KEPT:
         return f"{step.id}: {_KEPT}"
     if progress is None:
         return f"{step.id}: {f'{step.stage} {step.message}'.strip()}"
     text = f"{step.id}: {step.stage}, {progress.steps} steps, R-hat {progress.r_hat:.3f}, "
     text += f"ESS {progress.ess:.0f}, {_rate_text(progress)} steps/s"
     left = (progress.limit - progress.steps) / _rate(progress)
-    return text if step.stage == "done" else f"{text}, at most {left:.0f} s left"
+    return text if step.stage == State.DONE else f"{text}, at most {left:.0f} s left"

@@ -5,20 +5,34 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Protocol
 
 
+class State(StrEnum):
+    """Whether a test, or another piece of work, is waiting or has ended, and how."""
+
+    WAITING = "waiting"
+    RESTARTED = "begins again:"
+    """Its process was lost, and another one starts it anew."""
+    DONE = "done"
+    KEPT = "kept"
+    """An earlier session of the run has done it."""
+    FAILED = "failed"
+    HELD_OUT = "held out"
+    """A test that is predicted and never fitted."""
+
+
 @dataclass(frozen=True)
 class Step:
-    """News of a test: where its sampling stands, or that it began or ended.
+    """News of a piece of work: that it waits, what it is at, or that it has ended.
 
     Attributes
     ----------
     id : str
-    stage : str
-        "waiting" before it begins, and at its end "done", "failed", or "kept" where an earlier
-        session did it; what it is at in between.
+    stage : State or str
+        A `State`; in between what the work is at, such as "sampling".
     progress : Progress or None
     message : str
     """
@@ -31,10 +45,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a test's calibration ended: status "done", or "failed" with an error."""
+    """How a piece of work ended: `State.DONE`, or `State.FAILED` with an error."""
 
     id: str
-    status: str
+    status: State
     seconds: float
     error: str = ""
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.jobs.job import Job, Outcome, Step
+from mfd_bayes.jobs.job import Job, Outcome, State, Step
 from mfd_bayes.jobs.signals import end_children
 
 ATTEMPTS = 3
@@ -42,7 +42,7 @@ def run_tasks(
         When the processes of a test are killed again and again.
     """
     for task in tasks:
-        observe(Step(task.id, "waiting"))
+        observe(Step(task.id, State.WAITING))
     crew = _Crew(out, deque(tasks))
     try:
         while crew.waiting or crew.members:
@@ -128,7 +128,7 @@ class _Crew:
             )
         if member.task:
             self.waiting.appendleft(member.task)
-        return Step(name, "begins again:", message=f"its process was {how}")
+        return Step(name, State.RESTARTED, message=f"its process was {how}")
 
 
 def _work(line: Connection, out: Path) -> None:

@@ -14,7 +14,7 @@ from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
-from mfd_bayes.jobs.job import Outcome, Progress, Step
+from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.population.storage import save_pooled, save_population
@@ -94,12 +94,12 @@ def _calibrate_tests(plan: Plan, out: Path, options: Options, observe: Observe) 
     write_bytes(out / PRIORS, plan.priors.path.read_bytes())
     for name, trace in plan.held_out.items():
         save_trace(out / record_of(name), trace, {})
-        manifest["tests"][name]["status"] = "held out"
+        manifest["tests"][name]["status"] = State.HELD_OUT
     todo = [t for t in plan.tasks if not (out / posterior_of(t.id)).is_file()]
     for task in plan.tasks:
         if task not in todo:
-            manifest["tests"][task.id]["status"] = "done"
-            observe(Step(task.id, "kept"))
+            manifest["tests"][task.id]["status"] = State.DONE
+            observe(Step(task.id, State.KEPT))
     began = time.perf_counter()
     with closing(run_jobs(todo, out, options, observe)) as outcomes:
         for outcome in outcomes:
@@ -169,7 +169,7 @@ def _pool_tests(
     manifest["seconds"] += seconds
     steps = inference.sweeps, inference.sweeps
     progress = Progress(*steps, worst.worst_r_hat, worst.worst_ess, seconds)
-    observe(Step("population", "done", progress))
+    observe(Step("population", State.DONE, progress))
 
 
 def _finish(plan: Plan, out: Path, results: Mapping[str, TestResult]) -> Run:

@@ -24,7 +24,7 @@ from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
-from mfd_bayes.jobs.job import Step
+from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.predict import Band, setting_of
@@ -133,7 +133,7 @@ def crossvalidate(
     plan = plan_campaign(campaign, options)
     parts = _check_parts(plan, by)
     for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
-        observe(Step(name, "waiting"))
+        observe(Step(name, State.WAITING))
     _leave_out_parts(calibrate(campaign, out, options, observe), by, options, observe)
     return report(out, observe, jobs=options.jobs)
 
@@ -195,7 +195,7 @@ def compare(
             _check_parts(plan, by)
         for task in plan.tasks:
             check_cycles(task)
-            observe(Step(f"{model}/{task.id}", "waiting"))
+            observe(Step(f"{model}/{task.id}", State.WAITING))
         if (out / model).exists() and not (options.resume or options.force):
             raise StoreError(
                 f"{out / model} exists: give --resume to finish it or --force to replace it"
@@ -210,7 +210,7 @@ def compare(
     observe(Step("comparison", "leaving out one cycle after another"))
     found = compare_runs(runs)
     write_text(out / "comparison.csv", comparison_csv(found.rows))
-    observe(Step("comparison", "done"))
+    observe(Step("comparison", State.DONE))
     for model in chosen:
         manifest = read_begun(out / model)
         write_json(out / model / MANIFEST, manifest | {"comparison": asdict(found)})

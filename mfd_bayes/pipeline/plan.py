@@ -20,6 +20,7 @@ from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign.file import Campaign, ModelName, Test, load_campaign
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.jobs.dispatch import Workplace
+from mfd_bayes.jobs.job import State
 from mfd_bayes.population.layout import pool
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
@@ -138,7 +139,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
         "platform": platform.platform(),
         "tests": {
-            test.id: {"role": test.role, "status": "waiting", **measured[test.id]}
+            test.id: {"role": test.role, "status": State.WAITING, **measured[test.id]}
             for test in campaign.tests
         },
         "files": {},  # hashes, as files are written

@@ -10,7 +10,7 @@ from typing import Any
 
 from mfd_bayes.assessment.systems import System
 from mfd_bayes.assessment.views import CampaignView, TestView
-from mfd_bayes.jobs.job import Outcome, Step
+from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.workers import run_tasks
 from mfd_bayes.reporting.conversion import shown_in
 from mfd_bayes.reporting.exports import export_tables
@@ -60,7 +60,7 @@ class Drawing:
                 (out / f"{key}.png").unlink(missing_ok=True)
         for name, text in tables_of_test(self.test):
             write_text(out / name, text)
-        return Outcome(self.id, "done", time.perf_counter() - began)
+        return Outcome(self.id, State.DONE, time.perf_counter() - began)
 
 
 def publish(
@@ -94,7 +94,7 @@ def publish(
     if pdf:
         observe(Step("report", "PDF"))
         write_bytes(out / "report.pdf", print_page(out / "report.html"))
-    observe(Step("report", "done"))
+    observe(Step("report", State.DONE))
 
 
 def _draw_tests(view: CampaignView, out: Path, processes: int) -> dict[str, bytes]:

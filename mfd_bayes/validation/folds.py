@@ -19,7 +19,7 @@ from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
-from mfd_bayes.jobs.job import Outcome, Step
+from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.population.inference import pool_tests
 from mfd_bayes.population.layout import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
@@ -108,12 +108,12 @@ class Fold:
         except StoreError:
             raise
         except MfdError as error:
-            observe(Step(self.id, "failed", message=str(error)))
-            return Outcome(self.id, "failed", time.perf_counter() - began, str(error))
+            observe(Step(self.id, State.FAILED, message=str(error)))
+            return Outcome(self.id, State.FAILED, time.perf_counter() - began, str(error))
         predictions = [asdict(prediction) for prediction in found]
         write_json(out / FOLDER / self.file, {"key": asdict(self), "predictions": predictions})
-        observe(Step(self.id, "done"))
-        return Outcome(self.id, "done", time.perf_counter() - began)
+        observe(Step(self.id, State.DONE))
+        return Outcome(self.id, State.DONE, time.perf_counter() - began)
 
     def stored(self, out: Path) -> bool:
         """Whether its scores are there, and are of this very fold."""
@@ -274,7 +274,7 @@ def run_folds(
     todo = [fold for fold in folds if not fold.stored(out)]
     for fold in folds:
         if fold not in todo:
-            observe(Step(fold.id, "kept"))
+            observe(Step(fold.id, State.KEPT))
     with closing(run_jobs(todo, out, workplace, observe)) as outcomes:
         for outcome in outcomes:
             if outcome.error:

@@ -15,7 +15,7 @@ from distributed import Future, KilledWorker
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.cluster.connection import FAULTS, connected, in_a_line, losses, lost
 from mfd_bayes.jobs.cluster.work import differences, other_versions, versions, work
-from mfd_bayes.jobs.job import Job, Outcome, Progress, Step
+from mfd_bayes.jobs.job import Job, Outcome, Progress, State, Step
 from mfd_bayes.store.files import write_bytes
 
 Observe = Callable[[Step], None]
@@ -69,7 +69,7 @@ def run_on_cluster(
         When the scheduler is lost, or a worker is not the same as this machine.
     """
     for job in jobs:
-        observe(Step(job.id, "waiting"))
+        observe(Step(job.id, State.WAITING))
     if not jobs:
         return
     with connected(address) as client:
@@ -142,7 +142,7 @@ class _Crew:
             return None
         if self.lonely:
             self.lonely = False
-            self.observe(Step("cluster", "done"))
+            self.observe(Step("cluster", State.DONE))
         if isinstance(news, Future):
             return self._take(self.places.pop(news.key))
         self._follow(news)
@@ -170,7 +170,7 @@ class _Crew:
         if news["attempt"] not in place.attempts:
             if place.attempts:
                 lost = f"its worker {place.worker} was lost"
-                self.observe(Step(place.job.id, "begins again:", message=lost))
+                self.observe(Step(place.job.id, State.RESTARTED, message=lost))
             place.attempts.append(news["attempt"])
             place.worker = news["worker"]
         self.observe(_step(place.job.id, news["step"]))
@@ -194,11 +194,11 @@ class _Crew:
             write_bytes(self.out / name, content)
         for step in answer["steps"]:
             self.observe(_step(job.id, step))
-        return Outcome(job.id, answer["status"], answer["seconds"], answer["error"])
+        return Outcome(job.id, State(answer["status"]), answer["seconds"], answer["error"])
 
     def _fail(self, job: Job, sentence: str) -> Outcome:
-        self.observe(Step(job.id, "failed", message=sentence))
-        return Outcome(job.id, "failed", 0.0, sentence)
+        self.observe(Step(job.id, State.FAILED, message=sentence))
+        return Outcome(job.id, State.FAILED, 0.0, sentence)
 
 
 def _reason(error: BaseException) -> str:

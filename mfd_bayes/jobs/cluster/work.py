@@ -14,10 +14,10 @@ from typing import Any
 from distributed import get_worker
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from mfd_bayes.jobs.job import Job, Step
+from mfd_bayes.jobs.job import Job, State, Step
 from mfd_bayes.store.files import write_bytes
 
-_ENDED = ("done", "failed")
+_ENDED = (State.DONE, State.FAILED)
 _SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")
 
 
@@ -70,7 +70,7 @@ def work(
         made = [name for name in job.makes if (out / name).is_file()]
         return {
             "refused": "",
-            "status": outcome.status,
+            "status": str(outcome.status),
             "seconds": outcome.seconds,
             "error": outcome.error,
             "files": {name: (out / name).read_bytes() for name in made},
@@ -123,4 +123,4 @@ def _limit_threads() -> str:
 def _sent(step: Step) -> list[Any]:
     """A step as plain values, which need no unpickling."""
     figures = [float(figure) for figure in astuple(step.progress)] if step.progress else None
-    return [step.stage, step.message, figures]
+    return [str(step.stage), step.message, figures]
