@@ -45,7 +45,8 @@ HOMES = {
     "markupsafe": ("mfd_bayes.reporting.html", "mfd_bayes.reporting.symbols"),
     "pint": ("mfd_bayes.units",),
     "pydantic": (
-        *("mfd_bayes.campaign.file", "mfd_bayes.runs.manifest", "mfd_bayes.store.schema"),
+        *("mfd_bayes.campaign.schema", "mfd_bayes.campaign.content"),
+        *("mfd_bayes.runs.manifest", "mfd_bayes.store.schema"),
         *("mfd_bayes.calibration.stored", "mfd_bayes.population.stored"),
     ),
     "h5py": (

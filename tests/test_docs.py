@@ -14,7 +14,8 @@ from typer.main import get_command
 
 import mfd_bayes as mb
 from mfd_bayes.calibration.effort import EFFORTS
-from mfd_bayes.campaign import file as campaign_file
+from mfd_bayes.campaign import schema
+from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli.commands import app
 
@@ -181,7 +182,7 @@ def shown(field):
     default = field.default
     if default is None:
         return "none"
-    if default == () or isinstance(default, campaign_file.Columns):
+    if default == () or isinstance(default, schema.Columns):
         return "`[]`" if default == () else "`{}`"
     return f'`"{default}"`'
 
@@ -189,11 +190,11 @@ def shown(field):
 @pytest.mark.parametrize(
     ("section", "model"),
     [
-        ("[campaign]", campaign_file.Settings),
-        ("[columns]", campaign_file.Columns),
-        ("[laws]", campaign_file.Laws),
-        ("[dependence]", campaign_file.Dependence),
-        ("[[test]]", campaign_file._Entry),
+        ("[campaign]", schema.Settings),
+        ("[columns]", schema.Columns),
+        ("[laws]", schema.Laws),
+        ("[dependence]", schema.Dependence),
+        ("[[test]]", schema.Entry),
     ],
 )
 def test_every_key_of_the_campaign_file_is_there_with_its_default(section, model):
@@ -210,7 +211,7 @@ def test_campaign_files_that_are_shown_are_accepted(page, tmp_path):
     path.write_text(block.code)
     for name in re.findall(r'^file = "(.+?)"', block.code, re.MULTILINE):
         (tmp_path / name).touch()
-    assert campaign_file.load_campaign(path).tests
+    assert load_campaign(path).tests
 
 
 @pytest.mark.parametrize("target", ["r_hat", "ess", "length"])

@@ -17,7 +17,8 @@ from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.task import Task
-from mfd_bayes.campaign.file import Campaign, ModelName, Test, load_campaign
+from mfd_bayes.campaign.file import Campaign, Test, load_campaign
+from mfd_bayes.campaign.schema import ModelName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from mfd_bayes.campaign.file import LawName, check_id
+from mfd_bayes.campaign.schema import LawName, check_id
 from mfd_bayes.errors import StoreError
 from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.store.files import read_json

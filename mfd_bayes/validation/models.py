@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
-from mfd_bayes.campaign.file import ModelName
+from mfd_bayes.campaign.schema import ModelName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.cycles import find_cycles

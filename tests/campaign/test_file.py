@@ -64,7 +64,7 @@ def test_the_defaults_are_the_papers(folder):
     assert campaign.actuation_unit == "ksi"
     (test,) = campaign.tests
     assert (test.id, test.path, test.role) == ("p500_f0.05", folder / "a.csv", "calibrate")
-    assert (test.actuation_value, test.actuation_unit) == (pytest.approx(0.5), "ksi")
+    assert (test.actuation, test.actuation_unit) == ("500 psi", "ksi")
     assert test.window is None
 
 
@@ -115,7 +115,7 @@ def test_a_measured_actuation_is_a_column(folder, unit):
     table = f'{{ name = "pressure_psi"{unit} }}'
     for columns in (COLUMNS, ""):
         (test,) = load(folder, columns + TEST.replace('"500 psi"', table)).tests
-        assert (test.actuation_value, test.actuation_unit) == (None, "ksi")
+        assert (test.actuation, test.actuation_unit) == (None, "ksi")
         assert test.read().actuation[5] == pytest.approx(0.5)
 
 
@@ -158,7 +158,7 @@ def test_unknown_keys_name_the_nearest(folder, text, expected):
         ("[campaign]\nrate = true\n" + TEST, "got True"),
         ("[campaign]\nrate = nan\n" + TEST, "campaign.rate"),
         ('[campaign]\narea = "3 in"\n' + TEST, "measures length"),
-        ('[campaign]\narea = "3 in^2"\n' + TEST.replace("500 psi", "30 lbf"), "leave it out"),
+        ('[campaign]\narea = "3 in^2"\n' + TEST.replace("500 psi", "30 lbf"), "leave area out"),
         ('[laws]\nsigma0 = "cubic"\n' + TEST, "laws.sigma0"),
         (TEST + 'fit = "60 s"\n', "0 s to 60 s"),
         (TEST + "fit = [0, 60]\n", "test 'p500_f0.05'.fit"),

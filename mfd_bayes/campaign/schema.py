@@ -1,0 +1,160 @@
+"""The keys of a campaign file, and which values each may have."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+)
+
+from mfd_bayes.errors import UnitError
+from mfd_bayes.records.readers.bounds import NAME
+from mfd_bayes.units import parse_actuation, parse_quantity, parse_window
+
+LawName = Literal["proportional", "affine", "power", "constant", "compare"]
+ModelName = Literal["three_stage", "lugre", "bouc_wen"]
+NoiseName = Literal["ou", "iid", "student_t", "staged"]
+Role = Literal["calibrate", "validate"]
+Covariate = Literal["velocity", "amplitude"]
+
+_ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
+
+
+def check_id(name: str) -> str:
+    """A test's id, unchanged; raises ValueError where it cannot be the name of a folder."""
+    if not _ID.fullmatch(name):
+        raise ValueError(
+            "a test's id names a folder: letters, digits and . _ - + only, at most 100 of them, "
+            "and no dot first"
+        )
+    return name
+
+
+def _parsed(parse: Callable[[str], object]) -> Callable[[object], object]:
+    """Validator that parses a text, and returns any other value unchanged."""
+
+    def validate(value: object) -> object:
+        try:
+            return parse(value) if isinstance(value, str) else value
+        except UnitError as error:
+            raise ValueError(str(error)) from error
+
+    return validate
+
+
+def _checked(parse: Callable[[str], object]) -> Callable[[str], str]:
+    """Validator that checks that a text can be parsed, and returns the text."""
+
+    def validate(text: str) -> str:
+        _parsed(parse)(text)
+        return text
+
+    return validate
+
+
+_rate = BeforeValidator(_parsed(lambda text: parse_quantity(text, "rate")))
+_area = BeforeValidator(_parsed(lambda text: parse_quantity(text, "area")))
+
+
+class Part(BaseModel):
+    """A table of a campaign file; unknown keys, NaN and infinity are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Column(Part):
+    """A column of a test file; without `unit`, the ending of its name gives the unit."""
+
+    name: Annotated[str, Field(min_length=1, max_length=NAME)]
+    unit: str | None = None
+
+
+class Columns(Part):
+    """The column of each role in a test file."""
+
+    time: Column | None = None
+    displacement: Column | None = None
+    force: Column | None = None
+    velocity: Column | None = None
+
+
+class Laws(Part):
+    """The law of each parameter over the actuation; "compare" averages over all laws.
+
+    Bouc-Wen's F_y has the law of F_c where none is given.
+    """
+
+    Fc_fwd: LawName = "proportional"
+    Fc_bwd: LawName = "proportional"
+    Fs_fwd: LawName = "proportional"
+    Fs_bwd: LawName = "proportional"
+    sigma0: LawName = "affine"
+    Fy_fwd: LawName | None = None
+    Fy_bwd: LawName | None = None
+
+
+class Dependence(Part):
+    """The covariates besides the actuation that each parameter depends on; default none."""
+
+    Fc_fwd: tuple[Covariate, ...] = ()
+    Fc_bwd: tuple[Covariate, ...] = ()
+    sigma0: tuple[Covariate, ...] = ()
+    d2: tuple[Covariate, ...] = ()
+
+
+class Settings(Part):
+    """The table `[campaign]`; `rate` in Hz, `area` in in²."""
+
+    title: Annotated[str, Field(max_length=1000)] = ""
+    priors: Annotated[str, Field(min_length=1, max_length=1000)] = "mfd"
+    model: ModelName = "three_stage"
+    noise: NoiseName = "ou"
+    rate: Annotated[float, Field(gt=0, strict=True), _rate] | None = None
+    start: Literal["sample", "mask"] = "sample"
+    area: Annotated[float, Field(gt=0, strict=True), _area] | None = None
+
+
+class Entry(Part):
+    """One `[[test]]`."""
+
+    id: Annotated[str, AfterValidator(check_id)]
+    file: Annotated[str, Field(min_length=1, max_length=1000)]
+    actuation: Annotated[
+        Annotated[str, AfterValidator(_checked(parse_actuation)), Tag(":quantity")]
+        | Annotated[Column, Tag(":column")],
+        Discriminator(lambda value: ":column" if isinstance(value, dict) else ":quantity"),
+    ]
+    fit: Annotated[str, AfterValidator(_checked(parse_window))] | None = None
+    role: Role = "calibrate"
+    columns: Columns = Columns()
+    session: Annotated[str, Field(max_length=100)] = ""
+
+
+class Content(Part):
+    """A whole campaign file."""
+
+    campaign: Settings = Settings()
+    columns: Columns = Columns()
+    laws: Laws = Laws()
+    dependence: Dependence = Dependence()
+    test: Annotated[tuple[Entry, ...], Field(min_length=1)]
+
+
+SECTIONS: dict[str, type[Part]] = {
+    "": Content,
+    "campaign": Settings,
+    "columns": Columns,
+    "laws": Laws,
+    "dependence": Dependence,
+    "test": Entry,
+}
+"""Table of a campaign file → its keys; "" is the file itself."""
