@@ -19,6 +19,7 @@ from mfd_bayes.assessment.views import (
 )
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.predictive import PredictiveCheck
+from mfd_bayes.runs.verdict import Verdict
 
 INFORMED = 0.5
 """Share of the prior's variance that the data must remove from a parameter to inform it."""
@@ -46,7 +47,7 @@ def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, A
             ("bulk ESS", row.ess_bulk, f">= {effort['ess']:g}", row.ess_bulk >= effort["ess"]),
             ("tail ESS", row.ess_tail, f">= {effort['ess']:g}", row.ess_tail >= effort["ess"]),
         ):
-            checks.append(Check(subject, name, row.name, value, limit, "pass" if good else "fail"))
+            checks.append(Check(subject, name, row.name, value, limit, Verdict.of(good)))
     return checks
 
 
@@ -55,9 +56,8 @@ def length_check(subject: str, facts: Mapping[str, Any], effort: Mapping[str, An
     times = facts["autocorrelation"].items()  # None stands for infinity, which JSON has not
     slowest, time = max(((n, np.inf if t is None else t) for n, t in times), key=lambda it: it[1])
     lengths = (facts["steps"] - facts["discarded"]) / time
-    good = lengths >= effort["length"]
-    verdict = "pass" if good else "fail"
-    return Check(subject, LENGTH, slowest, lengths, f">= {effort['length']:g}", verdict)
+    good = Verdict.of(lengths >= effort["length"])
+    return Check(subject, LENGTH, slowest, lengths, f">= {effort['length']:g}", good)
 
 
 def predictive_check(subject: str, check: PredictiveCheck) -> Check:
@@ -69,7 +69,7 @@ def predictive_check(subject: str, check: PredictiveCheck) -> Check:
         f"{check.name} (observed {check.observed:.3g}, expected {check.expected:.3g})",
         check.p_value,
         f"in [{EXTREME:g}, {1 - EXTREME:g}]",
-        "pass" if good else "fail",
+        Verdict.of(good),
     )
 
 
@@ -91,7 +91,7 @@ def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[C
         shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
         held = ", ".join(f"{100 * share:.0f} %" for share in sorted(shares)[::-1] if share >= 0.005)
         target = f"posterior (they hold {held} of the draws)" if held else "posterior"
-        found.append(Check(subject, "modes found", target, facts["modes"], "1", "note"))
+        found.append(Check(subject, "modes found", target, facts["modes"], "1", Verdict.NOTE))
     return found
 
 
@@ -106,7 +106,7 @@ def identifiability_checks(subject: str, found: Identifiability) -> list[Check]:
     for pair in found.pairs:
         target = f"{pair.first} and {pair.second}"
         limit = f"within +-{TRADE_OFF:g}"
-        checks.append(Check(subject, TRADE_OFFS, target, pair.correlation, limit, "note"))
+        checks.append(Check(subject, TRADE_OFFS, target, pair.correlation, limit, Verdict.NOTE))
     for s in found.sensitivities:
         target = f"{s.name} ({s.diagnosis})" if s.diagnosis else s.name
         low, high = f"<= {s.prior_limit:.2g}", f"> {s.likelihood_limit:.2g}"
@@ -118,14 +118,14 @@ def identifiability_checks(subject: str, found: Identifiability) -> list[Check]:
 
 def _noted(subject: str, name: str, target: str, value: float, limit: str, good: bool) -> Check:
     """Check that notes what is beyond its limit, and does not fail."""
-    return Check(subject, name, target, value, limit, "pass" if good else "note")
+    return Check(subject, name, target, value, limit, Verdict.PASS if good else Verdict.NOTE)
 
 
 def standing_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     """Whether each proportional law's exponent, if it were free, may be 1."""
     checks = []
     for name, (low, middle, high) in exponents.items():
-        verdict = "pass" if low <= 1.0 <= high else "fail"
+        verdict = Verdict.of(low <= 1.0 <= high)
         target = f"{name} (95 % interval {low:.2f} to {high:.2f})"
         checks.append(Check("population", STANDING, target, middle, "interval holds 1", verdict))
     return checks

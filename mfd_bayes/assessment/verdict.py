@@ -28,6 +28,7 @@ from mfd_bayes.assessment.views import (
     TruthRow,
 )
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.validation.models import ComparisonRow
 
 
@@ -51,9 +52,9 @@ def put_together(
     failures = {
         name: entry["error"] for name, entry in manifest["tests"].items() if entry.get("error")
     }
-    checks += [Check(n, "calibration", "finished", 0.0, "finished", "fail") for n in failures]
+    checks += [Check(n, "calibration", "finished", 0.0, "finished", Verdict.FAIL) for n in failures]
     compared = manifest.get("comparison", {})
-    verdict = "fail" if any(check.verdict == "fail" for check in checks) else "pass"
+    verdict = Verdict.of(all(check.verdict != Verdict.FAIL for check in checks))
     return CampaignView(
         title=manifest["title"],
         verdict=verdict,
@@ -78,13 +79,13 @@ def put_together(
 
 def fails(view: CampaignView) -> tuple[Check, ...]:
     """The checks that failed."""
-    return tuple(check for check in view.checks if check.verdict == "fail")
+    return tuple(check for check in view.checks if check.verdict == Verdict.FAIL)
 
 
 def verdicts(view: CampaignView) -> dict[str, str]:
     """Verdict of the campaign with its sentence, and of every subject of a check."""
-    found = {check.subject: "pass" for check in view.checks}
-    found |= {check.subject: "fail" for check in fails(view)}
+    found: dict[str, str] = {check.subject: Verdict.PASS for check in view.checks}
+    found |= {check.subject: Verdict.FAIL for check in fails(view)}
     return {"campaign": view.verdict, "sentence": view.sentence} | found
 
 
@@ -130,7 +131,7 @@ def _truth_rows(
 
 def _sentence(manifest: Mapping[str, Any], checks: list[Check], calibrated: int) -> str:
     """The verdict with its reason."""
-    failed = [check for check in checks if check.verdict == "fail"]
+    failed = [check for check in checks if check.verdict == Verdict.FAIL]
     sampling = [c for c in failed if c.name in SAMPLING]
     lost = [c for c in failed if c.name == "calibration"]
     effort = manifest["effort"]

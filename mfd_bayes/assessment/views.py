@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.identifiability import Identifiability
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.validation.models import ComparisonRow
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ class Check:
     value : float
     limit : str
         Such as "<= 1.01".
-    verdict : {"pass", "fail", "note"}
+    verdict : Verdict
     """
 
     subject: str
@@ -50,7 +51,7 @@ class Check:
     target: str
     value: float
     limit: str
-    verdict: str
+    verdict: Verdict
 
 
 @dataclass(frozen=True)
@@ -349,7 +350,8 @@ class CampaignView:
     Attributes
     ----------
     title : str
-    verdict : {"pass", "fail"}
+    verdict : Verdict
+        FAIL where a check failed, else PASS.
     sentence : str
         The verdict with its reason.
     actuation_unit : {"ksi", "kip"}
@@ -378,7 +380,7 @@ class CampaignView:
     """
 
     title: str
-    verdict: str
+    verdict: Verdict
     sentence: str
     actuation_unit: str
     tests: tuple[TestView, ...]

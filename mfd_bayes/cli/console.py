@@ -11,6 +11,8 @@ from typing import Any
 
 import typer
 
+from mfd_bayes.runs.verdict import Verdict
+
 _ESCAPES = re.compile(
     r"""(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]              # colours, movements of the cursor
       | (?:\x1b[]PX^_]|[\x90\x98\x9d-\x9f])[^\x07\x1b\x9c]*(?:\x07|\x1b\\|\x9c)?  # titles, links
@@ -142,7 +144,7 @@ def print_checks(view: Any, *, every: bool) -> None:
     """Print what failed, with its limit, and a line for each kind of check; or every check."""
     if not every:
         _print_kinds(view.checks)
-    shown = [c for c in view.checks if every or c.verdict == "fail"]
+    shown = [c for c in view.checks if every or c.verdict == Verdict.FAIL]
     if not shown:
         return
     table = _table("Checks" if every else "Checks that failed")
@@ -160,10 +162,10 @@ def _print_kinds(checks: Any) -> None:
         kinds.setdefault(check.name, Counter())[check.verdict] += 1
     table = _table("Checks of every test and of the population (--all shows each)")
     table.add_column("check", overflow="fold")
-    for verdict in ("pass", "note", "fail"):
+    for verdict in Verdict:
         table.add_column(verdict, justify="right")
     for name, count in kinds.items():
-        _add(table, name, *(str(count[verdict]) for verdict in ("pass", "note", "fail")))
+        _add(table, name, *(str(count[verdict]) for verdict in Verdict))
     open_console().print(table)
 
 
@@ -180,7 +182,7 @@ def print_end(view: Any, out: Path, *, quiet: bool = False) -> None:
 def _print_verdicts(view: Any) -> None:
     """Print each test's verdict; where there are many, how many pass and which do not."""
     failed = {
-        test: Counter(c.name for c in view.checks if (c.subject, c.verdict) == (test, "fail"))
+        test: Counter(c.name for c in view.checks if (c.subject, c.verdict) == (test, Verdict.FAIL))
         for test in (*(t.id for t in view.tests if t.role == "calibrate"), *view.failures)
     }
     many = len(failed) > LISTED
@@ -190,4 +192,4 @@ def _print_verdicts(view: Any) -> None:
     for test, names in failed.items():
         if names or not many:
             what = ", ".join(f"{name} ({times})" for name, times in names.items())
-            say(f"  {test:{width}}  {f'FAIL: {what}' if names else 'pass'}")
+            say(f"  {test:{width}}  {f'FAIL: {what}' if names else Verdict.PASS}")

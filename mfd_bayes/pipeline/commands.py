@@ -42,6 +42,7 @@ from mfd_bayes.runs.folder import MANIFEST, check_links, discard, sweep
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_begun
 from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.files import write_atomically, write_bytes, write_json, write_text
 from mfd_bayes.units import parse_actuation
 from mfd_bayes.validation.folds import fold_id, folds_of, parts_of, run_folds
@@ -277,7 +278,7 @@ def report(
 def check(out: Path) -> CampaignView:
     """Convergence and predictive checks of a finished run, and what is to be noted besides."""
     view = assess(open_run(out))
-    told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != "pass"]
+    told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
     return replace(view, checks=tuple(told))
 
 

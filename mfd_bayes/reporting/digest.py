@@ -14,6 +14,7 @@ from mfd_bayes.assessment.views import (
     DerivedRow,
     Row,
 )
+from mfd_bayes.runs.verdict import Verdict
 
 UNINFORMED = 0.5
 """Below this contraction the page says that the data do not inform a parameter."""
@@ -35,7 +36,7 @@ class Convergence:
     r_hat: Row | None
     ess_bulk: Row | None
     ess_tail: Row | None
-    verdict: str
+    verdict: Verdict | None
 
 
 def is_of_sampler(check: Check) -> bool:
@@ -57,7 +58,7 @@ def _worst(subject: str, rows: tuple[Row, ...], checks: Iterable[Check]) -> Conv
     bulk = [row for row in rows if not math.isnan(row.ess_bulk)]
     tail = [row for row in rows if not math.isnan(row.ess_tail)]
     verdicts = {c.verdict for c in checks if c.subject == subject and is_of_sampler(c)}
-    worst = next((v for v in ("fail", "note", "pass") if v in verdicts), "")
+    worst = next((v for v in (Verdict.FAIL, Verdict.NOTE, Verdict.PASS) if v in verdicts), None)
     return Convergence(
         subject=subject,
         r_hat=max(sampled, key=lambda row: row.r_hat, default=None),
@@ -67,10 +68,10 @@ def _worst(subject: str, rows: tuple[Row, ...], checks: Iterable[Check]) -> Conv
     )
 
 
-def verdicts_of(view: CampaignView) -> dict[str, str]:
-    """Whether a check of a test failed."""
-    found = {test.id: "pass" if test.checks else "" for test in view.tests}
-    return found | {c.subject: "fail" for c in view.checks if c.verdict == "fail"}
+def verdicts_of(view: CampaignView) -> dict[str, Verdict | None]:
+    """FAIL of every subject with a check that failed, PASS of other tests, None without checks."""
+    found = {test.id: Verdict.PASS if test.checks else None for test in view.tests}
+    return found | {c.subject: Verdict.FAIL for c in view.checks if c.verdict == Verdict.FAIL}
 
 
 def is_weak(row: Row) -> bool:
@@ -81,7 +82,7 @@ def is_weak(row: Row) -> bool:
 
 def is_judged(check: Check) -> bool:
     """Whether a check can fail."""
-    return check.verdict != "note" and check.name not in IDENTIFIABILITY
+    return check.verdict != Verdict.NOTE and check.name not in IDENTIFIABILITY
 
 
 def is_of_fit(check: Check) -> bool:

@@ -36,13 +36,6 @@ def table_of(key: str) -> str:
     return f"{folder}/{_TABLES[name]}.csv" if folder else f"figures/{key}.csv"
 
 
-def figure_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
-    """Path from the run folder and text of every table, one at a time."""
-    yield from shared_tables(view)
-    for test in view.tests:
-        yield from tables_of_test(test)
-
-
 def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     """Path and text of the tables behind the figures of all tests together."""
     if view.tests:

@@ -66,8 +66,8 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
     ----------
     view : CampaignView
     images : mapping of str to bytes
-        PNGs by the keys of `figures.draw_all`, as far as they are `needed`; what is missing is
-        left out.
+        PNGs by the keys of `figures.draw_shared` and `draw_test`, as far as they are `needed`;
+        a picture that is not given is left out.
     """
     whole = len(view.tests) <= ONE_PAGE
     shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}

@@ -27,6 +27,7 @@ from mfd_bayes.runs.folder import (
     record_of,
 )
 from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.netcdf import load_trace
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ class Run:
                 "there the band rests on the form of the laws alone"
             )
         verdicts = self.manifest.get("verdicts", {})
-        if verdicts.get("campaign") == "fail":
+        if verdicts.get("campaign") == Verdict.FAIL:
             remarks.append(f"the run did not pass its checks: {verdicts.get('sentence', '')}")
         return tuple(remarks)
 

@@ -31,6 +31,10 @@ from mfd_bayes.calibration.identifiability import (
 )
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.conversion import shown_in
+from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
+from mfd_bayes.reporting.figures import draw_shared, draw_test
+from mfd_bayes.runs.verdict import Verdict
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
 UNITS = {"Fc_fwd": "kip", "k3": "kip/in", "gamma1": "1"}
@@ -73,8 +77,15 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
         chains={name: rng.normal(size=(4, 40)) for name in ("Fc_fwd", "k3")},
         corner=("Fc_fwd", "k3"),
         checks=(
-            Check(identity, "R-hat", "Fc_fwd", 1.002, "<= 1.01", "pass"),
-            Check(identity, "posterior predictive p-value", "energy", 0.4, "0.01 to 0.99", "pass"),
+            Check(identity, "R-hat", "Fc_fwd", 1.002, "<= 1.01", Verdict.PASS),
+            Check(
+                identity,
+                "posterior predictive p-value",
+                "energy",
+                0.4,
+                "0.01 to 0.99",
+                Verdict.PASS,
+            ),
         ),
         score=score,
         derived=make_derived(identity, role),
@@ -135,7 +146,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     row = Row("population", "K_c_fwd", "in**2", 1.2, 0.1, 1.0, 1.2, 1.4, 1.001, 900.0, 800.0, 0.98)
     return CampaignView(
         title="Drum brake",
-        verdict="pass",
+        verdict=Verdict.PASS,
         sentence="All checks passed.",
         actuation_unit="ksi",
         tests=tests,
@@ -159,6 +170,39 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
 @pytest.fixture(scope="session")
 def test_view() -> Callable[..., TestView]:
     return make_test
+
+
+def draw_pngs(view: CampaignView) -> dict[str, bytes]:
+    system = shown_in(view)
+    pngs = dict(draw_shared(view))
+    for test in view.tests:
+        pngs |= draw_test(test, system, view.actuation_unit)
+    return pngs
+
+
+def write_tables(view: CampaignView) -> dict[str, str]:
+    tables = dict(shared_tables(view))
+    for test in view.tests:
+        tables |= tables_of_test(test)
+    return tables
+
+
+@pytest.fixture(scope="session")
+def draw() -> Callable[[CampaignView], dict[str, bytes]]:
+    """PNG of every figure of a report, by its key."""
+    return draw_pngs
+
+
+@pytest.fixture(scope="session")
+def tables_behind() -> Callable[[CampaignView], dict[str, str]]:
+    """The table behind every figure of a report, by its path from the run folder."""
+    return write_tables
+
+
+@pytest.fixture(scope="session")
+def images(campaign: CampaignView) -> dict[str, bytes]:
+    """PNG of every figure of `campaign`, by its key."""
+    return draw_pngs(campaign)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +13,6 @@ import pytest
 from mfd_bayes.assessment.views import CampaignView
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
-from mfd_bayes.reporting.figure_data import figure_tables
 from mfd_bayes.reporting.html import render
 from mfd_bayes.reporting.pdf import find_browser, print_page
 
@@ -29,18 +28,21 @@ A4 = (794 - 91, 1123 - 106)
 """Width and height of A4 less the page's margins, in CSS pixels."""
 
 
-def write(folder: Path, view: CampaignView, images: dict[str, bytes] | None = None) -> Path:
-    for name, page in render(view, images or figures.draw_all(view)).items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(page, encoding="utf-8")
-    for name, table in figure_tables(view):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(table, encoding="utf-8")
-    return folder / "report.html"
+@pytest.fixture(scope="session")
+def write(draw, tables_behind) -> Callable[..., Path]:
+    """Write the pages of a report and the tables behind its figures; returns the first page."""
+
+    def written(folder: Path, view: CampaignView, images: dict[str, bytes] | None = None) -> Path:
+        for name, text in (render(view, images or draw(view)) | tables_behind(view)).items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text, encoding="utf-8")
+        return folder / "report.html"
+
+    return written
 
 
 @pytest.fixture(scope="session")
-def report(campaign, tmp_path_factory) -> Path:
+def report(write, campaign, tmp_path_factory) -> Path:
     return write(tmp_path_factory.mktemp("report"), campaign)
 
 
@@ -125,7 +127,7 @@ def test_units_change_at_a_click_in_tables_and_plots(chromium, report):
         assert found.errors == []
 
 
-def test_the_explorer_switches_tests_and_tells_stages(chromium, campaign, tmp_path):
+def test_the_explorer_switches_tests_and_tells_stages(chromium, campaign, tmp_path, write):
     test = campaign.tests[0]
     stage = np.full(test.trace.samples, 3, dtype=np.int8)
     view = replace(campaign, tests=(replace(test, stage=stage), campaign.tests[1]))
@@ -167,7 +169,7 @@ def test_a_sample_is_read_by_pointing_at_it(chromium, report):
         assert any(value.endswith("kip") for value in values)
 
 
-def test_tables_are_sorted_from_the_keyboard(chromium, campaign, tmp_path):
+def test_tables_are_sorted_from_the_keyboard(chromium, campaign, tmp_path, write):
     names = ["b", "a10", "a9"]
     rows = [tuple(replace(r, subject=n) for r in campaign.tests[0].rows) for n in names]
     tests = [replace(campaign.tests[0], id=n, rows=r) for n, r in zip(names, rows, strict=True)]
@@ -206,7 +208,7 @@ def test_without_scripts_the_pictures_are_there(chromium, report):
     context.close()
 
 
-def test_names_from_files_run_nothing(chromium, campaign, tmp_path):
+def test_names_from_files_run_nothing(chromium, campaign, tmp_path, write):
     rows = tuple(replace(row, note=HOSTILE) for row in campaign.tests[0].rows)
     test = replace(campaign.tests[0], rows=rows)
     view = replace(campaign, title=HOSTILE, sentence=HOSTILE, tests=(test, campaign.tests[1]))
@@ -244,7 +246,7 @@ def test_the_pdf_is_one(report):
 
 
 @pytest.fixture(scope="module")
-def fifty(campaign, tmp_path_factory) -> Path:
+def fifty(campaign, draw, write, tmp_path_factory) -> Path:
     """A campaign of fifty tests, each with its own record of the usual length."""
     some = campaign.tests[0]
     tests = []
@@ -253,7 +255,7 @@ def fifty(campaign, tmp_path_factory) -> Path:
         rows = tuple(replace(row, subject=name) for row in some.rows)
         tests.append(replace(some, id=name, rows=rows, trace=noisy(some.trace, at)))
     scores = tuple(replace(campaign.scores[0], subject=test.id) for test in tests)
-    drawn = figures.draw_all(replace(campaign, tests=(some,)))
+    drawn = draw(replace(campaign, tests=(some,)))
     images = {key: png for key, png in drawn.items() if not key.startswith("tests/")}
     images["overview"] = figures.to_png(figures.draw_overview("loops", tests))
     for test in tests:  # one test's pictures for all: they are as large

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.reporting import figures
-from mfd_bayes.reporting.figure_data import figure_tables, table_of
+from mfd_bayes.reporting.figure_data import table_of, tables_of_test
 
 
 @pytest.fixture(scope="module")
-def tables(campaign):
-    return dict(figure_tables(campaign))
+def tables(campaign, tables_behind):
+    return tables_behind(campaign)
 
 
 def read(text):
@@ -19,9 +18,8 @@ def read(text):
     return [dict(zip(head, row, strict=True)) for row in rows]
 
 
-def test_every_figure_has_its_table(campaign, tables):
-    keys = [key for key, _ in figures.figures(campaign)]
-    assert {table_of(key) for key in keys} == set(tables)
+def test_every_figure_has_its_table(images, tables):
+    assert {table_of(key) for key in images} == set(tables)
 
 
 def test_a_record_is_told_in_full(campaign, tables):
@@ -43,9 +41,7 @@ def test_stages_are_told_where_they_are_known(campaign):
     staged = replace(
         test, stage=np.full(test.trace.samples, 2, np.int8), travel=np.zeros(test.trace.samples)
     )
-    rows = read(
-        dict(figure_tables(replace(campaign, tests=(staged,))))["tests/p800_f0.25/record.csv"]
-    )
+    rows = read(dict(tables_of_test(staged))["tests/p800_f0.25/record.csv"])
     assert {row["stage"] for row in rows} == {"2"}
 
 
@@ -73,7 +69,7 @@ def test_chains_are_told_apart(tables):
     assert "Fc_fwd [kip]" in rows[0]
 
 
-def test_names_are_no_formulas(campaign):
+def test_names_are_no_formulas(campaign, tables_behind):
     named = replace(campaign.tests[0], id="=HYPERLINK(1)")
-    text = dict(figure_tables(replace(campaign, tests=(named,))))["figures/overview.csv"]
+    text = tables_behind(replace(campaign, tests=(named,)))["figures/overview.csv"]
     assert "\n'=HYPERLINK(1)" in text

@@ -9,7 +9,9 @@ import pytest
 from mfd_bayes.assessment.views import Marginal
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.conversion import convert_test, shown_in
 from mfd_bayes.reporting.figures import laws
+from mfd_bayes.reporting.figures.campaign import figures_of_test, shared_figures
 from mfd_bayes.reporting.figures.loops import stretches
 from mfd_bayes.reporting.figures.style import BANDS
 
@@ -21,9 +23,18 @@ def labels(figure):
     return [text for text in found if text]
 
 
+def figures_of(view):
+    found = dict(shared_figures(view))
+    system = shown_in(view)
+    for test in view.tests:
+        shown = convert_test(test, system, view.actuation_unit)
+        found |= figures_of_test(shown, system)
+    return found
+
+
 @pytest.fixture(scope="module")
 def drawn(campaign):
-    return dict(figures.figures(campaign))
+    return figures_of(campaign)
 
 
 def test_every_figure_is_drawn_once_under_its_key(drawn):
@@ -41,7 +52,7 @@ def test_axes_have_units(drawn, key):
 
 
 def test_a_metric_report_is_drawn_in_metric_units(campaign, drawn):
-    metric = dict(figures.figures(replace(campaign, metric=True)))
+    metric = figures_of(replace(campaign, metric=True))
     for key in ("overview", "tests/p800_f0.25/loops", "tests/p800_f0.25/history"):
         texts = " ".join(labels(metric[key]))
         assert "mm" in texts
@@ -88,8 +99,8 @@ def test_wide_positive_priors_are_logarithmic_and_uniform_ones_are_not():
     assert [axes.get_xscale() for axes in figure.axes] == ["log", "linear"]
 
 
-def test_pngs_are_the_same_each_time(campaign):
-    assert figures.draw_all(campaign) == figures.draw_all(campaign)
+def test_pngs_are_the_same_each_time(campaign, images, draw):
+    assert draw(campaign) == images
 
 
 def test_the_users_settings_neither_matter_nor_change(test_view):

@@ -14,8 +14,8 @@ from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.digest import is_of_sampler
-from mfd_bayes.reporting.figure_data import figure_tables
 from mfd_bayes.reporting.html import ONE_PAGE, render
+from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.validation.models import ComparisonRow
 
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))
@@ -48,11 +48,6 @@ class Page(HTMLParser):
 
 def first(view, images):
     return render(view, images)["report.html"]
-
-
-@pytest.fixture(scope="module")
-def images(campaign):
-    return figures.draw_all(campaign)
 
 
 @pytest.fixture(scope="module")
@@ -99,8 +94,8 @@ def test_only_these_scripts_may_run(page, text):
     assert "default-src 'none'" in policy
 
 
-def test_every_picture_can_be_taken_with_its_data(campaign, page):
-    tables = {quote(path) for path, _ in figure_tables(campaign)}
+def test_every_picture_can_be_taken_with_its_data(campaign, page, tables_behind):
+    tables = {quote(path) for path in tables_behind(campaign)}
     for figure in page.all("img"):
         taken = [a for a in page.all("a") if a.get("data-picture") == figure["id"]]
         assert len(taken) == 1
@@ -138,7 +133,7 @@ def scrollers(page):
 
 def test_the_verdict_is_worded(campaign, images, text):
     assert "✓ Passed" in text
-    failed = replace(campaign, verdict="fail", sentence="R̂ is 1.2.")
+    failed = replace(campaign, verdict=Verdict.FAIL, sentence="R̂ is 1.2.")
     assert "✗ Not passed" in first(failed, images)
     assert "R̂ is 1.2." in first(failed, images)
 
@@ -200,7 +195,9 @@ def test_names_from_files_are_text(campaign, test_view):
         pairs=(Pair(HOSTILE, HOSTILE, 0.8),),
         sensitivities=(Sensitivity(HOSTILE, 0.1, 0.1),),
     )
-    checks = tuple(Check(HOSTILE, n, HOSTILE, 0.0, HOSTILE, HOSTILE) for n in ("R-hat", HOSTILE))
+    checks = tuple(
+        Check(HOSTILE, n, HOSTILE, 0.0, HOSTILE, Verdict.NOTE) for n in ("R-hat", HOSTILE)
+    )
     hostile = replace(
         campaign,
         title=HOSTILE,
@@ -225,11 +222,11 @@ def test_names_from_files_are_text(campaign, test_view):
     assert len(page.all("img")) == 2
 
 
-def test_a_campaign_of_held_out_tests_alone(campaign, images):
+def test_a_campaign_of_held_out_tests_alone(campaign, images, draw):
     view = replace(campaign, tests=campaign.tests[1:], laws=(), law_rows=(), checks=(), truth=())
     view = replace(view, scores=campaign.scores[1:])
     kept = {key: png for key, png in images.items() if "p800" not in key and key != "truth"}
-    text = first(view, kept | figures.draw_all(view))
+    text = first(view, kept | draw(view))
     Page(text)
     assert "No test was calibrated" in text
     assert "Nothing was sampled" in text
@@ -241,9 +238,9 @@ def test_a_campaign_without_laws(campaign, images):
     assert "No laws were fitted" in text
 
 
-def test_a_campaign_without_anything(campaign):
+def test_a_campaign_without_anything(campaign, draw):
     empty = replace(campaign, tests=(), laws=(), law_rows=(), checks=(), scores=(), truth=())
-    assert figures.draw_all(empty) == {}
+    assert draw(empty) == {}
     Page(first(empty, {}))
 
 
@@ -255,11 +252,11 @@ def test_checks_of_the_sampler_are_told_from_those_of_the_fit():
         "posterior predictive p-value": False,
     }
     for name, expected in names.items():
-        assert is_of_sampler(Check("a", name, "", 1.0, "", "pass")) is expected
+        assert is_of_sampler(Check("a", name, "", 1.0, "", Verdict.PASS)) is expected
 
 
 def test_failed_checks_stand_out(campaign, images):
-    bad = Check("p800_f0.25", "posterior predictive p-value", "energy", 0.0, "0.01", "fail")
+    bad = Check("p800_f0.25", "posterior predictive p-value", "energy", 0.0, "0.01", Verdict.FAIL)
     text = first(replace(campaign, checks=(bad,)), images)
     assert "✗ fail" in text
     assert "<b>1 of 1</b> checks failed" in text
@@ -267,7 +264,14 @@ def test_failed_checks_stand_out(campaign, images):
 
 def test_one_statistic_is_one_line_whatever_was_observed(campaign, images):
     checks = tuple(
-        Check(test, "posterior predictive p-value", f"energy (observed {seen})", 0.0, "a", "fail")
+        Check(
+            test,
+            "posterior predictive p-value",
+            f"energy (observed {seen})",
+            0.0,
+            "a",
+            Verdict.FAIL,
+        )
         for test, seen in (("a", "1.5, expected 2"), ("b", "3.5, expected 4"))
     )
     text = first(replace(campaign, checks=checks), images)
@@ -276,7 +280,7 @@ def test_one_statistic_is_one_line_whatever_was_observed(campaign, images):
 
 
 def test_what_is_told_elsewhere_is_not_told_twice(campaign, images):
-    note = Check("a", "prior variance removed", "k3", 0.1, ">= 0.5", "note")
+    note = Check("a", "prior variance removed", "k3", 0.1, ">= 0.5", Verdict.NOTE)
     text = first(replace(campaign, checks=(note,)), images)
     assert "prior variance removed" not in text
     assert "<b>0 of 0</b> checks failed" in text
@@ -302,7 +306,7 @@ def test_without_trade_offs_there_is_a_dash(campaign, images):
 
 
 def test_checks_of_identifiability_cannot_fail_and_are_not_counted(campaign, images):
-    checks = tuple(Check("a", name, "k3", 0.1, "", "pass") for name in IDENTIFIABILITY)
+    checks = tuple(Check("a", name, "k3", 0.1, "", Verdict.PASS) for name in IDENTIFIABILITY)
     text = first(replace(campaign, checks=checks), images)
     assert "<b>0 of 0</b> checks failed" in text
     assert not any(name in text for name in IDENTIFIABILITY if name != DIRECTIONS)

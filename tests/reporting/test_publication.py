@@ -8,7 +8,6 @@ import pytest
 
 from mfd_bayes.assessment.systems import SI, US
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.reporting.figures import draw_all
 from mfd_bayes.reporting.publication import Drawing, publish
 
 
@@ -16,11 +15,11 @@ def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-def test_a_report_holds_every_figure_and_its_table(campaign, tmp_path):
+def test_a_report_holds_every_figure_and_its_table(campaign, images, tmp_path):
     steps = []
     publish(campaign, tmp_path, 2, steps.append)
     found = files(tmp_path)
-    for key, png in draw_all(campaign).items():
+    for key, png in images.items():
         path = f"{key}.png" if key.startswith("tests/") else f"figures/{key}.png"
         assert found[path] == png
         assert base64.b64encode(png) in found["report.html"]

@@ -16,6 +16,7 @@ from mfd_bayes.reporting.tables import (
     report_tables,
     scores_csv,
 )
+from mfd_bayes.runs.verdict import Verdict
 
 
 def read(text):
@@ -42,7 +43,7 @@ def test_no_text_is_a_formula(text, campaign):
     row = replace(campaign.law_rows[0], subject=text, note=text)
     line = read(parameters_csv([row]))[0]
     assert line["test"] == line["note"] == f"'{text}".replace("\r", " ").replace("\t", " ")
-    check = read(checks_csv([Check(text, "a, b", 'say "x"', -1.0, "<= 1", "pass")]))[0]
+    check = read(checks_csv([Check(text, "a, b", 'say "x"', -1.0, "<= 1", Verdict.PASS)]))[0]
     assert check["subject"] == line["test"]
     assert (check["check"], check["target"], check["value"]) == ("a, b", 'say "x"', "-1")
 

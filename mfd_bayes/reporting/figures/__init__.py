@@ -1,12 +1,6 @@
 """Every figure; the only place that knows matplotlib and corner. Import it when it is needed."""
 
-from mfd_bayes.reporting.figures.campaign import (
-    OF_TEST,
-    draw_all,
-    draw_shared,
-    draw_test,
-    figures,
-)
+from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_shared, draw_test
 from mfd_bayes.reporting.figures.inspection import draw_inspection
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
@@ -21,7 +15,6 @@ from mfd_bayes.reporting.figures.style import save_png, to_png
 
 __all__ = [
     "OF_TEST",
-    "draw_all",
     "draw_chains",
     "draw_corner",
     "draw_history",
@@ -34,7 +27,6 @@ __all__ = [
     "draw_shared",
     "draw_test",
     "draw_truth",
-    "figures",
     "save_png",
     "to_png",
 ]

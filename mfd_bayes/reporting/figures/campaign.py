@@ -29,11 +29,6 @@ OF_TEST = ("loops", "history", "residuals", "corner", "trace", "marginals")
 _FIGURES_HELD = 8
 
 
-def draw_all(view: CampaignView) -> dict[str, bytes]:
-    """PNG of every figure, by its key: what `draw_shared` and `draw_test` draw."""
-    return dict(_pngs(figures(view)))
-
-
 def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
     """PNGs of the figures of all tests together, one at a time, each with its key.
 
@@ -57,14 +52,6 @@ def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[t
         The internal one.
     """
     return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system))
-
-
-def figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
-    """Every figure with its key, one at a time so that they need not all be held."""
-    system = shown_in(view)
-    yield from shared_figures(view)
-    for test in view.tests:
-        yield from figures_of_test(convert_test(test, system, view.actuation_unit), system)
 
 
 def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:

@@ -1,0 +1,25 @@
+"""What a check comes to."""
+
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """Verdict of a check, a test or a run, as its files hold it, with what it means."""
+
+    message: str
+
+    PASS = "pass", "The value is within its limit."
+    NOTE = "note", "A reader must know of it; it is no fault of the run."
+    FAIL = "fail", "The value is beyond its limit: do not use the figures that rest on it."
+
+    def __new__(cls, value: str, message: str) -> "Verdict":
+        """Member whose value is a text, with a message."""
+        member = str.__new__(cls, value)
+        member._value_ = value
+        member.message = message
+        return member
+
+    @classmethod
+    def of(cls, good: bool) -> "Verdict":
+        """PASS or FAIL."""
+        return cls.PASS if good else cls.FAIL
