@@ -28,7 +28,7 @@ from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.pipeline.commands import effort_of
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.layout import Setting, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.population.storage import load_population, save_population
@@ -126,15 +126,15 @@ def _write_posterior(path: Path, posterior: Posterior, rng: Rng) -> None:
 def _write_population(
     path: Path, priors: PriorFile, names: Sequence[str], under: list[Setting], rng: Rng
 ) -> None:
-    pooling = pool(priors, names, under, LAWS)
-    cells = sum(len(effect.cells) for effect in pooling.effects)
-    d = len(pooling.names)
+    layout = lay_out(priors, names, under, LAWS)
+    cells = sum(len(effect.cells) for effect in layout.effects)
+    d = len(layout.names)
     factors = np.tril(rng.normal(size=(2, 6, d, d)))
     population = Population(
-        pooling=pooling,
-        h=rng.normal(-2.0, 0.2, size=(2, 6, pooling.dim)),
+        layout=layout,
+        h=rng.normal(-2.0, 0.2, size=(2, 6, layout.dim)),
         latent=0.1 * rng.normal(size=(2, 6, 1 + cells, d)),
-        choice=pooling.draw_choice(12).reshape(2, 6, -1),
+        choice=layout.draw_choice(12).reshape(2, 6, -1),
         together=factors / np.linalg.norm(factors, axis=-1, keepdims=True),
         priors=priors.parameters,
         actuation_unit="ksi",

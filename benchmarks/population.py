@@ -4,17 +4,17 @@
     python benchmarks/population.py --campaigns 100 --seed 1 > benchmarks/population.txt
 
 Agreement: one synthetic campaign of four tests at three levels, 17 parameters each, Ornstein-
-Uhlenbeck noise. Ours calibrates the tests and pools them until it has 1500 effective draws; the
+Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 1500 effective draws; the
 peer is NumPyro's NUTS on the joint density of population and tests in JAX, which shares no code
 with ours (`population_peer`). Every level, scatter, deviation, shape and quantity of a test
 must have a mean within `MEAN` sd and an sd within `SPREAD` of the peer's. The control, tests
 taken for points, has to fail.
 
 Ranks: campaigns of four short tests whose hyperparameters, tests, and records are drawn from the
-prior of the population (`population_study`), calibrated one by one and pooled; the rank of the
-truth among L draws is uniform if all is right (Talts et al. 2018). It is judged as in
-`sbc.py`, by the simultaneous band of the ECDF, familywise by Bonferroni. The control pools the
-same tests as if their means were known exactly, and has to fail.
+prior of the population (`population_study`), calibrated one by one and then jointly; the rank of
+the truth among L draws is uniform if all is right (Talts et al. 2018). It is judged as in
+`sbc.py`, by the simultaneous band of the ECDF, familywise by Bonferroni. The control takes the
+means of the same tests as known exactly, and has to fail.
 
 Every finished campaign is a file in --work, so an interrupted run goes on where it stopped;
 those that other code or settings made are not taken, and none is dropped. Exit status 1: a bar
@@ -61,7 +61,7 @@ CHAINS, TUNING, DRAWS = 4, 800, 2000
 TESTS = ("test 1", "test 2", "test 3", "test 4")
 GROUPS = ("level", "scatter", "deviation", "share", "exponent")
 MAIN = ("sigma0", "Fc_fwd", "Fc_bwd", "k3", "d2", "offset", "noise_sd")
-"""Quantities of the tests for which the bars hold, in pooled coordinates: the slip forces, the
+"""Quantities of the tests for which the bars hold, in shared coordinates: the slip forces, the
 width of the gap, … Others have tails that no sampler here sees often enough for an sd."""
 LEGEND = """\
 p       of the simultaneous ECDF test of one quantity
@@ -96,14 +96,14 @@ def compare(seed, quick):
     their_ess = sizes(theirs, 1)
     print(
         f"{len(campaign.tests)} tests of {study.motion.samples} samples, "
-        f"{len(campaign.pooling.names)} quantities each; the tests by themselves took "
+        f"{len(campaign.layout.names)} quantities each; the tests by themselves took "
         f"{calibrated:.0f} s\nNUTS: {CHAINS} chains of {kept} draws, {diverged:.1%} diverged, "
         f"largest R-hat {rhat(theirs, 1):.3f}, least bulk ESS {min(their_ess.values()):.0f}, "
         f"{spent:.0f} s"
     )
     for way in (RIGHT, WRONG):
         began = time.perf_counter()
-        inference = study_of.pool_draws(study, campaign, draws, 0, way)
+        inference = study_of.draw_jointly(study, campaign, draws, 0, way)
         spent = time.perf_counter() - began
         mine = study_of.coordinates_of(inference)
         walkers = inference.population.walkers
@@ -227,7 +227,7 @@ def run_campaign(seed, index):
         return {"error": str(error), "ranks": {}}
     ranks, told = {}, {}
     for way in (RIGHT, WRONG):
-        inference = study_of.pool_draws(study, campaign, draws, index, way)
+        inference = study_of.draw_jointly(study, campaign, draws, index, way)
         ranks[way] = study_of.ranks_of(study, campaign, inference, index)
         found = inference.population.convergence
         told[way] = found.worst_ess, found.worst_r_hat, inference.sweeps

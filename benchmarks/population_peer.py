@@ -34,8 +34,8 @@ class Layout:
     campaign : Campaign
     means : (J, d + 1)
     precisions : (J, d + 1, d + 1)
-        Of Gaussians near the tests' likelihoods, in pooled coordinates and the logit of the
-        place in the gap at the start, which is not pooled.
+        Of Gaussians near the tests' likelihoods, in shared coordinates and the logit of the
+        place in the gap at the start, which is not shared.
     """
 
     campaign: Campaign
@@ -45,11 +45,11 @@ class Layout:
     @classmethod
     def of(cls, campaign, draws):
         """Layout near the draws of the tests by themselves."""
-        pooling = campaign.pooling
-        centre, spread = np.append(pooling.centre, 0.0), np.append(pooling.spread, LOGISTIC)
+        ours = campaign.layout
+        centre, spread = np.append(ours.centre, 0.0), np.append(ours.spread, LOGISTIC)
         means, precisions = [], []
         for drawn in draws:
-            q = (_coordinates(pooling, drawn) - centre) / spread
+            q = (_coordinates(ours, drawn) - centre) / spread
             covariance = np.cov(q, rowvar=False)
             variance, axes = np.linalg.eigh(covariance)
             precision = (axes * np.maximum(1.0 / variance - 1.0, 1e-2)) @ axes.T
@@ -60,17 +60,17 @@ class Layout:
 
     @property
     def names(self):
-        """The pooled quantities."""
-        return self.campaign.pooling.names
+        """The shared quantities."""
+        return self.campaign.layout.names
 
     def begin(self, draws, rng):
         """A start: tests at draws of themselves alone, the rest about them or from the prior."""
-        pooling, d = self.campaign.pooling, len(self.names)
-        q = np.array([rng.choice(_coordinates(pooling, drawn)) for drawn in draws])
+        ours, d = self.campaign.layout, len(self.names)
+        q = np.array([rng.choice(_coordinates(ours, drawn)) for drawn in draws])
         followers = {f"deviation {g}": (len(m), 3) for g, m in FOLLOWERS.items()}
         u = {
-            "level": (q.mean(axis=0)[:d] - pooling.centre) / pooling.spread,
-            "log_scatter": np.log(0.5 * pooling.scatter_sd) + 0.3 * rng.standard_normal(d),
+            "level": (q.mean(axis=0)[:d] - ours.centre) / ours.spread,
+            "log_scatter": np.log(0.5 * ours.scatter_sd) + 0.3 * rng.standard_normal(d),
             "log_deviation": np.log(0.1) + 0.3 * rng.standard_normal(len(FOLLOWERS)),
             "share": 0.5 * rng.standard_normal(),
             "exponent": 1.0 + 0.3 * rng.standard_normal(),
@@ -80,9 +80,9 @@ class Layout:
         return u | {"tests": np.einsum("jab,ja->jb", factor, q - centre)}
 
     def population(self, u):
-        """Means of the tests' pooled coordinates (J, d), and their scatter (d,)."""
-        pooling = self.campaign.pooling
-        relative = np.array(LEVELS) / pooling.reference
+        """Means of the tests' shared coordinates (J, d), and their scatter (d,)."""
+        ours = self.campaign.layout
+        relative = np.array(LEVELS) / ours.reference
         share = jax.nn.sigmoid(u["share"])
         columns = {
             "Fc_fwd": jnp.log(relative),
@@ -97,7 +97,7 @@ class Layout:
             swing = jnp.exp(u["log_deviation"][i]) * u[f"deviation {group}"] @ root.T
             for row, name in zip(swing, members, strict=True):
                 columns[name] = columns[name] + row[home]
-        level = pooling.centre + pooling.spread * u["level"]
+        level = ours.centre + ours.spread * u["level"]
         mean = jnp.tile(level, (len(LEVELS), 1))
         for name, column in columns.items():
             mean = mean.at[:, self.names.index(name)].add(column)
@@ -121,29 +121,29 @@ class Layout:
 
     def values(self, row):
         """Quantities of one test at its coordinates (d + 1,), model.md section 6."""
-        pooling = self.campaign.pooling
+        ours = self.campaign.layout
         q = dict(zip(self.names, row[:-1], strict=True))
         gap, share = jnp.exp(q.pop("d2")), jax.nn.sigmoid(q.pop("d3"))  # d3/d2 on a log scale
-        values = {n: peers._value(pooling.coordinates.priors[n], q[n]) for n in q}
+        values = {n: peers._value(ours.coordinates.priors[n], q[n]) for n in q}
         values["start"] = jax.nn.sigmoid(row[-1])
         values |= {"d2": gap * (1.0 - share), "d3": gap * share}
-        stribeck = jnp.exp(-((pooling.coordinates.speed / values["v_s"]) ** 2))
+        stribeck = jnp.exp(-((ours.coordinates.speed / values["v_s"]) ** 2))
         for side in ("fwd", "bwd"):
             values[f"Fc_{side}"] /= 1.0 + values[f"static_excess_{side}"] * stribeck
         return values
 
     def potential(self):
         """Minus the log of the joint density, of the variables by name."""
-        pooling, d = self.campaign.pooling, len(self.names)
+        ours, d = self.campaign.layout, len(self.names)
         density = jax.vmap(likelihood(self.campaign.tests[0]))  # all have the same motion
         forces = jnp.asarray([test.trace.force for test in self.campaign.tests])
-        sds = np.array([pooling.scatter_sd[self.names.index(m[0])] for m in FOLLOWERS.values()])
+        sds = np.array([ours.scatter_sd[self.names.index(m[0])] for m in FOLLOWERS.values()])
 
         def potential(u):
             mean, scatter = self.population(u)
             q, total = self.tests(u, mean, scatter)
             total -= 0.5 * jnp.sum(u["level"] ** 2)
-            total += jnp.sum(u["log_scatter"] - 0.5 * (scatter / pooling.scatter_sd) ** 2)
+            total += jnp.sum(u["log_scatter"] - 0.5 * (scatter / ours.scatter_sd) ** 2)
             deviation = jnp.exp(u["log_deviation"])
             total += jnp.sum(u["log_deviation"] - 0.5 * (deviation / sds) ** 2)
             total -= sum(0.5 * jnp.sum(u[f"deviation {g}"] ** 2) for g in FOLLOWERS)
@@ -157,11 +157,11 @@ class Layout:
         return potential
 
 
-def _coordinates(pooling, drawn):
-    """Pooled coordinates of a test's draws, and the logit of their start, (n, d + 1)."""
+def _coordinates(ours, drawn):
+    """Shared coordinates of a test's draws, and the logit of their start, (n, d + 1)."""
     values = {name: v.reshape(-1) for name, v in drawn.values.items()}
     start = values["start"][:, None]
-    return np.append(pooling.coordinates.of(values), np.log(start / (1.0 - start)), axis=1)
+    return np.append(ours.coordinates.of(values), np.log(start / (1.0 - start)), axis=1)
 
 
 def likelihood(posterior):
@@ -209,8 +209,8 @@ def nuts(layout, draws, *, chains, warm_up, kept, seed):
 
 def drawn_values(layout, found):
     """Draws by the names of `population_study`'s truths, and the tests' quantities."""
-    pooling, names = layout.campaign.pooling, layout.names
-    level = pooling.centre + pooling.spread * found["level"]
+    ours, names = layout.campaign.layout, layout.names
+    level = ours.centre + ours.spread * found["level"]
     values = {f"level {name}": level[..., k] for k, name in enumerate(names)}
     scatter = np.exp(found["log_scatter"])
     values |= {f"scatter {name}": scatter[..., k] for k, name in enumerate(names)}

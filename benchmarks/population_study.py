@@ -1,6 +1,6 @@
 """Synthetic campaigns drawn from the prior of a population, their inference, and ranks of truths.
 
-Truths follow model.md section 6 and what `Pooling` says in words; of its code only the prior's
+Truths follow model.md section 6 and what `Layout` says in words; of its code only the prior's
 figures are taken (centre, spread, scales, the reference), none of its laws, effects or layout.
 """
 
@@ -17,11 +17,11 @@ from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.population.layout import Pooling, Setting, pool
+from mfd_bayes.population.layout import Layout, Setting, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import setting_of
-from mfd_bayes.population.sampling import Inference, infer
-from mfd_bayes.population.test_likelihood import Evidence, evidence_of
+from mfd_bayes.population.sampling import JointDraws, sample_joint
+from mfd_bayes.population.test_likelihood import TestLikelihood, likelihood_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ LAWS = {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine", 
 FOLLOWERS = {"Fc": ("Fc_fwd", "Fc_bwd"), "sigma0": ("sigma0",), "noise_sd": ("noise_sd",)}
 """Quantities that follow the actuation, by what names their scatter group."""
 RIGHT, WRONG = "whole", "points"
-"""Pooled by the tests' likelihoods, and, the control, as if their means were known exactly."""
+"""By the tests' likelihoods, and, the control, as if their means were known exactly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +66,13 @@ class Campaign:
     Attributes
     ----------
     tests : tuple of Posterior
-    pooling : Pooling
+    layout : Layout
     truth : mapping of str to float
         By the names of what is ranked.
     """
 
     tests: tuple[Posterior, ...]
-    pooling: Pooling
+    layout: Layout
     truth: Mapping[str, float]
 
 
@@ -103,22 +103,22 @@ def synthesize(study: Study, index: int) -> Campaign:
     rng = np.random.default_rng([study.seed, index, 0])
     blanks = [_blank(study, level) for level in LEVELS]
     settings = [setting_of(blank.trace) for blank in blanks]
-    pooling = pool(study.priors, blanks[0].names, settings, LAWS)
-    names = list(pooling.names)
-    level = pooling.centre + pooling.spread * rng.standard_normal(len(names))
-    scatter = pooling.scatter_sd * np.abs(rng.standard_normal(len(names)))
+    layout = lay_out(study.priors, blanks[0].names, settings, LAWS)
+    names = list(layout.names)
+    level = layout.centre + layout.spread * rng.standard_normal(len(names))
+    scatter = layout.scatter_sd * np.abs(rng.standard_normal(len(names)))
     truth = {f"scatter {name}": scatter[k] for k, name in enumerate(names)}
     at = np.array([*LEVELS, UNSEEN])
     means = np.tile(level, (at.size, 1))
-    means += _laws(rng, at / pooling.reference, names, truth)
-    means += _deviations(rng, at, pooling, truth)
+    means += _laws(rng, at / layout.reference, names, truth)
+    means += _deviations(rng, at, layout, truth)
     q = means + scatter * rng.standard_normal(means.shape)
-    values = pooling.coordinates.values(q)
-    median = {n: float(v[0]) for n, v in pooling.coordinates.values(level[None]).items()}
+    values = layout.coordinates.values(q)
+    median = {n: float(v[0]) for n, v in layout.coordinates.values(level[None]).items()}
     for side in ("fwd", "bwd"):
-        truth[f"K_c_{side}"] = median[f"Fc_{side}"] / pooling.reference
+        truth[f"K_c_{side}"] = median[f"Fc_{side}"] / layout.reference
         truth[f"level Fc_{side}"] = level[names.index(f"Fc_{side}")]
-    truth["alpha_sigma0"] = median["sigma0"] * truth["share sigma0"] / pooling.reference
+    truth["alpha_sigma0"] = median["sigma0"] * truth["share sigma0"] / layout.reference
     truth["level offset"] = level[names.index("offset")]
     for name in ("Fc_fwd", "sigma0", "offset"):
         truth[f"first test's {name}"] = values[name][0]
@@ -129,7 +129,7 @@ def synthesize(study: Study, index: int) -> Campaign:
         force = blank.force(own) + own["offset"][:, None]
         force = force + blank.noise.draw(rng, blank.trace.time, own)
         tests.append(Posterior(replace(blank.trace, force=force[0]), study.priors))
-    return Campaign(tuple(tests), pooling, {name: float(v) for name, v in truth.items()})
+    return Campaign(tuple(tests), layout, {name: float(v) for name, v in truth.items()})
 
 
 def _blank(study: Study, level: float) -> Posterior:
@@ -153,15 +153,15 @@ def _laws(
 
 
 def _deviations(
-    rng: np.random.Generator, at: Array, pooling: Pooling, truth: dict[str, float]
+    rng: np.random.Generator, at: Array, layout: Layout, truth: dict[str, float]
 ) -> Array:
     """Smooth deviations from the laws, one Gaussian process for each follower, (J, d)."""
-    names = list(pooling.names)
+    names = list(layout.names)
     found = np.zeros((at.size, len(names)))
     distance = np.abs(np.log(at[:, None] / at))
     root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)) + 1e-12 * np.eye(at.size))
     for group, members in FOLLOWERS.items():
-        scale = pooling.scatter_sd[names.index(members[0])]
+        scale = layout.scatter_sd[names.index(members[0])]
         sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
         for name in members:
             found[:, names.index(name)] = sd * root @ rng.standard_normal(at.size)
@@ -174,70 +174,70 @@ def calibrate(study: Study, campaign: Campaign, index: int) -> list[Draws]:
     return [sample(t, study.single, s) for t, s in zip(campaign.tests, seeds, strict=True)]
 
 
-def pool_draws(
+def draw_jointly(
     study: Study, campaign: Campaign, draws: Sequence[Draws], index: int, way: str = RIGHT
-) -> Inference:
+) -> JointDraws:
     """Population of calibrated tests, as the package infers it, or wrongly as the control."""
-    evidence = []
+    tests = []
     for test, drawn in zip(campaign.tests, draws, strict=True):
         flat = {name: value.reshape(-1) for name, value in drawn.values.items()}
-        found = evidence_of(campaign.pooling, test, flat)
-        evidence.append(found if way == RIGHT else _as_points(found))
+        found = likelihood_of(campaign.layout, test, flat)
+        tests.append(found if way == RIGHT else _as_points(found))
     rng = np.random.default_rng([study.seed, index, 2])
     priors = campaign.tests[0].priors
-    return infer(campaign.pooling, evidence, priors, "ksi", study.joint, rng)
+    return sample_joint(campaign.layout, tests, priors, "ksi", study.joint, rng)
 
 
-def _as_points(evidence: Evidence) -> Evidence:
+def _as_points(test: TestLikelihood) -> TestLikelihood:
     """The posterior's means taken for measurements without error."""
-    mean = evidence.draws.mean(axis=0)
-    certain = replace(evidence, mean=mean, covariance=1e-4 * np.eye(mean.size))
+    mean = test.draws.mean(axis=0)
+    certain = replace(test, mean=mean, covariance=1e-4 * np.eye(mean.size))
     return certain.approximated()
 
 
-def drawn_values(inference: Inference, rng: np.random.Generator) -> dict[str, Array]:
+def drawn_values(inference: JointDraws, rng: np.random.Generator) -> dict[str, Array]:
     """Draws by the names of the truths, (chain, draw) each."""
     population = inference.population
-    pooling = population.pooling
+    layout = population.layout
     shape = population.h.shape[:2]
     found = {f"scatter {name}": tau for name, tau in population.scatters.items()}
     found |= {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
     found["share sigma0"] = population.shapes("sigma0")[0]
     found["exponent noise_sd"] = population.shapes("noise_sd")[1]
     for name in ("Fc_fwd", "Fc_bwd", "offset"):
-        found[f"level {name}"] = population.levels[..., pooling.names.index(name)]
+        found[f"level {name}"] = population.levels[..., layout.names.index(name)]
     for group, members in FOLLOWERS.items():
-        label = f"level_{pooling.groups[pooling.member[pooling.names.index(members[0])]]}"
+        label = f"level_{layout.groups[layout.member[layout.names.index(members[0])]]}"
         found[f"deviation {group}"] = population.effect_sds[label]
-    first = inference.tests[0].reshape(-1, inference.tests[0].shape[-1])[:, : len(pooling.names)]
-    tested = pooling.coordinates.values(pooling.centre + pooling.spread * first)
+    first = inference.tests[0].reshape(-1, inference.tests[0].shape[-1])[:, : len(layout.names)]
+    tested = layout.coordinates.values(layout.centre + layout.spread * first)
     for name in ("Fc_fwd", "sigma0", "offset"):
         found[f"first test's {name}"] = tested[name].reshape(shape)
     found["new test's Fc_fwd"] = _new_test(population, rng).reshape(shape)
     return found
 
 
-def coordinates_of(inference: Inference) -> dict[str, Array]:
-    """Everything that is inferred by name, tests in pooled coordinates, (chain, draw) each."""
+def coordinates_of(inference: JointDraws) -> dict[str, Array]:
+    """Everything that is inferred by name, tests in shared coordinates, (chain, draw) each."""
     population = inference.population
-    pooling = population.pooling
-    names = pooling.names
+    layout = population.layout
+    names = layout.names
     found = {f"level {name}": population.levels[..., k] for k, name in enumerate(names)}
     drawn = drawn_values(inference, np.random.default_rng(0))
     kept = ("scatter", "deviation", "share", "exponent")
     found |= {name: value for name, value in drawn.items() if name.startswith(kept)}
     for j, test in enumerate(inference.tests):
-        q = pooling.centre + pooling.spread * test[..., : len(names)]
+        q = layout.centre + layout.spread * test[..., : len(names)]
         found |= {f"test {j + 1}: {name}": q[..., k] for k, name in enumerate(names)}
     return found
 
 
 def _new_test(population: Population, rng: np.random.Generator) -> Array:
-    setting: Setting = replace(population.pooling.settings[0], actuation=UNSEEN)
+    setting: Setting = replace(population.layout.settings[0], actuation=UNSEEN)
     return population.draw_test(setting, np.arange(population.size), rng)["Fc_fwd"]
 
 
-def ranks_of(study: Study, campaign: Campaign, inference: Inference, index: int) -> dict[str, int]:
+def ranks_of(study: Study, campaign: Campaign, inference: JointDraws, index: int) -> dict[str, int]:
     """How many of L draws, taken evenly over chains and walkers, lie below each truth."""
     drawn = drawn_values(inference, np.random.default_rng([study.seed, index, 3]))
     ranks = {}

@@ -25,7 +25,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     population = run.population
     unit = run.actuation_unit
     found = dict(population.slopes)
-    for name, law in population.pooling.laws.items():
+    for name, law in population.layout.laws.items():
         if law == COMPARE:  # a mixture of laws, of which each has its own or none
             continue
         for shape, draws in zip(("share", "exponent"), population.shapes(name), strict=True):
@@ -33,7 +33,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
                 found[f"{shape}_{name}"] = draws
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
-    scales = dict(zip(spreads, population.pooling.sd_scale.tolist(), strict=True))
+    scales = dict(zip(spreads, population.layout.sd_scale.tolist(), strict=True))
     found |= spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
     rows = []
@@ -70,14 +70,14 @@ def _contraction(draws: Array, scale: float) -> float:
 def law_views(run: Run) -> tuple[LawView, ...]:
     """Every quantity that follows the actuation, with its law's bands and the tests."""
     population = run.population
-    pooling = population.pooling
+    layout = population.layout
     levels = [test.trace.reference_actuation for test in run.tests.values()]
     grid = np.linspace(0.0, 1.15 * max(levels), 60)
     rng = np.random.default_rng(0)
-    typical = dict(pooling.covariate_reference)
-    tested = _tested(run, list(pooling.laws))
+    typical = dict(layout.covariate_reference)
+    tested = _tested(run, list(layout.laws))
     views = []
-    for name, law in pooling.laws.items():
+    for name, law in layout.laws.items():
         medians = population.median(name, grid).reshape(-1, grid.size)
         pick = np.linspace(0, len(medians) - 1, 2000).astype(np.intp)
         scattered = [

@@ -16,8 +16,8 @@ from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.inference import pool_tests
-from mfd_bayes.population.storage import save_pooled, save_population
+from mfd_bayes.population.inference import infer_population
+from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
     MANIFEST,
     POPULATION,
@@ -80,7 +80,7 @@ def calibrate(
             anew = _calibrate_tests(plan, out, options, observe)
             results = _results(plan, out)
             if anew or not _keep_population(plan, out, before):
-                _pool_tests(plan, out, results, options, observe)
+                _infer_population(plan, out, results, options, observe)
             return _finish(plan, out, results)
         finally:
             sweep(out)
@@ -137,13 +137,13 @@ def _keep_population(plan: Plan, out: Path, before: Mapping[str, Any]) -> bool:
     return set(_POPULATION) <= set(keys)
 
 
-def _pool_tests(
+def _infer_population(
     plan: Plan, out: Path, results: Mapping[str, TestResult], options: Options, observe: Observe
 ) -> None:
     """Infer the population from the stored posteriors."""
     manifest, began = plan.manifest, time.perf_counter()
     observe(Step("population", "comparing laws"))
-    pooled = pool_tests(
+    inference = infer_population(
         results,
         plan.priors,
         manifest["settings"],
@@ -152,22 +152,22 @@ def _pool_tests(
         lambda progress: observe(Step("population", "sampling", progress)),
         jobs=options.processes,
     )
-    inference = pooled.inference
-    population = inference.population
-    for name, draws in zip(results, inference.tests, strict=True):
+    joint = inference.draws
+    population = joint.population
+    for name, draws in zip(results, joint.tests, strict=True):
         file = out / pooled_of(name)
-        save_pooled(file, population.pooling, draws, UNITS, name)
+        save_test_draws(file, population.layout, draws, UNITS, name)
     save_population(out / POPULATION, population)
-    manifest["law_scores"] = [asdict(score) for score in pooled.scores]
-    manifest["free_exponents"] = pooled.exponents
-    manifest["dependence_scores"] = [asdict(score) for score in pooled.dependence]
+    manifest["law_scores"] = [asdict(score) for score in inference.scores]
+    manifest["free_exponents"] = inference.exponents
+    manifest["dependence_scores"] = [asdict(score) for score in inference.dependence]
     manifest["population_sampler"] = {
-        "accepted": inference.accepted,
-        "sweeps": inference.sweeps,
+        "accepted": joint.accepted,
+        "sweeps": joint.sweeps,
     }
     seconds, worst = time.perf_counter() - began, population.convergence
     manifest["seconds"] += seconds
-    steps = inference.sweeps, inference.sweeps
+    steps = joint.sweeps, joint.sweeps
     progress = Progress(*steps, worst.worst_r_hat, worst.worst_ess, seconds)
     observe(Step("population", State.DONE, progress))
 

@@ -22,7 +22,7 @@ from mfd_bayes.campaign.schema import ModelName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
-from mfd_bayes.population.layout import pool
+from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
@@ -105,7 +105,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     names = Posterior(tasks[0].trace, priors, campaign.noise, campaign.model).names
     sessions = {test.id: test.session for test in campaign.tests}
     under = [setting_of(task.trace, sessions[task.id]) for task in tasks]
-    pool(priors, names, under, laws, campaign.dependence)
+    lay_out(priors, names, under, laws, campaign.dependence)
     settings = {
         "model": campaign.model,
         "noise": campaign.noise,
@@ -150,7 +150,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
 
 
 def _laws(campaign: Campaign) -> dict[str, str]:
-    """Law of each quantity that is pooled with one; F_s follows F_c's by construction."""
+    """Law of each quantity that follows the actuation; F_s follows F_c's by construction."""
     chosen = dict(campaign.laws.model_dump())
     for side in ("fwd", "bwd"):
         own = chosen.pop(f"Fy_{side}")

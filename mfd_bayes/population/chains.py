@@ -36,7 +36,7 @@ class State:
     x: NDArray[np.float32]
 
 
-class History:
+class ThinnedChains:
     """States of sweeps evenly apart: every `step`-th, which doubles when there is no more room.
 
     Parameters

@@ -23,19 +23,19 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
 )
 from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.population.layout import pool
+from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.predict import setting_of
-from mfd_bayes.population.sampling import Inference, infer, most_sweeps
-from mfd_bayes.population.test_likelihood import evidence_of
+from mfd_bayes.population.sampling import JointDraws, most_sweeps, sample_joint
+from mfd_bayes.population.test_likelihood import likelihood_of
 
 
 @dataclass(frozen=True, eq=False)
-class Pooled:
+class Inference:
     """What a set of tests says together.
 
     Attributes
     ----------
-    inference : Inference
+    draws : JointDraws
     scores : tuple of LawScore
         Every law's, for each quantity that follows the actuation.
     exponents : mapping of str to (float, float, float)
@@ -44,13 +44,13 @@ class Pooled:
         Of speed and stroke, for each quantity that follows the actuation.
     """
 
-    inference: Inference
+    draws: JointDraws
     scores: tuple[LawScore, ...]
     exponents: Mapping[str, tuple[float, float, float]]
     dependence: tuple[DependenceScore, ...]
 
 
-def pool_tests(
+def infer_population(
     tests: Mapping[str, TestResult],
     priors: PriorFile,
     settings: Mapping[str, Any],
@@ -59,7 +59,7 @@ def pool_tests(
     report: Callable[[Progress], None] = lambda _: None,
     *,
     jobs: int = 1,
-) -> Pooled:
+) -> Inference:
     """Population of calibrated tests.
 
     Parameters
@@ -85,11 +85,11 @@ def pool_tests(
         setting_of(test.trace, settings["tests"][name].get("session", ""))
         for name, test in tests.items()
     ]
-    pooling = pool(priors, some.names, under, settings["laws"], settings.get("dependence"))
-    evidence = [evidence_of(pooling, t.posterior, t.stored.values()) for t in tests.values()]
-    scores = compare_laws(pooling, evidence)
-    weights = dict(pooling.weights)
-    for name, law in pooling.laws.items():
+    layout = lay_out(priors, some.names, under, settings["laws"], settings.get("dependence"))
+    likelihoods = [likelihood_of(layout, t.posterior, t.stored.values()) for t in tests.values()]
+    scores = compare_laws(layout, likelihoods)
+    weights = dict(layout.weights)
+    for name, law in layout.laws.items():
         if law == COMPARE and scores:
             weights[name] = {s.law: s.weight for s in scores if s.quantity == name}
     chosen = find_effort(effort)
@@ -101,10 +101,10 @@ def pool_tests(
         share = found.share(chosen.r_hat, chosen.ess)
         report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
-    with several_processes([test.log_likelihood for test in evidence], jobs) as evaluate:
-        inference = infer(
-            replace(pooling, weights=weights),
-            evidence,
+    with several_processes([test.log_likelihood for test in likelihoods], jobs) as evaluate:
+        draws = sample_joint(
+            replace(layout, weights=weights),
+            likelihoods,
             some.priors,
             settings["actuation_unit"],
             chosen,
@@ -112,5 +112,5 @@ def pool_tests(
             tell,
             evaluate,
         )
-    exponents = free_exponents(pooling, evidence)
-    return Pooled(inference, scores, exponents, compare_dependence(pooling, evidence))
+    exponents = free_exponents(layout, likelihoods)
+    return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from mfd_bayes.jobs.likelihoods import Evaluate
 from mfd_bayes.population.laws import draw_shape
-from mfd_bayes.population.layout import Choice, Pooling
+from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.lines import FAR, Tuning, redraw, transport, untuned
-from mfd_bayes.population.test_likelihood import Evidence
+from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
@@ -104,29 +104,29 @@ class Joint:
 
     def __init__(
         self,
-        pooling: Pooling,
-        tests: Sequence[Evidence],
+        layout: Layout,
+        tests: Sequence[TestLikelihood],
         rng: np.random.Generator,
         evaluate: Evaluate | None = None,
     ) -> None:
-        self.pooling, self.tests, self.rng = pooling, tests, rng
+        self.layout, self.tests, self.rng = layout, tests, rng
         self.evaluate = evaluate or self._in_turn
-        self.d = len(pooling.names)
-        self.design = pooling.design()  # (J, m)
+        self.d = len(layout.names)
+        self.design = layout.design()  # (J, m)
         self.gram = self.design.T @ self.design
         self.precisions = [np.linalg.inv(test.covariance) for test in tests]
         self.roots = [np.linalg.cholesky(precision) for precision in self.precisions]
         self.accepted: dict[str, list[float]] = {}
         self.blunt = np.full(self.d, all(test.gaussian for test in tests))
         self._stored: list[Array] = []
-        self.tune(untuned(pooling, tests))
+        self.tune(untuned(layout, tests))
 
     def begin(self, n: int, choice: Choice, ensembles: int) -> Chains:
         """Chains whose scatter is about half of its prior's scale, tests by their Gaussians."""
-        pooling, rng = self.pooling, self.rng
-        sd = pooling.sd_scale
+        layout, rng = self.layout, self.rng
+        sd = layout.sd_scale
         spread = np.log(0.5 * sd) + 0.5 * rng.standard_normal((n, len(sd)))
-        shapes = [draw_shape(shape, rng.random(n)) for _, shape in pooling.shapes]
+        shapes = [draw_shape(shape, rng.random(n)) for _, shape in layout.shapes]
         h = np.concatenate([spread, np.reshape(shapes, (-1, n)).T], axis=1)
         latent = np.zeros((n, self.design.shape[1], self.d))
         ensemble = np.repeat(np.arange(ensembles), n // ensembles)
@@ -155,7 +155,7 @@ class Joint:
             self._evolve_hyper(chains)
         self._draw_latent(chains)
         means = self.means(chains.h, chains.latent, chains.choice)
-        tau = self.pooling.scatter(chains.h)
+        tau = self.layout.scatter(chains.h)
         self._try_stored(chains, means, tau)
         for _ in range(NEAR):
             self._step_near(chains, means, tau)
@@ -187,14 +187,14 @@ class Joint:
 
     def settle(self) -> None:
         """Choose between the two such moves by what was accepted; not while chains are kept."""
-        for k, name in enumerate(self.pooling.names):
+        for k, name in enumerate(self.layout.names):
             shares = self.accepted.get(f"redraw {name}", [1.0])
             self.blunt[k] |= bool(np.mean(shares) < BLUNT)
 
     def products(self, chains: Chains) -> Array:
         """Of the tests' places in the scatter, standardised, summed over the tests, (n, d, d)."""
         means = self.means(chains.h, chains.latent, chains.choice)
-        tau = self.pooling.scatter(chains.h)[:, None]
+        tau = self.layout.scatter(chains.h)[:, None]
         places: Array = (self._pooled(chains) - means) / tau
         return np.asarray(np.swapaxes(places, 1, 2) @ places)
 
@@ -206,9 +206,9 @@ class Joint:
         x (n, J, d) are the tests' coordinates. Parts: root sd of the latent (n, d, m),
         Cholesky factors (n, d, m, m), and factor⁻¹ b (n, d, m).
         """
-        tau2 = self.pooling.scatter(h) ** 2  # (n, d)
-        r = x - self.pooling.offsets(h, choice)
-        sd = np.concatenate([np.ones((len(h), 1, self.d)), self.pooling.effect_sd(h)], axis=1)
+        tau2 = self.layout.scatter(h) ** 2  # (n, d)
+        r = x - self.layout.offsets(h, choice)
+        sd = np.concatenate([np.ones((len(h), 1, self.d)), self.layout.effect_sd(h)], axis=1)
         root = np.swapaxes(sd, 1, 2)  # (n, d, m)
         a = root[..., :, None] * self.gram * root[..., None, :] / tau2[..., None, None]
         m = self.design.shape[1]
@@ -223,18 +223,18 @@ class Joint:
 
     def _blocks(self, h: Array, choice: Choice, x: Array) -> Array:
         """Log density of each block of h given the tests, (n, G)."""
-        density = self.pooling.log_prior(h)
+        density = self.layout.log_prior(h)
         inside = np.all(np.abs(h) < FAR, axis=1)
         terms = self._terms(np.clip(h, -FAR, FAR), choice, x)[0]
         for g in range(density.shape[1]):
-            density[:, g] += terms[:, self.pooling.member == g].sum(axis=1)
+            density[:, g] += terms[:, self.layout.member == g].sum(axis=1)
         density[~inside] = -np.inf
         return density
 
     def _evolve_hyper(self, chains: Chains) -> None:
-        block = self.pooling.block
+        block = self.layout.block
         x = self._pooled(chains)
-        sizes = np.bincount(block, minlength=len(self.pooling.groups))
+        sizes = np.bincount(block, minlength=len(self.layout.groups))
         for half, first, second in self._partners(chains):
             h = chains.h[half]
             scale = (2.38 / np.sqrt(2 * sizes))[block]
@@ -372,11 +372,11 @@ class Joint:
         """Scatter and level of one quantity, with its tests' values of it."""
         k = int(self.rng.choice(self.d, p=self.weights))
         move, name = (transport, "transport") if self.blunt[k] else (redraw, "redraw")
-        self._note(f"{name} {self.pooling.names[k]}", move(self, chains, k))
+        self._note(f"{name} {self.layout.names[k]}", move(self, chains, k))
 
     def means(self, h: Array, latent: Array, choice: Choice) -> Array:
         """Tests' coordinates but for their scatter, (n, J, d)."""
-        means = self.pooling.offsets(h, choice) + self.design @ latent
+        means = self.layout.offsets(h, choice) + self.design @ latent
         return np.asarray(means)
 
     def _pooled(self, chains: Chains) -> Array:

@@ -17,8 +17,8 @@ from scipy import optimize, special
 from scipy.stats import qmc
 
 from mfd_bayes.population.laws import COMPARE, LAWS, draw_shape, ratio, value_of
-from mfd_bayes.population.layout import LEVELS, Pooling, levels_of
-from mfd_bayes.population.test_likelihood import Evidence
+from mfd_bayes.population.layout import LEVELS, Layout, levels_of
+from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
@@ -141,18 +141,18 @@ class _Sample:
         return density
 
 
-def compare_laws(pooling: Pooling, tests: Sequence[Evidence]) -> tuple[LawScore, ...]:
+def compare_laws(layout: Layout, tests: Sequence[TestLikelihood]) -> tuple[LawScore, ...]:
     """Every law's score for each quantity that follows the actuation, by leave-one-level-out.
 
     Empty where tests are at fewer than `LEVELS` levels.
     """
-    folds = levels_of(pooling.settings)
+    folds = levels_of(layout.settings)
     if len(folds) < LEVELS:
         return ()
     scores = []
-    for name in pooling.laws:
-        k = pooling.names.index(name)
-        terms = {law: _left_out(_samples(pooling, tests, k, law), folds) for law in LAWS}
+    for name in layout.laws:
+        k = layout.names.index(name)
+        terms = {law: _left_out(_samples(layout, tests, k, law), folds) for law in LAWS}
         weights = stack(np.stack(list(terms.values()), axis=1))
         for (law, found), weight in zip(terms.items(), weights, strict=True):
             se = float(np.sqrt(len(found)) * found.std(ddof=1))
@@ -162,7 +162,9 @@ def compare_laws(pooling: Pooling, tests: Sequence[Evidence]) -> tuple[LawScore,
     return tuple(scores)
 
 
-def compare_dependence(pooling: Pooling, tests: Sequence[Evidence]) -> tuple[DependenceScore, ...]:
+def compare_dependence(
+    layout: Layout, tests: Sequence[TestLikelihood]
+) -> tuple[DependenceScore, ...]:
     """Scores of what follows speed or stroke, by leaving out one test after another.
 
     For each quantity that follows the actuation, under its own law ("power" where laws are
@@ -171,44 +173,44 @@ def compare_dependence(pooling: Pooling, tests: Sequence[Evidence]) -> tuple[Dep
     if len(tests) < TESTS:
         return ()
     scores = []
-    for name, law in pooling.laws.items():
-        k = pooling.names.index(name)
+    for name, law in layout.laws.items():
+        k = layout.names.index(name)
         terms = {}
         for covariate in ("", *COVARIATES):
-            if covariate and not _varies(pooling, covariate):
+            if covariate and not _varies(layout, covariate):
                 continue
             follows = (covariate,) if covariate else ()
-            samples = _samples(pooling, tests, k, "power" if law == COMPARE else law, follows)
+            samples = _samples(layout, tests, k, "power" if law == COMPARE else law, follows)
             terms[covariate] = _each_left_out(samples)
         for covariate, found in terms.items():
             better = found - terms[""]
             se = float(np.sqrt(len(found)) * better.std(ddof=1))
             score = float(found.sum()), float(better.sum()), se
             scores.append(DependenceScore(name, covariate, *score))
-    return tuple(scores) if len(scores) > len(pooling.laws) else ()
+    return tuple(scores) if len(scores) > len(layout.laws) else ()
 
 
-def _varies(pooling: Pooling, covariate: str) -> bool:
-    values = [setting.covariates.get(covariate, 0.0) for setting in pooling.settings]
+def _varies(layout: Layout, covariate: str) -> bool:
+    values = [setting.covariates.get(covariate, 0.0) for setting in layout.settings]
     return min(values) > 0.0 and max(values) > 1.2 * min(values)
 
 
 def free_exponents(
-    pooling: Pooling, tests: Sequence[Evidence]
+    layout: Layout, tests: Sequence[TestLikelihood]
 ) -> dict[str, tuple[float, float, float]]:
     """Quantiles 2.5, 50 and 97.5 % of each proportional law's exponent, were it a power law.
 
     Empty where no law is proportional, or the tests are at fewer than `LEVELS` levels.
     """
-    if len(levels_of(pooling.settings)) < LEVELS:
+    if len(levels_of(layout.settings)) < LEVELS:
         return {}
     found = {}
-    for name, law in pooling.laws.items():
+    for name, law in layout.laws.items():
         if law != "proportional":
             continue
-        k = pooling.names.index(name)
+        k = layout.names.index(name)
         shapes, densities = [], []
-        for sample in _samples(pooling, tests, k, "power"):
+        for sample in _samples(layout, tests, k, "power"):
             shapes.append(sample.shape)
             densities.append(sample.log_density(sample.sums(slice(None))))
         exponents, weights = np.concatenate(shapes), special.softmax(np.concatenate(densities))
@@ -241,8 +243,8 @@ def stack(scores: Array) -> Array:
 
 
 def _samples(
-    pooling: Pooling,
-    tests: Sequence[Evidence],
+    layout: Layout,
+    tests: Sequence[TestLikelihood],
     k: int,
     law: str,
     follows: Sequence[str] | None = None,
@@ -251,19 +253,19 @@ def _samples(
 
     In parts, so that many tests take no more memory than few.
     """
-    name = pooling.names[k]
+    name = layout.names[k]
     shapes = LAWS[law].shapes
-    effects = [e for e in pooling.effects if k in e.members and e.name != "level"]
-    follows = pooling.dependence.get(name, ()) if follows is None else follows
+    effects = [e for e in layout.effects if k in e.members and e.name != "level"]
+    follows = layout.dependence.get(name, ()) if follows is None else follows
     dim = 1 + len(effects) + len(shapes) + len(follows)
     points = qmc.Sobol(dim, scramble=True, rng=np.random.default_rng(0)).random(POINTS)
     points = np.clip(points, 1e-9, 1.0 - 1e-9)
     noise = np.array([test.covariance[k, k] for test in tests])
     data = np.array([test.mean[k] for test in tests])
     rows = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
-    relative = np.array([s.actuation for s in pooling.settings]) / pooling.reference
+    relative = np.array([s.actuation for s in layout.settings]) / layout.reference
     for part in np.array_split(points, -(-POINTS * len(tests) // AT_ONCE)):
-        sd = pooling.scatter_sd[k] / pooling.spread[k] * special.ndtri(0.5 + 0.5 * part)
+        sd = layout.scatter_sd[k] / layout.spread[k] * special.ndtri(0.5 + 0.5 * part)
         sds = [np.ones((len(part), 1))]
         sds += [np.repeat(sd[:, [1 + i]], len(e.cells), axis=1) for i, e in enumerate(effects)]
         begin = 1 + len(effects)
@@ -276,11 +278,11 @@ def _samples(
             free[s] if s in free else np.full(len(part), given[s]) for s in ("share", "exponent")
         )
         followed = ratio(relative, share[:, None], exponent[:, None])
-        means = np.log(np.maximum(followed, 1e-300)) / pooling.spread[k]
+        means = np.log(np.maximum(followed, 1e-300)) / layout.spread[k]
         for i, covariate in enumerate(follows):
-            folds = np.log([s.covariates[covariate] for s in pooling.settings])
+            folds = np.log([s.covariates[covariate] for s in layout.settings])
             slope = draw_shape(covariate, part[:, begin + len(shapes) + i])
-            means = means + slope[:, None] * (folds - folds.mean()) / pooling.spread[k]
+            means = means + slope[:, None] * (folds - folds.mean()) / layout.spread[k]
         yield _Sample(
             away=data - means,
             variances=noise + sd[:, :1] ** 2,

@@ -106,7 +106,7 @@ class Effect:
 
 
 @dataclass(frozen=True, eq=False)
-class Pooling:
+class Layout:
     """What the hyperparameters are, and how they are laid out.
 
     A test's coordinates are, for quantity k of test j, in prior units,
@@ -280,13 +280,13 @@ class Pooling:
         return choice
 
 
-def pool(
+def lay_out(
     priors: PriorFile,
     names: Sequence[str],
     settings: Sequence[Setting],
     laws: Mapping[str, str] | None = None,
     dependence: Mapping[str, Sequence[str]] | None = None,
-) -> Pooling:
+) -> Layout:
     """Layout of the population of tests.
 
     Tests at one level in one session share an effect on what follows a law, where a level has
@@ -315,7 +315,7 @@ def pool(
     drawn = coordinates.of({n: known[n].draw(rng, 4000) for n in pooled})
     follows = {n: tuple(c) for n, c in (dependence or {}).items() if n in pooled and c}
     used = sorted({c for those in follows.values() for c in those})
-    return Pooling(
+    return Layout(
         coordinates=coordinates,
         centre=drawn.mean(axis=0),
         spread=drawn.std(axis=0),

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.layout import Pooling
-from mfd_bayes.population.test_likelihood import Evidence
+from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.test_likelihood import TestLikelihood
 
 if TYPE_CHECKING:
     from mfd_bayes.population.joint import Chains, Joint
@@ -88,19 +88,19 @@ class Tuning:
         return np.asarray(left / self.scatter**2)
 
 
-def untuned(pooling: Pooling, tests: Sequence[Evidence]) -> Tuning:
+def untuned(layout: Layout, tests: Sequence[TestLikelihood]) -> Tuning:
     """By the priors alone."""
-    d = len(pooling.names)
-    scatter = 0.5 * pooling.scatter_sd / pooling.spread
+    d = len(layout.names)
+    scatter = 0.5 * layout.scatter_sd / layout.spread
     covariances = _conditional_covariances(tests, scatter)
     half, some = np.full(d, 0.5), np.full(d, 0.3)
     return Tuning(scatter, np.zeros(d), half, some, np.hypot(2.0 * scatter, 1.0), covariances)
 
 
-def tune(pooling: Pooling, tests: Sequence[Evidence], chains: Chains) -> Tuning:
+def tune(layout: Layout, tests: Sequence[TestLikelihood], chains: Chains) -> Tuning:
     """By where chains are."""
-    d = len(pooling.names)
-    scatters, levels = pooling.scatter(chains.h), chains.latent[:, 0]
+    d = len(layout.names)
+    scatters, levels = layout.scatter(chains.h), chains.latent[:, 0]
     scatter = np.exp(np.log(scatters).mean(axis=0))
     return Tuning(
         scatter,
@@ -112,7 +112,7 @@ def tune(pooling: Pooling, tests: Sequence[Evidence], chains: Chains) -> Tuning:
     )
 
 
-def _conditional_covariances(tests: Sequence[Evidence], scatter: Array) -> list[Array]:
+def _conditional_covariances(tests: Sequence[TestLikelihood], scatter: Array) -> list[Array]:
     found = []
     for test in tests:
         precision = np.linalg.inv(test.covariance)
@@ -183,12 +183,12 @@ class Lines:
             np.stack(pull, axis=1),
             means[:, :, k] - chains.latent[:, 0, k, None],
             means,
-            joint.pooling.scatter(chains.h),
+            joint.layout.scatter(chains.h),
         )
 
     def gaussian(self, log_scatter: Array, level: Array) -> tuple[Array, Array, Array]:
         """Centres and sds (n, J) of t given scatter and level (n,), and the tests' log weights."""
-        scatter = np.exp(log_scatter) / self.joint.pooling.spread[self.k]
+        scatter = np.exp(log_scatter) / self.joint.layout.spread[self.k]
         about = scatter[:, None] ** -2.0
         mean = self.base + level[:, None]
         precision = self.information + about
@@ -198,7 +198,7 @@ class Lines:
 
     def of_population(self, t: Array, log_scatter: Array, level: Array) -> Array:
         """Log density of t (n, J) given scatter and level, without constants, (n, J)."""
-        log_scale = log_scatter - np.log(self.joint.pooling.spread[self.k])
+        log_scale = log_scatter - np.log(self.joint.layout.spread[self.k])
         standard = (t - self.base - level[:, None]) * np.exp(-log_scale)[:, None]
         return np.asarray(-0.5 * standard**2 - log_scale[:, None])
 
@@ -276,7 +276,7 @@ def _prior(joint: Joint, chains: Chains, k: int, log_scatter: Array, level: Arra
     """Log prior density of scatter and level of quantity k, the others as they are, (n,)."""
     h = chains.h.copy()
     h[:, k] = np.clip(log_scatter, -FAR, FAR)
-    density = joint.pooling.log_prior(h).sum(axis=1) - 0.5 * level**2
+    density = joint.layout.log_prior(h).sum(axis=1) - 0.5 * level**2
     return np.where(np.abs(log_scatter) < FAR, density, -np.inf)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.laws import ratio
-from mfd_bayes.population.layout import Choice, Pooling, Setting
+from mfd_bayes.population.layout import Choice, Layout, Setting
 
 Array = NDArray[np.float64]
 
@@ -22,9 +22,9 @@ class Population:
 
     Attributes
     ----------
-    pooling : Pooling
+    layout : Layout
     h : (chain, draw, dim)
-        Scatter, effects' sd and shapes, as in `Pooling`.
+        Scatter, effects' sd and shapes, as in `Layout`.
     latent : (chain, draw, 1 + cells, d)
         Levels at the reference actuation, then the cells' effects, in prior units.
     choice : (chain, draw, L) int
@@ -39,7 +39,7 @@ class Population:
         Of scatter, effects' sd, shapes and levels.
     """
 
-    pooling: Pooling
+    layout: Layout
     h: Array
     latent: Array
     choice: Choice
@@ -57,7 +57,7 @@ class Population:
     @property
     def levels(self) -> Array:
         """Pooled coordinates of the medians at the reference actuation, (chain, draw, d)."""
-        return self.pooling.centre + self.pooling.spread * self.latent[:, :, 0]
+        return self.layout.centre + self.layout.spread * self.latent[:, :, 0]
 
     @property
     def scatters(self) -> dict[str, Array]:
@@ -65,38 +65,38 @@ class Population:
 
         That is of the logarithm of what is positive, in kip for the offset.
         """
-        return {name: np.exp(self.h[..., k]) for k, name in enumerate(self.pooling.names)}
+        return {name: np.exp(self.h[..., k]) for k, name in enumerate(self.layout.names)}
 
     @property
     def effect_sds(self) -> dict[str, Array]:
         """Sd of each effect of cells, by "name_group", (chain, draw)."""
-        begin = len(self.pooling.names)
+        begin = len(self.layout.names)
         return {
-            f"{effect.name}_{self.pooling.groups[effect.group]}": np.exp(self.h[..., begin + i])
-            for i, effect in enumerate(self.pooling.effects)
+            f"{effect.name}_{self.layout.groups[effect.group]}": np.exp(self.h[..., begin + i])
+            for i, effect in enumerate(self.layout.effects)
         }
 
     @property
     def dependences(self) -> dict[str, Array]:
         """Change of a quantity's coordinate per e-fold of a covariate, (chain, draw)."""
-        begin = len(self.pooling.names) + len(self.pooling.effects)
+        begin = len(self.layout.names) + len(self.layout.effects)
         return {
             f"{name}_{shape}": self.h[..., begin + i]
-            for i, (name, shape) in enumerate(self.pooling.shapes)
-            if shape in self.pooling.covariate_reference
+            for i, (name, shape) in enumerate(self.layout.shapes)
+            if shape in self.layout.covariate_reference
         }
 
     def shapes(self, name: str) -> tuple[Array, Array]:
         """Share and exponent of a quantity's law, (chain, draw) each."""
         shape = self.h.shape[:2]
         flat = self.h.reshape(self.size, -1), self.choice.reshape(self.size, -1)
-        share, exponent = self.pooling.law_shapes(*flat, name)
+        share, exponent = self.layout.law_shapes(*flat, name)
         return share.reshape(shape), exponent.reshape(shape)
 
     def ratio(self, name: str, actuation: Array) -> Array:
         """Law's value at each actuation over that at the reference, (chain, draw, m)."""
-        relative = np.asarray(actuation) / self.pooling.reference
-        if name not in self.pooling.laws:
+        relative = np.asarray(actuation) / self.layout.reference
+        if name not in self.layout.laws:
             return np.ones((*self.h.shape[:2], relative.size))
         share, exponent = self.shapes(name)
         return ratio(relative, share[..., None], exponent[..., None])
@@ -106,7 +106,7 @@ class Population:
 
         (chain, draw, m); of others their median at the reference actuation.
         """
-        level = self.pooling.coordinates.values(self.levels.reshape(self.size, -1))[name]
+        level = self.layout.coordinates.values(self.levels.reshape(self.size, -1))[name]
         return level.reshape(*self.h.shape[:2], 1) * self.ratio(name, actuation)
 
     @property
@@ -116,29 +116,29 @@ class Population:
         K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of
         actuation, `sigma0_0` in kip/in.
         """
-        p0 = self.pooling.reference
+        p0 = self.layout.reference
         one = np.array([p0])
         found: dict[str, Array] = {}
         for side in ("fwd", "bwd"):
-            if self.pooling.laws.get(f"Fc_{side}") != "proportional":
+            if self.layout.laws.get(f"Fc_{side}") != "proportional":
                 continue
             kinetic = self.median(f"Fc_{side}", one)[..., 0] / p0
             found[f"K_c_{side}"] = kinetic
-            if f"static_excess_{side}" in self.pooling.names:
+            if f"static_excess_{side}" in self.layout.names:
                 excess = self.median(f"static_excess_{side}", one)[..., 0]
                 found[f"K_s_{side}"] = kinetic * (1.0 + excess)
-        if "sigma0" in self.pooling.names:
+        if "sigma0" in self.layout.names:
             stiffness = self.median("sigma0", np.array([0.0, p0]))
-            if self.pooling.laws.get("sigma0") in ("affine", "proportional"):
+            if self.layout.laws.get("sigma0") in ("affine", "proportional"):
                 found["alpha_sigma0"] = (stiffness[..., 1] - stiffness[..., 0]) / p0
-            if self.pooling.laws.get("sigma0") == "affine":
+            if self.layout.laws.get("sigma0") == "affine":
                 found["sigma0_0"] = stiffness[..., 0]
         return found
 
     @property
     def law_weights(self) -> dict[str, dict[str, float]]:
         """Weight of each law that was considered, by quantity."""
-        return {name: dict(weights) for name, weights in self.pooling.weights.items()}
+        return {name: dict(weights) for name, weights in self.layout.weights.items()}
 
     def draw_test(
         self,
@@ -160,16 +160,16 @@ class Population:
         scattered : bool
             Whether they are tests with their scatter, or the median over tests.
         """
-        pooling = self.pooling
+        layout = self.layout
         h = self.h.reshape(self.size, -1)[index]
         latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
         x = latent[:, 0].copy()
         choice = self.choice.reshape(self.size, -1)[index]
-        x += pooling.offsets(h, choice, [setting])[:, 0]
-        sd = pooling.effect_sd(h)
+        x += layout.offsets(h, choice, [setting])[:, 0]
+        sd = layout.effect_sd(h)
         begin = 0
-        for effect in pooling.effects:
-            row, new = effect.row(pooling.cell_of(effect, setting))
+        for effect in layout.effects:
+            row, new = effect.row(layout.cell_of(effect, setting))
             parts = latent[:, 1 + begin : 1 + begin + len(row)]
             for k in effect.members:
                 x[:, k] += parts[:, :, k] @ row
@@ -179,5 +179,5 @@ class Population:
         if scattered:
             factor = self.together.reshape(self.size, *self.together.shape[2:])[index]
             swing = np.einsum("nij,nj->ni", factor, rng.standard_normal(x.shape))
-            x += pooling.scatter(h) * swing
-        return pooling.coordinates.values(pooling.centre + pooling.spread * x)
+            x += layout.scatter(h) * swing
+        return layout.coordinates.values(layout.centre + layout.spread * x)

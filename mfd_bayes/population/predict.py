@@ -172,7 +172,7 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
 
 def _unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
     """What no earlier test tells: the place in the gap at the start, the scale γ1, fixed ones."""
-    pooled = set(population.pooling.names)
+    pooled = set(population.layout.names)
     unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in pooled}
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
@@ -182,7 +182,7 @@ def _scales(population: Population, trace: Trace, index: NDArray[np.intp]) -> di
     history = np.asarray(trace.actuation)
     level = np.array([trace.reference_actuation])
     scales = {}
-    for name in population.pooling.laws:
+    for name in population.layout.laws:
         along = population.ratio(name, history).reshape(-1, history.size)[index]
         at_level = population.ratio(name, level).reshape(-1, 1)[index]
         scales[name] = along / np.maximum(at_level, 1e-300)

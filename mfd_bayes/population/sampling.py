@@ -12,12 +12,12 @@ from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.jobs.likelihoods import Evaluate
-from mfd_bayes.population.chains import History, TestDraws, by_walker
+from mfd_bayes.population.chains import TestDraws, ThinnedChains, by_walker
 from mfd_bayes.population.joint import Joint
-from mfd_bayes.population.layout import Pooling
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.lines import tune
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.test_likelihood import Evidence
+from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
@@ -44,14 +44,14 @@ SWEEPS = {100.0: 240, 400.0: 2000, 2000.0: 6000}
 
 
 @dataclass(frozen=True, eq=False)
-class Inference:
-    """A population, and its tests' coordinates after pooling.
+class JointDraws:
+    """A population, and its tests' coordinates after layout.
 
     Attributes
     ----------
     population : Population
     tests : sequence of (chain, draw, D)
-        In prior units, as in `Evidence`.
+        In prior units, as in `TestLikelihood`.
     accepted : mapping of str to float
         Share of accepted proposals, by kind.
     sweeps : int
@@ -63,23 +63,23 @@ class Inference:
     sweeps: int
 
 
-def infer(
-    pooling: Pooling,
-    tests: Sequence[Evidence],
+def sample_joint(
+    layout: Layout,
+    tests: Sequence[TestLikelihood],
     priors: Mapping[str, Prior],
     actuation_unit: str,
     effort: Effort,
     rng: np.random.Generator,
     report: Callable[[int, Convergence], None] = lambda _, __: None,
     evaluate: Evaluate | None = None,
-) -> Inference:
+) -> JointDraws:
     """Draws of the population and of every test given all tests.
 
     Parameters
     ----------
-    pooling : Pooling
+    layout : Layout
         Of these tests.
-    tests : sequence of Evidence
+    tests : sequence of TestLikelihood
     priors : mapping of str to Prior
     actuation_unit : str
     effort : Effort
@@ -91,26 +91,26 @@ def infer(
         Computes the tests' likelihoods, as in several processes.
     """
     n = effort.ensembles * WALKERS
-    approximate = Joint(pooling, [test.approximated() for test in tests], rng)
-    chains = approximate.begin(n, pooling.draw_choice(n), effort.ensembles)
+    approximate = Joint(layout, [test.approximated() for test in tests], rng)
+    chains = approximate.begin(n, layout.draw_choice(n), effort.ensembles)
     for i in range(WARM_UP):
         if i in (WARM_UP // 3, 2 * WARM_UP // 3):
-            approximate.tune(tune(pooling, approximate.tests, chains))
+            approximate.tune(tune(layout, approximate.tests, chains))
         approximate.sweep(chains)
     joint = approximate
     if not all(test.gaussian for test in tests):
-        joint = Joint(pooling, tests, rng, evaluate)
-        joint.tune(tune(pooling, approximate.tests, chains))
+        joint = Joint(layout, tests, rng, evaluate)
+        joint.tune(tune(layout, approximate.tests, chains))
         joint.resume(chains)
         for i in range(SETTLE):
             if i == SETTLE // 2:
-                joint.tune(tune(pooling, tests, chains))
+                joint.tune(tune(layout, tests, chains))
             joint.sweep(chains)
         joint.settle()
     hyper: list[Array] = []
     levels: list[Array] = []
     sizes = [x.shape[1] for x in chains.x]
-    history = History(-(-max(KEPT, int(effort.ess)) // WALKERS), n, sum(sizes))
+    history = ThinnedChains(-(-max(KEPT, int(effort.ess)) // WALKERS), n, sum(sizes))
     for end in _looks(most_sweeps(effort)):
         for i in range(len(hyper), end):
             joint.sweep(chains)
@@ -118,7 +118,7 @@ def infer(
             levels.append(chains.latent[:, 0].copy())
             if history.wants(i):
                 history.add(i, chains.latent.copy(), joint.products(chains), chains.x)
-        late, found = _settled(pooling, hyper, levels, effort)
+        late, found = _settled(layout, hyper, levels, effort)
         report(end, found)
         if found.reached(effort.r_hat, effort.ess):
             break
@@ -127,7 +127,7 @@ def infer(
     h = by_walker([hyper[i] for i in kept], effort.ensembles)
     choice = np.repeat(chains.choice[:, None], len(states), axis=1)
     population = Population(
-        pooling=pooling,
+        layout=layout,
         h=h,
         latent=by_walker([state.latent for state in states], effort.ensembles),
         choice=choice.reshape(*h.shape[:2], -1),
@@ -138,17 +138,17 @@ def infer(
         convergence=found,
     )
     accepted = {name: float(np.mean(shares)) for name, shares in joint.accepted.items()}
-    return Inference(population, TestDraws(states, sizes, effort.ensembles), accepted, end)
+    return JointDraws(population, TestDraws(states, sizes, effort.ensembles), accepted, end)
 
 
 def _settled(
-    pooling: Pooling, hyper: Sequence[Array], levels: Sequence[Array], effort: Effort
+    layout: Layout, hyper: Sequence[Array], levels: Sequence[Array], effort: Effort
 ) -> tuple[int, Convergence]:
     """The first share of `LATE` after which all has converged, or else best has, in sweeps."""
     tried = []
     for share in LATE:
         late = int(share * len(hyper))
-        found = _measure(pooling, hyper[late:], levels[late:], effort.ensembles)
+        found = _measure(layout, hyper[late:], levels[late:], effort.ensembles)
         if found.reached(effort.r_hat, effort.ess):
             return late, found
         tried.append((late, found))
@@ -192,26 +192,25 @@ def _correlate(products: Array) -> Array:
 
 
 def _measure(
-    pooling: Pooling, hyper: Sequence[Array], levels: Sequence[Array], ensembles: int
+    layout: Layout, hyper: Sequence[Array], levels: Sequence[Array], ensembles: int
 ) -> Convergence:
     everything = np.concatenate([np.stack(hyper), np.stack(levels)], axis=2)
-    active = _active(pooling)
+    active = _active(layout)
     shaped = everything.reshape(len(hyper), ensembles, -1, everything.shape[2])
     return measure(np.swapaxes(shaped, 0, 1)[..., active])
 
 
-def _active(pooling: Pooling) -> NDArray[np.intp]:
+def _active(layout: Layout) -> NDArray[np.intp]:
     """Coordinates of h, and levels, that some law of weight depends on."""
     from mfd_bayes.population.laws import LAWS
 
-    begin = len(pooling.names) + len(pooling.effects)
+    begin = len(layout.names) + len(layout.effects)
     idle = [
         begin + i
-        for i, (name, shape) in enumerate(pooling.shapes)
+        for i, (name, shape) in enumerate(layout.shapes)
         if shape in ("share", "exponent")
         and not any(
-            weight > 0 and shape in LAWS[law].shapes
-            for law, weight in pooling.weights[name].items()
+            weight > 0 and shape in LAWS[law].shapes for law, weight in layout.weights[name].items()
         )
     ]
-    return np.setdiff1d(np.arange(pooling.dim + len(pooling.names)), idle)
+    return np.setdiff1d(np.arange(layout.dim + len(layout.names)), idle)

@@ -14,7 +14,7 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.laws import LAWS
-from mfd_bayes.population.layout import Effect, Pooling, Setting
+from mfd_bayes.population.layout import Effect, Layout, Setting
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.stored import check_draws, check_facts
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
@@ -35,7 +35,7 @@ def save_population(path: Path, population: Population) -> None:
         "together": np.asarray(population.together, dtype=np.float32),  # many, and only drawn from
     }
     facts = {
-        **_facts(population.pooling),
+        **_facts(population.layout),
         "actuation_unit": population.actuation_unit,
         "walkers": population.walkers,
         "r_hat": convergence.r_hat.tolist(),
@@ -72,7 +72,7 @@ def _population(
     if not np.all(np.isin(laws, np.arange(len(LAWS)))):
         raise ValueError("a law has a number that none is known by")
     return Population(
-        pooling=_pooling(facts, priors),
+        layout=_layout_of(facts, priors),
         h=arrays["hyperparameters"].astype(np.float64),
         latent=arrays["latent"].astype(np.float64),
         choice=laws.astype(np.intp),
@@ -86,42 +86,42 @@ def _population(
     )
 
 
-def save_pooled(
-    path: Path, pooling: Pooling, draws: Array, units: Mapping[str, str], test: str
+def save_test_draws(
+    path: Path, layout: Layout, draws: Array, units: Mapping[str, str], test: str
 ) -> None:
-    """Write a test's posterior after pooling: named variables (chain, draw) with units.
+    """Write a test's posterior after layout: named variables (chain, draw) with units.
 
     Parameters
     ----------
     path : Path
-    pooling : Pooling
+    layout : Layout
     draws : (chain, draw, D)
         In prior units, pooled coordinates first.
     units : mapping of str to str
     test : str
     """
-    d = len(pooling.names)
-    q = pooling.centre + pooling.spread * draws.reshape(-1, draws.shape[2])[:, :d]
-    values = pooling.coordinates.values(q)
+    d = len(layout.names)
+    q = layout.centre + layout.spread * draws.reshape(-1, draws.shape[2])[:, :d]
+    values = layout.coordinates.values(q)
     arrays = {name: value.reshape(draws.shape[:2]) for name, value in values.items()}
     save_arrays(path, arrays, {"test": test}, units)
 
 
-def _facts(pooling: Pooling) -> dict[str, Any]:
+def _facts(layout: Layout) -> dict[str, Any]:
     return {
-        "names": pooling.names,
-        "speed": pooling.coordinates.speed,
-        "centre": pooling.centre.tolist(),
-        "spread": pooling.spread.tolist(),
-        "laws": pooling.laws,
-        "weights": pooling.weights,
-        "groups": pooling.groups,
-        "member": pooling.member.tolist(),
-        "scatter_sd": pooling.scatter_sd.tolist(),
-        "reference": pooling.reference,
+        "names": layout.names,
+        "speed": layout.coordinates.speed,
+        "centre": layout.centre.tolist(),
+        "spread": layout.spread.tolist(),
+        "laws": layout.laws,
+        "weights": layout.weights,
+        "groups": layout.groups,
+        "member": layout.member.tolist(),
+        "scatter_sd": layout.scatter_sd.tolist(),
+        "reference": layout.reference,
         "settings": [
             {"actuation": s.actuation, "session": s.session, "covariates": s.covariates}
-            for s in pooling.settings
+            for s in layout.settings
         ],
         "effects": [
             {
@@ -131,14 +131,14 @@ def _facts(pooling: Pooling) -> dict[str, Any]:
                 "cells": e.cells,
                 "home": e.home,
             }
-            for e in pooling.effects
+            for e in layout.effects
         ],
-        "dependence": pooling.dependence,
-        "covariate_reference": pooling.covariate_reference,
+        "dependence": layout.dependence,
+        "covariate_reference": layout.covariate_reference,
     }
 
 
-def _pooling(facts: Mapping[str, Any], priors: PriorFile) -> Pooling:
+def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
     names, groups = tuple(facts["names"]), tuple(facts["groups"])
     scatter = np.array([priors.scatter[groups[g]].sd for g in facts["member"]])
     if not np.allclose(scatter, facts["scatter_sd"]):
@@ -153,7 +153,7 @@ def _pooling(facts: Mapping[str, Any], priors: PriorFile) -> Pooling:
         )
         for e in facts["effects"]
     )
-    return Pooling(
+    return Layout(
         coordinates=Coordinates(names, {n: priors.parameters[n] for n in names}, facts["speed"]),
         centre=np.array(facts["centre"]),
         spread=np.array(facts["spread"]),

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 from mfd_bayes.calibration.priors import KINDS
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.laws import COMPARE, LAWS
-from mfd_bayes.population.layout import Pooling
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
 from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
@@ -123,12 +123,12 @@ def check_draws(population: Population, where: object) -> None:
     StoreError
         When they do not have the population's size, or are out of range.
     """
-    pooling, shape = population.pooling, population.h.shape[:2]
-    d, cells = len(pooling.names), sum(len(effect.cells) for effect in pooling.effects)
+    layout, shape = population.layout, population.h.shape[:2]
+    d, cells = len(layout.names), sum(len(effect.cells) for effect in layout.effects)
     for name, values, rest in (
-        ("hyperparameters", population.h, (pooling.dim,)),
+        ("hyperparameters", population.h, (layout.dim,)),
         ("latent", population.latent, (1 + cells, d)),
-        ("law", population.choice, (len(pooling.laws),)),
+        ("law", population.choice, (len(layout.laws),)),
         ("together", population.together, (d, d)),
     ):
         if values.shape != (*shape, *rest):
@@ -138,16 +138,16 @@ def check_draws(population: Population, where: object) -> None:
     if population.size < 1 or shape[1] % population.walkers:
         raise StoreError(f"{where} must hold draws of {population.walkers} walkers")
     try:
-        _ = [effect.root for effect in pooling.effects]
+        _ = [effect.root for effect in layout.effects]
     except np.linalg.LinAlgError:
         raise StoreError(f"{where} holds an effect with the same cell twice") from None
-    _check_sizes(population, pooling, where)
+    _check_sizes(population, layout, where)
 
 
-def _check_sizes(population: Population, pooling: Pooling, where: object) -> None:
+def _check_sizes(population: Population, layout: Layout, where: object) -> None:
     """Refuse scatter, shapes and levels that their priors exclude."""
     h = population.h.reshape(population.size, -1)
-    scales = pooling.sd_scale
+    scales = layout.sd_scale
     with np.errstate(over="ignore"):
         wide = np.exp(h[:, : scales.size]) > _WIDEST * scales
     if np.any(wide):
@@ -158,6 +158,6 @@ def _check_sizes(population: Population, pooling: Pooling, where: object) -> Non
         raise StoreError(f"{where} holds a correlation beyond 1")
     levels = population.levels.reshape(population.size, -1)
     with np.errstate(all="ignore"):
-        inside = np.isfinite(pooling.coordinates.log_prior(levels))
+        inside = np.isfinite(layout.coordinates.log_prior(levels))
     if not np.all(inside):
         raise StoreError(f"{where} holds a level that its prior excludes")

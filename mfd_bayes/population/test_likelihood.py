@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.population.coordinates import Coordinates
-from mfd_bayes.population.layout import Pooling
+from mfd_bayes.population.layout import Layout
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ LEAST_INFORMATION = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class TestLikelihood:
     """One test, in prior units: its pooled coordinates first, then those of its own.
 
     Attributes
@@ -58,7 +58,9 @@ class Evidence:
     covariance: Array
     gaussian: bool = False
 
-    def approximated(self) -> Evidence:
+    __test__ = False  # pytest is not to collect it
+
+    def approximated(self) -> TestLikelihood:
         """The same with the Gaussian in place of the likelihood."""
         precision = np.linalg.inv(self.covariance)
 
@@ -71,7 +73,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False)
-class Likelihood:
+class LogLikelihood:
     """Log likelihood of one test's coordinates in prior units; it can be sent to a process.
 
     Attributes
@@ -107,16 +109,18 @@ class Likelihood:
         return density
 
 
-def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Array]) -> Evidence:
+def likelihood_of(
+    layout: Layout, posterior: Posterior, values: Mapping[str, Array]
+) -> TestLikelihood:
     """What a calibrated test tells, from its stored draws by name, (S,) each.
 
     Of those of many tests fewer are held, evenly apart, so that all take no more than `ROOM`.
     """
-    own = [name for name in posterior.names if name not in pooling.names]
-    order = [*pooling.names, *own]
+    own = [name for name in posterior.names if name not in layout.names]
+    order = [*layout.names, *own]
     back = [order.index(name) for name in posterior.names]
-    d = len(pooling.names)
-    centre, spread = [*pooling.centre], [*pooling.spread]
+    d = len(layout.names)
+    centre, spread = [*layout.centre], [*layout.spread]
     for name in own:
         prior = posterior.priors[name]
         drawn = prior.coordinate(prior.draw(np.random.default_rng(0), 4000))
@@ -131,16 +135,16 @@ def evidence_of(pooling: Pooling, posterior: Posterior, values: Mapping[str, Arr
         return total
 
     def log_interim_prior(x: Array) -> Array:
-        return pooling.coordinates.log_prior(pooling.centre + pooling.spread * x)
+        return layout.coordinates.log_prior(layout.centre + layout.spread * x)
 
-    coordinates = [pooling.coordinates.of(values)]
+    coordinates = [layout.coordinates.of(values)]
     coordinates += [posterior.priors[name].coordinate(values[name])[:, None] for name in own]
     draws = (np.concatenate(coordinates, axis=1) - middle) / scale
     mean, covariance = without_prior(draws)
-    most = max(FEWEST, ROOM // (len(pooling.settings) * draws.shape[1]))
+    most = max(FEWEST, ROOM // (len(layout.settings) * draws.shape[1]))
     draws = draws[:: -(-len(draws) // most)].astype(np.float32)
-    return Evidence(
-        Likelihood(posterior, pooling.coordinates, middle, scale, tuple(back)),
+    return TestLikelihood(
+        LogLikelihood(posterior, layout.coordinates, middle, scale, tuple(back)),
         log_interim_prior,
         log_own_prior,
         draws,

@@ -20,7 +20,7 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.population.inference import pool_tests
+from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.layout import Setting, levels_of
 from mfd_bayes.population.predict import Forecast, predict, setting_of
 from mfd_bayes.runs.folder import MANIFEST, check_stored
@@ -214,7 +214,7 @@ def leave_out(
     """
     others = {name: run.tests[name] for name in fold.kept}
     settings = run.manifest["settings"]
-    pooled = pool_tests(
+    inference = infer_population(
         others,
         run.priors,
         settings,
@@ -227,7 +227,7 @@ def leave_out(
         test = run.tests[name]
         posterior = test.posterior
         band = predict(
-            pooled.inference.population,
+            inference.draws.population,
             posterior.model,
             posterior.noise,
             test.trace,

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.population.layout import Pooling, Setting, pool
-from mfd_bayes.population.test_likelihood import Evidence, without_prior
+from mfd_bayes.population.layout import Layout, Setting, lay_out
+from mfd_bayes.population.test_likelihood import TestLikelihood, without_prior
 
 Array = NDArray[np.float64]
 
@@ -23,9 +23,9 @@ def priors() -> PriorFile:
     return load_priors("mfd")
 
 
-def gaussian_evidence(
+def gaussian_test(
     mean: Array, covariance: Array, rng: np.random.Generator, draws: int = 4000
-) -> Evidence:
+) -> TestLikelihood:
     """A test with a Gaussian likelihood that does not say so, after a N(0, 1) interim prior."""
     d = len(mean)
     precision = np.linalg.inv(covariance)
@@ -39,7 +39,7 @@ def gaussian_evidence(
     def log_prior(x: Array) -> Array:
         return np.asarray(-0.5 * np.sum(x**2, axis=1))
 
-    return Evidence(
+    return TestLikelihood(
         log_likelihood,
         log_prior,
         lambda own: np.zeros(len(own)),
@@ -62,42 +62,40 @@ class Moments:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Tests with data y_j = x_j + e_j, x_j as `Pooling` says, power laws, Gaussian scatter.
+    """Tests with data y_j = x_j + e_j, x_j as `Layout` says, power laws, Gaussian scatter.
 
     u are the N(0, 1) levels (d), then parts of the effects of the first quantity (its levels of
     actuation), then its standardised exponent.
     """
 
-    pooling: Pooling
+    layout: Layout
     y: Array
     covariances: Array
 
     @property
     def actuations(self) -> Array:
-        return np.array([s.actuation for s in self.pooling.settings])
+        return np.array([s.actuation for s in self.layout.settings])
 
-    def evidence(self, rng: np.random.Generator) -> list[Evidence]:
-        return [
-            gaussian_evidence(*told, rng) for told in zip(self.y, self.covariances, strict=True)
-        ]
+    def likelihoods(self, rng: np.random.Generator) -> list[TestLikelihood]:
+        return [gaussian_test(*told, rng) for told in zip(self.y, self.covariances, strict=True)]
 
     def _design(self, omega: float | None) -> tuple[Array, Array]:
         """Offsets (J, d), and what each test has of u, (J, d, u)."""
         count, d = self.y.shape
-        follows = bool(self.pooling.laws)
+        follows = bool(self.layout.laws)
         cells, home = np.unique(self.actuations, return_inverse=True)
         parts = 0 if omega is None else cells.size
         design = np.zeros((count, d, d + parts + follows))
         design[:, range(d), range(d)] = 1.0
         offsets = np.zeros((count, d))
         if follows:
-            folds = np.log(self.actuations / self.pooling.reference) / self.pooling.spread[0]
+            folds = np.log(self.actuations / self.layout.reference) / self.layout.spread[0]
             offsets[:, 0] = folds  # exponent 1 + u/2
             design[:, 0, -1] = 0.5 * folds
         if omega is not None:
             distance = np.abs(np.log(cells[:, None] / cells))
             root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)))
-            design[:, 0, d : d + parts] = omega / self.pooling.spread[0] * root[home]
+            design[:, 0, d : d + parts] = omega / self.layout.spread[0] * root[home]
         return offsets, design
 
     def conditional(self, tau: Array, omega: float | None) -> tuple[float, Array, Array]:
@@ -105,7 +103,7 @@ class Linear:
         count, d = self.y.shape
         offsets, design = self._design(omega)
         a = design.reshape(count * d, -1)
-        scatter = np.diag(np.tile((tau / self.pooling.spread) ** 2, count))
+        scatter = np.diag(np.tile((tau / self.layout.spread) ** 2, count))
         noise = np.zeros((count * d, count * d))
         for j in range(count):
             noise[j * d : (j + 1) * d, j * d : (j + 1) * d] = self.covariances[j]
@@ -123,8 +121,8 @@ class Linear:
     def solve(self, rng: np.random.Generator, n: int = 4096, points: int = 40) -> Moments:
         """Everything by a grid over log scatter and log effect sd, and n exact draws."""
         d = self.y.shape[1]
-        effects = len(self.pooling.effects)
-        scales = np.append(self.pooling.scatter_sd, self.pooling.scatter_sd[:1].repeat(effects))
+        effects = len(self.layout.effects)
+        scales = np.append(self.layout.scatter_sd, self.layout.scatter_sd[:1].repeat(effects))
         axis = np.linspace(-6.0, 1.5, points)  # of the log of an sd over its prior's scale
         grid = np.array(list(product(axis, repeat=d + effects))) + np.log(scales)
         results = [
@@ -160,9 +158,9 @@ class Linear:
         )
 
 
-@pytest.fixture(scope="session", name="gaussian_evidence")
-def _gaussian_evidence() -> Callable[..., Evidence]:
-    return gaussian_evidence
+@pytest.fixture(scope="session", name="gaussian_test")
+def _gaussian_test() -> Callable[..., TestLikelihood]:
+    return gaussian_test
 
 
 @pytest.fixture(scope="session")
@@ -178,19 +176,19 @@ def make_linear(priors: PriorFile) -> Callable[..., Linear]:
         """A campaign with noise in every test, in units of its scatter, that is not small."""
         laws = {"Fc_fwd": "power"} if "Fc_fwd" in names else {}
         settings = [Setting(p) for p in actuations]
-        pooling = pool(priors, names, settings, laws)
+        layout = lay_out(priors, names, settings, laws)
         rng = np.random.default_rng(seed)
         d, count = len(names), len(actuations)
-        tau = 0.5 * pooling.scatter_sd / pooling.spread
+        tau = 0.5 * layout.scatter_sd / layout.spread
         x = level * rng.choice([-1.0, 1.0], d) + tau * rng.standard_normal((count, d))
         if laws:
-            x[:, 0] += 0.8 * np.log(np.array(actuations) / pooling.reference) / pooling.spread[0]
+            x[:, 0] += 0.8 * np.log(np.array(actuations) / layout.reference) / layout.spread[0]
         covariances = []
         for _ in range(count):
             root = rng.standard_normal((d, d + 2))
             told = noise**2 * np.outer(tau, tau)
             covariances.append(told * (root @ root.T) / (d + 2))
         errors = [rng.multivariate_normal(np.zeros(d), c) for c in covariances]
-        return Linear(pooling, x + errors, np.array(covariances))
+        return Linear(layout, x + errors, np.array(covariances))
 
     return make

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population import chains as history
-from mfd_bayes.population.chains import History, State, TestDraws, by_walker
+from mfd_bayes.population import chains
+from mfd_bayes.population.chains import State, TestDraws, ThinnedChains, by_walker
 
 
 def state(sweep, chains=4, size=3):
@@ -13,7 +13,7 @@ def state(sweep, chains=4, size=3):
 
 
 def fill(wanted, size, sweeps):
-    kept = History(wanted, 4, size)
+    kept = ThinnedChains(wanted, 4, size)
     for sweep in range(sweeps):
         if kept.wants(sweep):
             x = [np.full((4, 1), sweep), np.full((4, size - 1), sweep + 0.5)]
@@ -38,11 +38,11 @@ def test_enough_states_are_left_evenly_apart(wanted, sweeps):
 
 
 def test_the_states_of_many_tests_are_fewer(monkeypatch):
-    monkeypatch.setattr(history, "ROOM", 4000)
+    monkeypatch.setattr(chains, "ROOM", 4000)
     few, many, most = (fill(47, size, 500) for size in (5, 25, 2500))
     assert len(few.states) >= 47
     assert len(many.states) <= 40 < len(few.states)
-    assert history.FEWEST / 2 <= len(most.states) <= history.FEWEST
+    assert chains.FEWEST / 2 <= len(most.states) <= chains.FEWEST
 
 
 def test_draws_of_tests_are_their_columns_by_chain_and_walker():

@@ -1,4 +1,4 @@
-"""Pooled coordinates: what they say they are, and changes of variables of determinant 1."""
+"""Shared coordinates: what they say they are, and changes of variables of determinant 1."""
 
 import numpy as np
 import pytest
@@ -42,29 +42,29 @@ SUBSETS = (
 
 @pytest.mark.parametrize("names", SUBSETS)
 def test_values_come_back(priors, names):
-    pooled, values = coordinates(priors, names), draw(priors, names)
-    q = pooled.of(values)
+    shared, values = coordinates(priors, names), draw(priors, names)
+    q = shared.of(values)
     assert q.shape == (50, len(names))
-    back = pooled.values(q)
+    back = shared.values(q)
     for name in names:
         np.testing.assert_allclose(back[name], values[name], rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(pooled.from_own(pooled.to_own(q)), q, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(shared.from_own(shared.to_own(q)), q, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("names", SUBSETS)
 def test_determinants_are_one(priors, names):
-    pooled = coordinates(priors, names)
-    for q in pooled.of(draw(priors, names, 5)):
+    shared = coordinates(priors, names)
+    for q in shared.of(draw(priors, names, 5)):
         steps = 1e-5 * np.eye(len(names))
-        jacobian = (pooled.to_own(q + steps) - pooled.to_own(q - steps)) / 2e-5
+        jacobian = (shared.to_own(q + steps) - shared.to_own(q - steps)) / 2e-5
         assert abs(np.linalg.det(jacobian)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_determinant_that_is_not_one_would_be_seen(priors):
-    pooled = coordinates(priors)
-    q = pooled.of(draw(priors, n=1))
+    shared = coordinates(priors)
+    q = shared.of(draw(priors, n=1))
     steps = 1e-5 * np.eye(len(NAMES))
-    values = [np.stack(list(pooled.values(q + s * steps).values()), axis=1) for s in (1, -1)]
+    values = [np.stack(list(shared.values(q + s * steps).values()), axis=1) for s in (1, -1)]
     assert abs(abs(np.linalg.det((values[0] - values[1]) / 2e-5)) - 1.0) > 1e-3
 
 
@@ -104,20 +104,20 @@ def test_without_all_that_it_needs_a_coordinate_is_the_priors(priors):
 
 
 def test_the_density_is_that_of_the_priors_after_the_change_of_variables(priors):
-    pooled, values = coordinates(priors), draw(priors)
+    shared, values = coordinates(priors), draw(priors)
     expected = np.zeros(50)
     for name in NAMES:
         prior = priors.parameters[name]
         expected += prior.log_density(prior.coordinate(values[name]))
-    np.testing.assert_allclose(pooled.log_prior(pooled.of(values)), expected, rtol=1e-10)
+    np.testing.assert_allclose(shared.log_prior(shared.of(values)), expected, rtol=1e-10)
 
 
 def test_the_density_of_the_gap_has_mass_one():
     prior = Prior("lognormal", {"median": 0.1, "spread": 0.6})
-    pooled = Coordinates(("d2", "d3"), {"d2": prior, "d3": prior}, SPEED)
+    shared = Coordinates(("d2", "d3"), {"d2": prior, "d3": prior}, SPEED)
 
     def density(ratio, width):
-        return np.exp(pooled.log_prior(np.array([[width, ratio]])))[0]
+        return np.exp(shared.log_prior(np.array([[width, ratio]])))[0]
 
     mass, _ = integrate.dblquad(density, -6, 3, -6, 6, epsabs=1e-5)
     assert mass == pytest.approx(1.0, abs=1e-3)
@@ -125,9 +125,9 @@ def test_the_density_of_the_gap_has_mass_one():
 
 def test_log_density_of_a_ratio_is_that_of_scipy():
     prior = Prior("lognormal", {"median": 0.1, "spread": 0.6})
-    pooled = Coordinates(("d2", "d3"), {"d2": prior, "d3": prior}, SPEED)
+    shared = Coordinates(("d2", "d3"), {"d2": prior, "d3": prior}, SPEED)
     ratio = np.linspace(-2, 2, 9)
     width = np.linspace(-9, 5, 4001)
     grid = np.stack(np.meshgrid(width, ratio, indexing="ij"), axis=-1).reshape(-1, 2)
-    marginal = np.exp(pooled.log_prior(grid)).reshape(4001, 9).sum(axis=0) * (width[1] - width[0])
+    marginal = np.exp(shared.log_prior(grid)).reshape(4001, 9).sum(axis=0) * (width[1] - width[0])
     np.testing.assert_allclose(marginal, stats.norm(0, 0.6 * np.sqrt(2)).pdf(ratio), rtol=1e-6)

@@ -9,9 +9,9 @@ from scipy.stats import kstest, norm
 
 from mfd_bayes.population import lines
 from mfd_bayes.population.joint import Chains, Joint
-from mfd_bayes.population.layout import Pooling
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.lines import Lines, _Profile, redraw, transport
-from mfd_bayes.population.test_likelihood import Evidence
+from mfd_bayes.population.test_likelihood import TestLikelihood
 
 CHAINS = 4096
 LEVELS = (0.5, 0.5, 0.9, 1.6)
@@ -25,27 +25,27 @@ class Case:
     def __init__(self, linear, seed=3):
         rng = np.random.default_rng(seed)
         self.linear, self.exact = linear, linear.solve(rng, CHAINS)
-        self.tests, self.rng = linear.evidence(rng), rng
+        self.tests, self.rng = linear.likelihoods(rng), rng
 
     def chains(self) -> Chains:
         """Chains at the exact draws."""
-        pooling, exact = self.linear.pooling, self.exact
-        cells = sum(len(e.cells) for e in pooling.effects)
-        d = len(pooling.names)
+        layout, exact = self.linear.layout, self.exact
+        cells = sum(len(e.cells) for e in layout.effects)
+        d = len(layout.names)
         latent = np.zeros((CHAINS, 1 + cells, d))
         latent[:, 0] = exact.u[:, :d]
-        sds = d + len(pooling.effects)
-        h = np.zeros((CHAINS, pooling.dim))
+        sds = d + len(layout.effects)
+        h = np.zeros((CHAINS, layout.dim))
         h[:, :sds] = exact.h
-        for i, _ in enumerate(pooling.effects):
-            sd = np.exp(exact.h[:, d + i, None]) / pooling.spread[0]
+        for i, _ in enumerate(layout.effects):
+            sd = np.exp(exact.h[:, d + i, None]) / layout.spread[0]
             latent[:, 1:, 0] = sd * exact.u[:, d : d + cells]
-        if pooling.laws:
+        if layout.laws:
             h[:, -1] = 1.0 + 0.5 * exact.u[:, -1]
         x = [exact.x[:, j].copy() for j in range(len(self.tests))]
         likelihoods = [t.log_likelihood(v) for t, v in zip(self.tests, x, strict=True)]
         ensemble = np.repeat(np.arange(4), CHAINS // 4)
-        return Chains(h, latent, x, likelihoods, pooling.draw_choice(CHAINS), ensemble)
+        return Chains(h, latent, x, likelihoods, layout.draw_choice(CHAINS), ensemble)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def shift(case: Case, kernel, times: int = 30, joint: Joint | None = None) -> fl
     """Largest change of a moment by a kernel, in standard errors."""
     chains = case.chains()
     before = features(chains)
-    told = joint or Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    told = joint or Joint(case.linear.layout, case.tests, np.random.default_rng(4))
     for _ in range(times):
         kernel(told, chains)
     after = features(chains)
@@ -93,10 +93,10 @@ def near_and_evolve(part: str):
     """Update of all tests' coordinates by one kind of proposal."""
 
     def kernel(joint: Joint, chains: Chains) -> None:
-        pooling = joint.pooling
-        means = pooling.offsets(chains.h, chains.choice)
-        means = means + np.einsum("jm,nmk->njk", pooling.design(), chains.latent)
-        getattr(joint, part)(chains, means, pooling.scatter(chains.h))
+        layout = joint.layout
+        means = layout.offsets(chains.h, chains.choice)
+        means = means + np.einsum("jm,nmk->njk", layout.design(), chains.latent)
+        getattr(joint, part)(chains, means, layout.scatter(chains.h))
 
     return kernel
 
@@ -152,23 +152,23 @@ def test_a_kernel_keeps_tests_that_tell_little(vague, name):
 def broken_prior(case: Case) -> Joint:
     """With the Jacobian of the logarithms of sds three times."""
 
-    class Wrong(Pooling):
+    class Wrong(Layout):
         def log_prior(self, h):
             density = super().log_prior(h)
             for i in range(len(self.sd_scale)):
                 density[:, self.block[i]] += 2.0 * h[:, i]
             return density
 
-    pooling = object.__new__(Wrong)
-    vars(pooling).update(vars(case.linear.pooling))
-    return Joint(pooling, case.tests, np.random.default_rng(4))
+    layout = object.__new__(Wrong)
+    vars(layout).update(vars(case.linear.layout))
+    return Joint(layout, case.tests, np.random.default_rng(4))
 
 
 def broken_weights(case: Case) -> Joint:
     """Stored draws that are not weighed by the prior they were drawn under."""
     tests = [replace(t, draws_log_prior=np.zeros(len(t.draws))) for t in case.tests]
     tests = [replace(t, log_interim_prior=lambda x: np.zeros(len(x))) for t in tests]
-    return Joint(case.linear.pooling, tests, np.random.default_rng(4))
+    return Joint(case.linear.layout, tests, np.random.default_rng(4))
 
 
 def broken_correction(case: Case) -> Joint:
@@ -179,19 +179,19 @@ def broken_correction(case: Case) -> Joint:
             proposed, correction = super()._near(*given)
             return proposed, 0.0 * correction
 
-    return Wrong(case.linear.pooling, case.tests, np.random.default_rng(4))
+    return Wrong(case.linear.layout, case.tests, np.random.default_rng(4))
 
 
 def broken_scatter(case: Case) -> Joint:
     """Scatter half of what it is."""
 
-    class Wrong(Pooling):
+    class Wrong(Layout):
         def scatter(self, h):
             return 0.5 * super().scatter(h)
 
-    pooling = object.__new__(Wrong)
-    vars(pooling).update(vars(case.linear.pooling))
-    return Joint(pooling, case.tests, np.random.default_rng(4))
+    layout = object.__new__(Wrong)
+    vars(layout).update(vars(case.linear.layout))
+    return Joint(layout, case.tests, np.random.default_rng(4))
 
 
 @pytest.mark.parametrize(
@@ -243,7 +243,7 @@ def test_redraws_whose_densities_are_forgotten_do_not(vague, monkeypatch):
 def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
     """A bend and a step within a test's sd, at which profiles are wrong by much."""
 
-    def bent(test: Evidence) -> Evidence:
+    def bent(test: TestLikelihood) -> TestLikelihood:
         def log_likelihood(x):
             away = np.abs(x[:, 0] - test.mean[0])
             return test.log_likelihood(x) - 0.5 * away - 0.7 * (away < 0.4)
@@ -251,7 +251,7 @@ def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
         return replace(test, log_likelihood=log_likelihood)
 
     tests = [bent(test) for test in vague.tests]
-    joint, chains = Joint(vague.linear.pooling, tests, np.random.default_rng(4)), vague.chains()
+    joint, chains = Joint(vague.linear.layout, tests, np.random.default_rng(4)), vague.chains()
     joint.resume(chains)
     for _ in range(60):  # to the joint posterior of these, without what is tested
         joint._evolve_hyper(chains)
@@ -269,7 +269,7 @@ def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
 def test_redraws_are_taken_where_lines_are_smooth(vague):
     """Also where they are no parabolas, and whatever constant a likelihood has."""
 
-    def smooth(test: Evidence) -> Evidence:
+    def smooth(test: TestLikelihood) -> TestLikelihood:
         def log_likelihood(x):
             away = x[:, 0] - test.mean[0]
             return test.log_likelihood(x) - 9.0 * np.log(np.cosh(away)) - 1e4
@@ -277,7 +277,7 @@ def test_redraws_are_taken_where_lines_are_smooth(vague):
         return replace(test, log_likelihood=log_likelihood)
 
     for tests, least in ((vague.tests, 0.95), ([smooth(test) for test in vague.tests], 0.6)):
-        joint = Joint(vague.linear.pooling, tests, np.random.default_rng(4))
+        joint = Joint(vague.linear.layout, tests, np.random.default_rng(4))
         chains = vague.chains()
         joint.resume(chains)
         shares = [redraw(joint, chains, 0).mean() for _ in range(5)]
@@ -285,7 +285,7 @@ def test_redraws_are_taken_where_lines_are_smooth(vague):
 
 
 def test_a_quantity_whose_redraws_are_refused_is_transported(case):
-    joint = Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    joint = Joint(case.linear.layout, case.tests, np.random.default_rng(4))
     joint.accepted["redraw Fc_fwd"] = [0.05, 0.1]
     joint.settle()
     joint._move_together(case.chains())
@@ -298,7 +298,7 @@ def test_stored_draws_with_wrong_weights_do_not(vague):
 
 def test_proposals_near_a_gaussian_likelihood_are_all_taken(case):
     tests = [test.approximated() for test in case.tests]
-    joint = Joint(case.linear.pooling, tests, np.random.default_rng(4))
+    joint = Joint(case.linear.layout, tests, np.random.default_rng(4))
     chains = case.chains()
     for j, test in enumerate(tests):
         chains.log_likelihood[j] = test.log_likelihood(chains.x[j])
@@ -308,7 +308,7 @@ def test_proposals_near_a_gaussian_likelihood_are_all_taken(case):
 
 def test_stored_likelihoods_are_those_of_the_coordinates(case):
     chains = case.chains()
-    joint = Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    joint = Joint(case.linear.layout, case.tests, np.random.default_rng(4))
     for _ in range(5):
         joint.sweep(chains)
     for test, x, density in zip(case.tests, chains.x, chains.log_likelihood, strict=True):
@@ -319,7 +319,7 @@ def test_chains_never_leave_the_support_of_a_test(case):
     """A likelihood that is nothing on one side, where the Gaussian near it reaches."""
     edge = case.tests[0].mean[0]
 
-    def bounded(test: Evidence) -> Evidence:
+    def bounded(test: TestLikelihood) -> TestLikelihood:
         def log_likelihood(x):
             return np.where(x[:, 0] > edge, test.log_likelihood(x), -np.inf)
 
@@ -328,7 +328,7 @@ def test_chains_never_leave_the_support_of_a_test(case):
         return replace(test, log_likelihood=log_likelihood, draws=draws, draws_log_prior=prior)
 
     tests = [bounded(case.tests[0]), *case.tests[1:]]
-    joint, chains = Joint(case.linear.pooling, tests, np.random.default_rng(4)), case.chains()
+    joint, chains = Joint(case.linear.layout, tests, np.random.default_rng(4)), case.chains()
     assert np.any(chains.x[0] <= edge)
     joint.resume(chains)
     for _ in range(10):
@@ -339,7 +339,7 @@ def test_chains_never_leave_the_support_of_a_test(case):
 
 def test_partners_are_two_others_of_the_same_ensemble(case):
     chains = case.chains()
-    joint = Joint(case.linear.pooling, case.tests, np.random.default_rng(4))
+    joint = Joint(case.linear.layout, case.tests, np.random.default_rng(4))
     everyone = []
     for own, first, second in joint._partners(chains):
         assert np.all(first != second)
@@ -351,12 +351,12 @@ def test_partners_are_two_others_of_the_same_ensemble(case):
 
 
 def test_products_are_of_the_standardised_places_summed_over_tests(pair):
-    chains, pooling = pair.chains(), pair.linear.pooling
-    joint = Joint(pooling, pair.tests, np.random.default_rng(4))
+    chains, layout = pair.chains(), pair.linear.layout
+    joint = Joint(layout, pair.tests, np.random.default_rng(4))
     found = joint.products(chains)
     for i in (0, 7):
-        mean = chains.latent[i, 0] + pooling.offsets(chains.h[i : i + 1], chains.choice[:1])[0]
-        tau = np.exp(chains.h[i, :2]) / pooling.spread
+        mean = chains.latent[i, 0] + layout.offsets(chains.h[i : i + 1], chains.choice[:1])[0]
+        tau = np.exp(chains.h[i, :2]) / layout.spread
         places = (np.stack([x[i] for x in chains.x]) - mean) / tau
         np.testing.assert_allclose(found[i], places.T @ places, rtol=1e-9)
 
@@ -366,7 +366,7 @@ def test_tests_are_drawn_from_the_density_that_is_said(vague):
     chains = vague.chains()
     for array in (chains.h, chains.latent, *chains.x, *chains.log_likelihood):
         array[:] = array[:1]
-    joint = Joint(vague.linear.pooling, vague.tests, np.random.default_rng(4))
+    joint = Joint(vague.linear.layout, vague.tests, np.random.default_rng(4))
     through = Lines.through(joint, chains, 0)
     profile = _Profile.of(through, chains)
     profile.coefficients[..., 1:4] += (0.4, -0.5, 0.2)  # skewed and heavy, as real ones may be
@@ -386,10 +386,10 @@ def test_tests_are_drawn_from_the_density_that_is_said(vague):
 
 def test_scatter_and_level_have_their_priors_in_a_move(vague):
     chains = vague.chains()
-    joint = Joint(vague.linear.pooling, vague.tests, np.random.default_rng(4))
+    joint = Joint(vague.linear.layout, vague.tests, np.random.default_rng(4))
     h, level = chains.h.copy(), np.linspace(-3.0, 3.0, CHAINS)
     h[:, 0] = np.linspace(-4.0, 1.0, CHAINS)
-    expected = joint.pooling.log_prior(h).sum(axis=1) + norm.logpdf(level)
+    expected = joint.layout.log_prior(h).sum(axis=1) + norm.logpdf(level)
     found = lines._prior(joint, chains, 0, h[:, 0], level)
     np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-12)
     assert np.all(lines._prior(joint, chains, 0, np.full(CHAINS, 16.0), level) == -np.inf)

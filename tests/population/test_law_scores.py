@@ -15,15 +15,15 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
     stack,
 )
-from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.layout import Setting, lay_out
 
 LEVELS = (0.5, 0.5, 0.8, 1.5)
 MANY = tuple(np.repeat([0.4, 0.6, 0.9, 1.4, 2.0], 2))
 
 
 @pytest.fixture
-def campaign(priors, gaussian_evidence):
-    return partial(make_campaign, priors, gaussian_evidence)
+def campaign(priors, gaussian_test):
+    return partial(make_campaign, priors, gaussian_test)
 
 
 def make_campaign(
@@ -46,17 +46,17 @@ def make_campaign(
         Setting(p, s, {"velocity": v, "amplitude": 1.0})
         for p, s, v in zip(levels, sessions, velocities, strict=True)
     ]
-    pooling = pool(priors, ("Fc_fwd", "offset"), settings, laws)
+    layout = lay_out(priors, ("Fc_fwd", "offset"), settings, laws)
     tests = []
     for level, velocity in zip(levels, velocities, strict=True):
-        q = pooling.centre + np.array([0.3, 0.02])
-        q[0] += exponent * np.log(level / pooling.reference) + 0.04 * rng.standard_normal()
+        q = layout.centre + np.array([0.3, 0.02])
+        q[0] += exponent * np.log(level / layout.reference) + 0.04 * rng.standard_normal()
         q[0] += error * rng.standard_normal() + sensitivity * np.log(velocity)
-        sd = np.array([error, 0.02]) / pooling.spread
-        mean = (q - pooling.centre) / pooling.spread
+        sd = np.array([error, 0.02]) / layout.spread
+        mean = (q - layout.centre) / layout.spread
         evidence = told(mean, np.diag(sd**2), rng, draws=200)
         tests.append(replace(evidence, mean=mean, covariance=np.diag(sd**2)))
-    return pooling, tests
+    return layout, tests
 
 
 def grid_of(law):
@@ -70,19 +70,19 @@ def grid_of(law):
     return np.array([float(law == "proportional")]), np.ones(1), np.zeros(1)
 
 
-def brute_force(pooling, tests, law, session_effect=False):
+def brute_force(layout, tests, law, session_effect=False):
     """Log density of all tests and of those outside each fold, by grids and scipy."""
-    k, scale = 0, pooling.scatter_sd[0] / pooling.spread[0]
+    k, scale = 0, layout.scatter_sd[0] / layout.spread[0]
     data = np.array([t.mean[k] for t in tests])
     noise = np.diag([t.covariance[k, k] for t in tests])
-    relative = np.array([s.actuation for s in pooling.settings]) / pooling.reference
+    relative = np.array([s.actuation for s in layout.settings]) / layout.reference
     taus = stats.halfnorm(scale=scale).ppf((np.arange(120) + 0.5) / 120)
     omegas = taus[::6] if session_effect else np.zeros(1)
-    sessions = [s.session for s in pooling.settings]
+    sessions = [s.session for s in layout.settings]
     alike = np.array([[float(a == b) for a in sessions] for b in sessions])
     share, exponent, _ = grid_of(law)
     means = np.log(share[:, None] * relative ** exponent[:, None] + 1.0 - share[:, None])
-    means /= pooling.spread[k]
+    means /= layout.spread[k]
 
     def density(kept):
         terms = []
@@ -98,39 +98,39 @@ def brute_force(pooling, tests, law, session_effect=False):
 
 @pytest.mark.parametrize("law", ["proportional", "affine", "power", "constant"])
 def test_scores_are_brute_force(campaign, law):
-    pooling, tests = campaign(0.8)
-    density = brute_force(pooling, tests, law)
+    layout, tests = campaign(0.8)
+    density = brute_force(layout, tests, law)
     everything = density([0, 1, 2, 3])
     expected = [everything - density(kept) for kept in ([2, 3], [0, 1, 3], [0, 1, 2])]
-    found = next(s for s in compare_laws(pooling, tests) if s.law == law)
+    found = next(s for s in compare_laws(layout, tests) if s.law == law)
     np.testing.assert_allclose(found.levels, expected, atol=0.03)
     assert found.elpd == pytest.approx(sum(found.levels))
     assert found.se == pytest.approx(np.sqrt(3) * np.std(found.levels, ddof=1))
-    other = brute_force(pooling, [*tests[:3], replace(tests[3], mean=0.9 * tests[3].mean)], law)
+    other = brute_force(layout, [*tests[:3], replace(tests[3], mean=0.9 * tests[3].mean)], law)
     assert abs(other([0, 1, 2, 3]) - other([0, 1, 2]) - found.levels[2]) > 0.03  # the control
 
 
 def test_scores_know_of_sessions(campaign):
-    pooling, tests = campaign(0.8, sessions=["a", "b", "a", "b"])
-    density = brute_force(pooling, tests, "proportional", session_effect=True)
+    layout, tests = campaign(0.8, sessions=["a", "b", "a", "b"])
+    density = brute_force(layout, tests, "proportional", session_effect=True)
     everything = density([0, 1, 2, 3])
     expected = [everything - density(kept) for kept in ([2, 3], [0, 1, 3], [0, 1, 2])]
-    found = next(s for s in compare_laws(pooling, tests) if s.law == "proportional")
+    found = next(s for s in compare_laws(layout, tests) if s.law == "proportional")
     np.testing.assert_allclose(found.levels, expected, atol=0.05)
 
 
 def test_what_other_groups_have_in_common_plays_no_part(priors):
     settings = [Setting(p, s) for p, s in zip(LEVELS, "abab", strict=True)]
     test = SimpleNamespace(mean=np.zeros(3), covariance=np.eye(3))
-    pooling = pool(priors, ("Fc_fwd", "k3", "offset"), settings)
-    assert {e.group for e in pooling.effects if e.name == "session"} == {0, 1, 2}
-    sample = next(_samples(pooling, [test] * 4, 0, "proportional"))
+    layout = lay_out(priors, ("Fc_fwd", "k3", "offset"), settings)
+    assert {e.group for e in layout.effects if e.name == "session"} == {0, 1, 2}
+    sample = next(_samples(layout, [test] * 4, 0, "proportional"))
     assert sample.rows.shape == (4, 1 + 2)  # the level, and its own effect of two sessions
 
 
 def test_scores_are_always_the_same(campaign):
-    pooling, tests = campaign()
-    assert compare_laws(pooling, tests) == compare_laws(pooling, tests)
+    layout, tests = campaign()
+    assert compare_laws(layout, tests) == compare_laws(layout, tests)
 
 
 @pytest.mark.parametrize(
@@ -151,9 +151,9 @@ def test_laws_that_tests_obey_score_better_than_others(campaign, exponent, right
 
 @pytest.mark.parametrize("levels", [(0.5, 0.5), (0.5, 0.8, 0.8), (0.5, 0.503, 0.8)])
 def test_two_levels_say_nothing(campaign, levels):
-    pooling, tests = campaign(levels=levels)
-    assert compare_laws(pooling, tests) == ()
-    assert free_exponents(pooling, tests) == {}
+    layout, tests = campaign(levels=levels)
+    assert compare_laws(layout, tests) == ()
+    assert free_exponents(layout, tests) == {}
 
 
 @pytest.mark.parametrize("exponent", [1.0, 0.5])
@@ -165,12 +165,12 @@ def test_the_exponent_of_the_tests_is_inside_its_interval(campaign, exponent):
 
 
 def test_the_exponents_interval_is_brute_force(campaign):
-    pooling, tests = campaign(0.8)
+    layout, tests = campaign(0.8)
     data = np.array([t.mean[0] for t in tests])
     noise = np.diag([t.covariance[0, 0] for t in tests])
-    folds = np.log(np.array(LEVELS) / pooling.reference) / pooling.spread[0]
+    folds = np.log(np.array(LEVELS) / layout.reference) / layout.spread[0]
     exponents = np.linspace(0.0, 2.0, 801)
-    scale = pooling.scatter_sd[0] / pooling.spread[0]
+    scale = layout.scatter_sd[0] / layout.spread[0]
     density = np.zeros(exponents.size)
     for tau in stats.halfnorm(scale=scale).ppf((np.arange(200) + 0.5) / 200):
         normal = stats.multivariate_normal(cov=noise + tau**2 * np.eye(4) + 1.0)
@@ -178,7 +178,7 @@ def test_the_exponents_interval_is_brute_force(campaign):
     density *= stats.norm(1.0, 0.5).pdf(exponents)
     mass = np.cumsum(density) / density.sum()
     expected = np.interp([0.025, 0.5, 0.975], mass, exponents)
-    np.testing.assert_allclose(free_exponents(pooling, tests)["Fc_fwd"], expected, atol=0.02)
+    np.testing.assert_allclose(free_exponents(layout, tests)["Fc_fwd"], expected, atol=0.02)
 
 
 def test_only_proportional_laws_are_freed(campaign):
@@ -200,25 +200,25 @@ def test_a_dependence_on_speed_is_found_where_there_is_one(campaign):
 @pytest.mark.parametrize("sessions", [None, list("aabba")], ids=["one session", "two sessions"])
 def test_leaving_out_a_level_of_one_test_is_leaving_out_that_test(campaign, sessions):
     apart = {"levels": (0.4, 0.6, 0.9, 1.4, 2.0), "velocities": SPEEDS[:5], "sessions": sessions}
-    pooling, tests = campaign(0.8, laws={"Fc_fwd": "power"}, **apart)
-    by_level = next(s for s in compare_laws(pooling, tests) if s.law == "power")
-    by_test = compare_dependence(pooling, tests)[0]
+    layout, tests = campaign(0.8, laws={"Fc_fwd": "power"}, **apart)
+    by_level = next(s for s in compare_laws(layout, tests) if s.law == "power")
+    by_test = compare_dependence(layout, tests)[0]
     assert by_test.covariate == ""
     assert by_test.elpd == pytest.approx(by_level.elpd, rel=1e-6)
 
 
 def test_scores_of_a_dependence_are_brute_force(campaign):
-    pooling, tests = campaign(
+    layout, tests = campaign(
         levels=(0.4, 0.6, 0.9, 1.4, 2.0), velocities=SPEEDS[:5], sensitivity=0.3
     )
     data = np.array([t.mean[0] for t in tests])
     noise = np.diag([t.covariance[0, 0] for t in tests])
-    relative = np.array([s.actuation for s in pooling.settings]) / pooling.reference
+    relative = np.array([s.actuation for s in layout.settings]) / layout.reference
     folds = np.log(SPEEDS[:5]) - np.mean(np.log(SPEEDS[:5]))
     places = (np.arange(60) + 0.5) / 60
     slopes = stats.norm(0.0, 0.3).ppf(places)[:, None]
-    away = data - (np.log(relative) + slopes * folds) / pooling.spread[0]
-    scale = pooling.scatter_sd[0] / pooling.spread[0]
+    away = data - (np.log(relative) + slopes * folds) / layout.spread[0]
+    scale = layout.scatter_sd[0] / layout.spread[0]
 
     def density(kept):
         terms = []
@@ -230,7 +230,7 @@ def test_scores_of_a_dependence_are_brute_force(campaign):
 
     everyone = list(range(5))
     parts = [density(everyone) - density([i for i in everyone if i != j]) for j in everyone]
-    found = compare_dependence(pooling, tests)[1]
+    found = compare_dependence(layout, tests)[1]
     assert found.covariate == "velocity"
     assert found.elpd == pytest.approx(sum(parts), abs=0.1)
 
@@ -238,10 +238,10 @@ def test_scores_of_a_dependence_are_brute_force(campaign):
 def test_a_dependence_needs_tests_and_speeds_that_differ(campaign):
     assert compare_dependence(*campaign(levels=(0.5, 0.8, 1.5), velocities=[1.0, 2.0, 4.0])) == ()
     assert compare_dependence(*campaign(levels=MANY)) == ()
-    pooling, tests = campaign(levels=MANY, velocities=SPEEDS)
-    assert compare_dependence(pooling, tests) != ()
-    unknown = (Setting(MANY[0]), *pooling.settings[1:])  # of one test no speed is known
-    assert compare_dependence(replace(pooling, settings=unknown), tests) == ()
+    layout, tests = campaign(levels=MANY, velocities=SPEEDS)
+    assert compare_dependence(layout, tests) != ()
+    unknown = (Setting(MANY[0]), *layout.settings[1:])  # of one test no speed is known
+    assert compare_dependence(replace(layout, settings=unknown), tests) == ()
 
 
 # stacking

@@ -8,7 +8,7 @@ from scipy import stats
 
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.laws import COMPARE, LAWS
-from mfd_bayes.population.layout import LAW_NAMES, Setting, levels_of, pool, same_level
+from mfd_bayes.population.layout import LAW_NAMES, Setting, lay_out, levels_of, same_level
 
 NAMES = ("Fc_fwd", "Fc_bwd", "sigma0", "k3", "offset")
 LEVELS = (0.5, 0.8, 0.8, 1.5)
@@ -19,9 +19,9 @@ def settings(actuations=LEVELS, sessions=None):
     return [Setting(p, s) for p, s in zip(actuations, sessions, strict=True)]
 
 
-def level_of(pooling, name="Fc_fwd"):
-    k = pooling.names.index(name)
-    return next(e for e in pooling.effects if e.name == "level" and k in e.members)
+def level_of(layout, name="Fc_fwd"):
+    k = layout.names.index(name)
+    return next(e for e in layout.effects if e.name == "level" and k in e.members)
 
 
 def correlation(first, other):
@@ -29,8 +29,8 @@ def correlation(first, other):
 
 
 def test_levels_belong_to_the_geometric_mean_of_the_actuations(priors):
-    pooling = pool(priors, NAMES, settings())
-    assert pooling.reference == pytest.approx((0.5 * 0.8 * 0.8 * 1.5) ** 0.25)
+    layout = lay_out(priors, NAMES, settings())
+    assert layout.reference == pytest.approx((0.5 * 0.8 * 0.8 * 1.5) ** 0.25)
 
 
 def test_tests_are_compared_at_the_mean_speed_of_a_sine_of_their_typical_peak(priors):
@@ -38,8 +38,8 @@ def test_tests_are_compared_at_the_mean_speed_of_a_sine_of_their_typical_peak(pr
     those = [Setting(0.5, "", {"velocity": v}) for v in peaks]
     sine = np.abs(np.cos((np.arange(1000) + 0.5) * np.pi / 1000))
     expected = sine.mean() * np.sqrt(8.0)
-    assert pool(priors, NAMES, those).coordinates.speed == pytest.approx(expected, rel=1e-5)
-    unknown = pool(priors, NAMES, settings()).coordinates.speed
+    assert lay_out(priors, NAMES, those).coordinates.speed == pytest.approx(expected, rel=1e-5)
+    unknown = lay_out(priors, NAMES, settings()).coordinates.speed
     assert unknown == pytest.approx(sine.mean(), rel=1e-5)
 
 
@@ -52,28 +52,28 @@ def test_tests_near_each_other_are_at_one_level():
 
 @pytest.mark.parametrize("actuations", [(0.5, 0.5), (0.5, 0.8, 0.8), (0.5, 0.503, 0.8)])
 def test_two_levels_have_no_effect_of_the_level(priors, actuations):
-    assert pool(priors, NAMES, settings(actuations)).effects == ()
+    assert lay_out(priors, NAMES, settings(actuations)).effects == ()
 
 
 def test_three_levels_have_an_effect_on_what_follows_a_law_by_group(priors):
-    pooling = pool(priors, NAMES, settings())
-    found = {tuple(NAMES[k] for k in e.members): e.name for e in pooling.effects}
+    layout = lay_out(priors, NAMES, settings())
+    found = {tuple(NAMES[k] for k in e.members): e.name for e in layout.effects}
     assert found == {("Fc_fwd", "Fc_bwd"): "level", ("sigma0",): "level"}
-    for effect in pooling.effects:
+    for effect in layout.effects:
         assert [cell[1] for cell in effect.cells] == [0.5, 0.8, 1.5]
         assert effect.home == (0, 1, 1, 2)
 
 
 def test_sessions_have_an_effect_on_everything_where_there_are_two(priors):
-    one = pool(priors, NAMES, settings((0.5, 0.8), ["a", "a"]))
+    one = lay_out(priors, NAMES, settings((0.5, 0.8), ["a", "a"]))
     assert one.effects == ()
-    two = pool(priors, NAMES, settings((0.5, 0.8), ["a", "b"]))
+    two = lay_out(priors, NAMES, settings((0.5, 0.8), ["a", "b"]))
     assert {e.name for e in two.effects} == {"session"}
     assert sorted(k for e in two.effects for k in e.members) == list(range(len(NAMES)))
 
 
 def test_effects_of_tested_levels_have_the_covariance_of_their_process(priors):
-    effect = level_of(pool(priors, NAMES, settings()))
+    effect = level_of(lay_out(priors, NAMES, settings()))
     rows = np.array([effect.row(cell)[0] for cell in effect.cells])
     at = np.array([0.5, 0.8, 1.5])
     np.testing.assert_allclose(rows @ rows.T, correlation(at[:, None], at), atol=1e-12)
@@ -82,7 +82,7 @@ def test_effects_of_tested_levels_have_the_covariance_of_their_process(priors):
 
 @pytest.mark.parametrize("new", [0.1, 0.65, 1.2, 4.0])
 def test_an_untested_level_has_the_covariance_of_the_process_too(priors, new):
-    effect = level_of(pool(priors, NAMES, settings()))
+    effect = level_of(lay_out(priors, NAMES, settings()))
     row, sd = effect.row(("", new))
     np.testing.assert_allclose(row @ effect.root.T, correlation(new, np.array([0.5, 0.8, 1.5])))
     assert row @ row + sd**2 == pytest.approx(1.0)
@@ -92,8 +92,8 @@ def test_an_untested_level_has_the_covariance_of_the_process_too(priors, new):
 
 
 def test_levels_of_different_sessions_have_nothing_in_common(priors):
-    pooling = pool(priors, NAMES, settings((0.5, 0.8, 0.5, 0.8), ["a", "a", "b", "b"]))
-    effect = level_of(pooling)
+    layout = lay_out(priors, NAMES, settings((0.5, 0.8, 0.5, 0.8), ["a", "a", "b", "b"]))
+    effect = level_of(layout)
     rows = np.array([effect.row(cell)[0] for cell in effect.cells])
     found = rows @ rows.T
     np.testing.assert_allclose(found[:2, 2:], 0.0, atol=1e-12)
@@ -104,47 +104,47 @@ def test_levels_of_different_sessions_have_nothing_in_common(priors):
 
 
 def test_without_actuation_a_level_has_nothing_in_common_with_others(priors):
-    effect = level_of(pool(priors, NAMES, settings()))
+    effect = level_of(lay_out(priors, NAMES, settings()))
     row, sd = effect.row(("", 0.0))
     np.testing.assert_allclose(row, 0.0)
     assert sd == 1.0
 
 
 def test_the_design_gives_tests_their_covariance(priors):
-    pooling = pool(priors, NAMES, settings())
+    layout = lay_out(priors, NAMES, settings())
     rng = np.random.default_rng(1)
-    h = rng.normal(-1.0, 0.5, size=(1, pooling.dim))
-    design, sd = pooling.design(), pooling.effect_sd(h)[0]
+    h = rng.normal(-1.0, 0.5, size=(1, layout.dim))
+    design, sd = layout.design(), layout.effect_sd(h)[0]
     root = np.concatenate([np.ones((1, len(NAMES))), sd])
     for name in NAMES:
         k = NAMES.index(name)
         columns = design * root[:, k]
         expected = np.ones((4, 4))
-        if name in pooling.laws:
-            i = [k in e.members for e in pooling.effects].index(True)
-            omega = np.exp(h[0, len(NAMES) + i]) / pooling.spread[k]
+        if name in layout.laws:
+            i = [k in e.members for e in layout.effects].index(True)
+            omega = np.exp(h[0, len(NAMES) + i]) / layout.spread[k]
             at = np.array(LEVELS)
             expected = expected + omega**2 * correlation(at[:, None], at)
         np.testing.assert_allclose(columns @ columns.T, expected, atol=1e-12)
 
 
 def test_a_setting_near_a_level_belongs_to_its_cell(priors):
-    pooling = pool(priors, NAMES, settings())
-    effect = level_of(pooling)
-    assert pooling.cell_of(effect, Setting(0.803)) == ("", 0.8)
-    assert pooling.cell_of(effect, Setting(0.9)) == ("", 0.9)
-    assert pooling.cell_of(effect, Setting(0.8, "b")) == ("b", 0.8)
+    layout = lay_out(priors, NAMES, settings())
+    effect = level_of(layout)
+    assert layout.cell_of(effect, Setting(0.803)) == ("", 0.8)
+    assert layout.cell_of(effect, Setting(0.9)) == ("", 0.9)
+    assert layout.cell_of(effect, Setting(0.8, "b")) == ("b", 0.8)
 
 
 def test_offsets_are_the_logarithms_of_the_laws(priors):
-    pooling = pool(priors, NAMES, settings(), {"Fc_bwd": "power", "k3": "constant"})
-    h = np.zeros((2, pooling.dim))
-    shapes = dict.fromkeys(pooling.shapes)
+    layout = lay_out(priors, NAMES, settings(), {"Fc_bwd": "power", "k3": "constant"})
+    h = np.zeros((2, layout.dim))
+    shapes = dict.fromkeys(layout.shapes)
     assert list(shapes) == [("Fc_bwd", "exponent"), ("sigma0", "share")]
     h[:, -2], h[:, -1] = 1.4, 0.5
     share = 1.0 / (1.0 + np.exp(-0.5))
-    relative = np.array(LEVELS) / pooling.reference
-    found = pooling.offsets(h, pooling.draw_choice(2)) * pooling.spread
+    relative = np.array(LEVELS) / layout.reference
+    found = layout.offsets(h, layout.draw_choice(2)) * layout.spread
     expected = np.zeros((4, 5))
     expected[:, 0], expected[:, 1] = np.log(relative), 1.4 * np.log(relative)
     expected[:, 2] = np.log(share * relative + 1.0 - share)
@@ -153,92 +153,92 @@ def test_offsets_are_the_logarithms_of_the_laws(priors):
 
 def test_a_dependence_shifts_a_quantity_per_fold(priors):
     given = [Setting(p, "", {"velocity": v}) for p, v in zip(LEVELS, (1, 2, 4, 8), strict=True)]
-    pooling = pool(priors, NAMES, given, dependence={"k3": ("velocity",)})
-    assert pooling.covariate_reference["velocity"] == pytest.approx(np.sqrt(8.0))
-    h = np.zeros((1, pooling.dim))
+    layout = lay_out(priors, NAMES, given, dependence={"k3": ("velocity",)})
+    assert layout.covariate_reference["velocity"] == pytest.approx(np.sqrt(8.0))
+    h = np.zeros((1, layout.dim))
     h[:, -1] = 0.25
-    shift = pooling.offsets(h, pooling.draw_choice(1))[0, :, 3] * pooling.spread[3]
+    shift = layout.offsets(h, layout.draw_choice(1))[0, :, 3] * layout.spread[3]
     np.testing.assert_allclose(shift, 0.25 * np.log(np.array([1, 2, 4, 8]) / np.sqrt(8.0)))
 
 
 def test_the_density_of_the_hyperparameters_is_scipys_up_to_a_constant(priors):
-    pooling = pool(priors, NAMES, settings(), {"Fc_fwd": "power"})
+    layout = lay_out(priors, NAMES, settings(), {"Fc_fwd": "power"})
     rng = np.random.default_rng(2)
-    h = rng.normal(-1.5, 0.7, size=(7, pooling.dim))
-    sds = len(pooling.sd_scale)
+    h = rng.normal(-1.5, 0.7, size=(7, layout.dim))
+    sds = len(layout.sd_scale)
     expected = np.sum(
-        stats.halfnorm(scale=pooling.sd_scale).logpdf(np.exp(h[:, :sds])) + h[:, :sds], axis=1
+        stats.halfnorm(scale=layout.sd_scale).logpdf(np.exp(h[:, :sds])) + h[:, :sds], axis=1
     )
     densities = {"exponent": stats.norm(1.0, 0.5), "share": stats.logistic}
-    for i, (_, shape) in enumerate(pooling.shapes):
+    for i, (_, shape) in enumerate(layout.shapes):
         expected += densities[shape].logpdf(h[:, sds + i])
-    left = pooling.log_prior(h).sum(axis=1) - expected
+    left = layout.log_prior(h).sum(axis=1) - expected
     np.testing.assert_allclose(left, left[0], atol=1e-10)
 
 
 def test_each_block_holds_the_density_of_its_own_group(priors):
-    pooling = pool(priors, NAMES, settings())
+    layout = lay_out(priors, NAMES, settings())
     rng = np.random.default_rng(3)
-    h = rng.normal(-1.5, 0.7, size=(1, pooling.dim))
-    before = pooling.log_prior(h)
-    for i, group in enumerate(pooling.block):
+    h = rng.normal(-1.5, 0.7, size=(1, layout.dim))
+    before = layout.log_prior(h)
+    for i, group in enumerate(layout.block):
         moved = h.copy()
         moved[:, i] += 0.3
-        changed = np.flatnonzero(pooling.log_prior(moved) != before)
+        changed = np.flatnonzero(layout.log_prior(moved) != before)
         np.testing.assert_array_equal(changed, [group])
 
 
 def compared(priors, weights):
     laws = dict.fromkeys(("Fc_fwd", "Fc_bwd", "sigma0"), COMPARE)
-    return replace(pool(priors, NAMES, settings(), laws), weights=dict.fromkeys(laws, weights))
+    return replace(lay_out(priors, NAMES, settings(), laws), weights=dict.fromkeys(laws, weights))
 
 
 def test_chains_have_laws_in_the_proportion_of_their_weights(priors):
     weights = {"proportional": 0.5, "affine": 0.0, "power": 0.3, "constant": 0.2}
-    pooling = compared(priors, weights)
-    choice = pooling.draw_choice(400)
+    layout = compared(priors, weights)
+    choice = layout.draw_choice(400)
     for column in choice.T:
         shares = np.bincount(column, minlength=4) / 400
         np.testing.assert_allclose(shares, [weights[law] for law in LAW_NAMES], atol=0.01)
-    np.testing.assert_array_equal(choice, pooling.draw_choice(400))
+    np.testing.assert_array_equal(choice, layout.draw_choice(400))
 
 
 def test_laws_of_different_quantities_are_independent(priors):
-    pooling = compared(priors, {"proportional": 0.5, "power": 0.5})
-    choice = pooling.draw_choice(1000)
+    layout = compared(priors, {"proportional": 0.5, "power": 0.5})
+    choice = layout.draw_choice(1000)
     for a, b in ((0, 1), (0, 2), (1, 2)):
         both = np.mean((choice[:, a] == 0) & (choice[:, b] == 0))
         assert both == pytest.approx(0.25, abs=0.03)
 
 
 def test_one_law_is_the_law_of_all_chains(priors):
-    pooling = pool(priors, NAMES, settings())
-    choice = pooling.draw_choice(16)
+    layout = lay_out(priors, NAMES, settings())
+    choice = layout.draw_choice(16)
     names = [[LAW_NAMES[i] for i in row] for row in choice]
     assert names == [["proportional", "proportional", "affine"]] * 16
-    assert list(pooling.laws) == ["Fc_fwd", "Fc_bwd", "sigma0"]
-    assert set(pooling.weights["sigma0"]) == {"affine"}
-    mixed = pool(priors, NAMES, settings(), {"sigma0": COMPARE})
+    assert list(layout.laws) == ["Fc_fwd", "Fc_bwd", "sigma0"]
+    assert set(layout.weights["sigma0"]) == {"affine"}
+    mixed = lay_out(priors, NAMES, settings(), {"sigma0": COMPARE})
     assert mixed.weights["sigma0"] == dict.fromkeys(LAWS, 0.25)
 
 
 def test_what_no_test_shares_is_not_pooled(priors):
-    pooling = pool(priors, ("Fc_fwd", "noise_dof"), settings())
-    assert pooling.names == ("Fc_fwd",)
+    layout = lay_out(priors, ("Fc_fwd", "noise_dof"), settings())
+    assert layout.names == ("Fc_fwd",)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, float("nan")])
 def test_a_test_without_actuation_cannot_be_pooled(priors, bad):
     with pytest.raises(FitError, match="needs an actuation above zero for the pressure laws"):
-        pool(priors, ("Fc_fwd",), settings((bad, 1.0)))
+        lay_out(priors, ("Fc_fwd",), settings((bad, 1.0)))
 
 
 def test_a_law_needs_a_positive_quantity(priors):
     with pytest.raises(FitError, match="a law for offset needs a prior on the positive half line"):
-        pool(priors, ("offset",), settings(), {"offset": "proportional"})
+        lay_out(priors, ("offset",), settings(), {"offset": "proportional"})
 
 
 def test_a_pooled_quantity_needs_a_scatter_prior(priors):
     bare = replace(priors, scatter={"friction": priors.scatter["friction"]})
     with pytest.raises(PriorError, match=r"mfd\.toml has no \[scatter\] group with k3"):
-        pool(bare, ("Fc_fwd", "k3"), settings())
+        lay_out(bare, ("Fc_fwd", "k3"), settings())

@@ -10,7 +10,7 @@ from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.layout import Setting, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import KINDS, Forecast, band_of, predict, setting_of
 from mfd_bayes.records.trace import Trace
@@ -47,25 +47,25 @@ def make_population(laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessi
         Setting(p, session, {"velocity": 3.1})
         for p, session in zip((0.5, 1.0, 2.0), sessions or [""] * 3, strict=True)
     ]
-    pooling = replace(pool(priors, tuple(MEDIANS), settings, laws), reference=1.0)
+    layout = replace(lay_out(priors, tuple(MEDIANS), settings, laws), reference=1.0)
     rng = np.random.default_rng(1)
     d, shape = len(MEDIANS), (4, 100)
-    cells = sum(len(e.cells) for e in pooling.effects)
-    level = pooling.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
-    spread = np.where(np.array(pooling.names) == "offset", min(scatter, 0.02), scatter)
-    h = np.zeros((*shape, pooling.dim))
+    cells = sum(len(e.cells) for e in layout.effects)
+    level = layout.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
+    spread = np.where(np.array(layout.names) == "offset", min(scatter, 0.02), scatter)
+    h = np.zeros((*shape, layout.dim))
     h[..., :d] = np.log(np.maximum(spread, 1e-9))
-    h[..., d : d + len(pooling.effects)] = np.log(effect)
-    h[..., d + len(pooling.effects) :] = 1.0  # shapes
+    h[..., d : d + len(layout.effects)] = np.log(effect)
+    h[..., d + len(layout.effects) :] = 1.0  # shapes
     latent = np.zeros((*shape, 1 + cells, d))
-    latent[:, :, 0] = level + level_sd * rng.normal(size=(*shape, d)) - pooling.centre
-    latent[:, :, 0] /= pooling.spread
+    latent[:, :, 0] = level + level_sd * rng.normal(size=(*shape, d)) - layout.centre
+    latent[:, :, 0] /= layout.spread
     priors_of = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
     return Population(
-        pooling=pooling,
+        layout=layout,
         h=h,
         latent=latent,
-        choice=pooling.draw_choice(400).reshape(*shape, -1),
+        choice=layout.draw_choice(400).reshape(*shape, -1),
         together=np.broadcast_to(np.eye(d), (*shape, d, d)),
         priors=priors_of,
         actuation_unit="ksi",
@@ -255,9 +255,9 @@ def test_a_prediction_needs_an_actuation(population):
 
 def test_a_prediction_beyond_all_range_ends_in_a_sentence():
     known = make_population({"Fc_fwd": "power"})
-    begin = len(known.pooling.names) + len(known.pooling.effects)
+    begin = len(known.layout.names) + len(known.layout.effects)
     h = known.h.copy()
-    h[..., begin + known.pooling.shapes.index(("Fc_fwd", "exponent"))] = 10.0
+    h[..., begin + known.layout.shapes.index(("Fc_fwd", "exponent"))] = 10.0
     assert ask(replace(known, h=h), 1.0).median.size
     with pytest.raises(RecordError, match=r"predicted .* too large"):
         ask(replace(known, h=h), 1e9)

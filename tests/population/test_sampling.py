@@ -1,4 +1,4 @@
-"""The population by `infer` against brute force, and what a population says of itself."""
+"""The population by `sample_joint` against brute force, and what a population says of itself."""
 
 from dataclasses import replace
 
@@ -7,36 +7,38 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.population import sampling as hierarchy
-from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population import sampling
+from mfd_bayes.population.layout import Setting, lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.sampling import WALKERS, _correlate, infer
+from mfd_bayes.population.sampling import WALKERS, _correlate, sample_joint
 
 EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
 MEAN, SPREAD = 0.1, 0.1
 
 
-def run(linear, priors, tests=None, pooling=None, effort=EFFORT, seed=5):
-    tests = linear.evidence(np.random.default_rng(6)) if tests is None else tests
-    chosen = linear.pooling if pooling is None else pooling
-    return infer(chosen, tests, priors.parameters, "ksi", effort, np.random.default_rng(seed))
+def run(linear, priors, tests=None, layout=None, effort=EFFORT, seed=5):
+    tests = linear.likelihoods(np.random.default_rng(6)) if tests is None else tests
+    chosen = linear.layout if layout is None else layout
+    return sample_joint(
+        chosen, tests, priors.parameters, "ksi", effort, np.random.default_rng(seed)
+    )
 
 
-def deviations(linear, inference):
+def deviations(linear, draws):
     """Largest deviation of a mean, in sds, and of an sd, from brute force."""
-    pooling, population = linear.pooling, inference.population
+    layout, population = linear.layout, draws.population
     exact = linear.solve(np.random.default_rng(7), n=1)
-    d, effects = len(pooling.names), len(pooling.effects)
+    d, effects = len(layout.names), len(layout.effects)
     h = population.h.reshape(population.size, -1)
     latent = population.latent.reshape(population.size, -1, d)
     found = {"sd": np.exp(h[:, : d + effects])}
     u = [latent[:, 0]]
     if effects:
-        u.append(latent[:, 1:, 0] / (np.exp(h[:, d : d + 1]) / pooling.spread[0]))
-    if pooling.laws:
+        u.append(latent[:, 1:, 0] / (np.exp(h[:, d : d + 1]) / layout.spread[0]))
+    if layout.laws:
         u.append((h[:, -1:] - 1.0) / 0.5)
     found["u"] = np.concatenate(u, axis=1)
-    found["x"] = np.stack([x.reshape(population.size, -1) for x in inference.tests], axis=1)
+    found["x"] = np.stack([x.reshape(population.size, -1) for x in draws.tests], axis=1)
     means = [np.abs(v.mean(axis=0) - exact.mean[k]) / exact.sd[k] for k, v in found.items()]
     sds = [np.abs(v.std(axis=0) / exact.sd[k] - 1.0) for k, v in found.items()]
     return max(float(np.max(m)) for m in means), max(float(np.max(s)) for s in sds)
@@ -53,7 +55,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_inference_is_brute_force_where_everything_is_gaussian(make_linear, priors, case):
     linear = make_linear(*CASES[case], seed=4)
-    assert bool(linear.pooling.effects) == (case == "with an effect of the level")
+    assert bool(linear.layout.effects) == (case == "with an effect of the level")
     mean, sd = deviations(linear, run(linear, priors))
     assert mean < MEAN
     assert sd < SPREAD
@@ -64,15 +66,15 @@ FEWER = Effort(ess=100, limit=200, r_hat=1.1, kept=3000)
 
 def test_a_wrong_prior_of_scatter_is_told_apart(make_linear, priors):
     linear = make_linear(*CASES["with a power law"], seed=4)
-    narrow = replace(linear.pooling, scatter_sd=linear.pooling.scatter_sd / 3.0)
-    mean, sd = deviations(linear, run(linear, priors, pooling=narrow, effort=FEWER))
+    narrow = replace(linear.layout, scatter_sd=linear.layout.scatter_sd / 3.0)
+    mean, sd = deviations(linear, run(linear, priors, layout=narrow, effort=FEWER))
     assert mean > 3 * MEAN or sd > 3 * SPREAD
 
 
 def test_a_posterior_that_is_taken_for_a_likelihood_is_told_apart(make_linear, priors):
     """The prior of a test by itself then counts again."""
     linear = make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd",), level=1.5, noise=6.0, seed=3)
-    tests = linear.evidence(np.random.default_rng(6))
+    tests = linear.likelihoods(np.random.default_rng(6))
     right = deviations(linear, run(linear, priors, tests, effort=FEWER))
     wrong = [replace(t, log_likelihood=_with_prior(t)) for t in tests]
     mean, _ = deviations(linear, run(linear, priors, wrong, effort=FEWER))
@@ -102,7 +104,7 @@ def test_draws_are_laid_out_by_chain_and_walker(make_linear, priors):
     found = run(linear, priors, effort=QUICK)
     population = found.population
     chains, draws, dim = population.h.shape
-    assert (chains, dim) == (QUICK.ensembles, linear.pooling.dim)
+    assert (chains, dim) == (QUICK.ensembles, linear.layout.dim)
     assert draws % WALKERS == 0
     assert population.latent.shape == (chains, draws, 1, 2)
     assert population.choice.shape == (chains, draws, 1)
@@ -118,20 +120,20 @@ LONG = Effort(ess=400, limit=1000, r_hat=0.9, ensembles=2, kept=300)
 def test_as_many_states_are_kept_as_are_asked_for(make_linear, priors):
     found = run(make_linear(*CASES["one quantity"]), priors, effort=LONG)
     kept = found.population.h.shape[1]
-    assert found.sweeps == hierarchy.SWEEPS[400.0]  # it cannot converge to this
-    assert hierarchy.KEPT <= kept <= 2.3 * hierarchy.KEPT
+    assert found.sweeps == sampling.SWEEPS[400.0]  # it cannot converge to this
+    assert sampling.KEPT <= kept <= 2.3 * sampling.KEPT
     assert [x.shape[1] for x in found.tests] == [kept] * 4
 
 
 def test_convergence_is_looked_at_now_and_then_and_at_the_limit():
-    assert hierarchy._looks(160) == [40, 60, 90, 135, 160]
-    assert hierarchy._looks(30) == [30]
+    assert sampling._looks(160) == [40, 60, 90, 135, 160]
+    assert sampling._looks(30) == [30]
 
 
 def test_chains_keep_their_laws(make_linear, priors):
     linear = make_linear(*CASES["with a power law"])
     weights = {"Fc_fwd": {"power": 0.5, "constant": 0.5}}
-    found = run(linear, priors, pooling=replace(linear.pooling, weights=weights), effort=QUICK)
+    found = run(linear, priors, layout=replace(linear.layout, weights=weights), effort=QUICK)
     choice = found.population.choice.reshape(QUICK.ensembles, WALKERS, -1)
     assert np.all(choice == choice[:, :, :1])
     exponents = found.population.shapes("Fc_fwd")[1].reshape(choice.shape)
@@ -147,16 +149,16 @@ def test_chains_keep_their_laws(make_linear, priors):
 def written(priors, laws=None, n=50, actuations=(0.5, 1.0, 2.0)):
     """A population of two chains whose draws are from nowhere, with laws' effects."""
     names = ("sigma0", "Fc_fwd", "Fc_bwd", "static_excess_fwd", "static_excess_bwd", "offset")
-    pooling = pool(priors, names, [Setting(p) for p in actuations], laws)
+    layout = lay_out(priors, names, [Setting(p) for p in actuations], laws)
     rng = np.random.default_rng(1)
-    cells = sum(len(e.cells) for e in pooling.effects)
-    h = rng.normal(-2.0, 0.2, size=(2, n, pooling.dim))
+    cells = sum(len(e.cells) for e in layout.effects)
+    h = rng.normal(-2.0, 0.2, size=(2, n, layout.dim))
     together = _correlate(products_of(rng.normal(size=(2, n, 3, len(names)))))
     return Population(
-        pooling=pooling,
+        layout=layout,
         h=h,
         latent=0.1 * rng.normal(size=(2, n, 1 + cells, len(names))),
-        choice=pooling.draw_choice(2 * n).reshape(2, n, -1),
+        choice=layout.draw_choice(2 * n).reshape(2, n, -1),
         together=together,
         priors={name: priors.parameters[name] for name in names},
         actuation_unit="ksi",
@@ -198,7 +200,7 @@ def test_a_drawn_test_has_scatter_about_the_median(priors):
     index = np.zeros(n, dtype=np.intp)
     drawn = population.draw_test(Setting(1.0), index, rng)
     middle = population.draw_test(Setting(1.0), index[:1], rng, scattered=False)
-    q = population.pooling.coordinates.of(drawn) - population.pooling.coordinates.of(middle)
+    q = population.layout.coordinates.of(drawn) - population.layout.coordinates.of(middle)
     scatter = [float(tau[0, 0]) for tau in population.scatters.values()]
     np.testing.assert_allclose(q.mean(axis=0) / scatter, 0.0, atol=0.03)
     np.testing.assert_allclose(q.std(axis=0), scatter, rtol=0.02)
@@ -208,35 +210,35 @@ def test_a_drawn_test_has_scatter_about_the_median(priors):
 
 def test_a_drawn_test_at_a_new_level_has_the_effects_that_are_new_besides(priors):
     population = written(priors, n=1)
-    pooling, n = population.pooling, 40_000
+    layout, n = population.layout, 40_000
     index = np.zeros(n, dtype=np.intp)
-    k = pooling.names.index("Fc_fwd")
+    k = layout.names.index("Fc_fwd")
     drawn = population.draw_test(Setting(6.0), index, np.random.default_rng(2))
-    i = next(i for i, e in enumerate(pooling.effects) if k in e.members)
-    row, new = pooling.effects[i].row(("", 6.0))
-    omega = np.exp(population.h[0, 0, len(pooling.names) + i])
+    i = next(i for i, e in enumerate(layout.effects) if k in e.members)
+    row, new = layout.effects[i].row(("", 6.0))
+    omega = np.exp(population.h[0, 0, len(layout.names) + i])
     tau = population.scatters["Fc_fwd"][0, 0]
-    q = pooling.coordinates.of(drawn)[:, k]
+    q = layout.coordinates.of(drawn)[:, k]
     assert q.std() == pytest.approx(np.hypot(tau, new * omega), rel=0.02)
-    begin = 1 + sum(len(e.cells) for e in pooling.effects[:i])
+    begin = 1 + sum(len(e.cells) for e in layout.effects[:i])
     parts = population.latent[0, 0, begin : begin + len(row), k] @ row
-    expected = population.levels[0, 0, k] + np.log(6.0 / pooling.reference)
-    expected += pooling.spread[k] * parts
+    expected = population.levels[0, 0, k] + np.log(6.0 / layout.reference)
+    expected += layout.spread[k] * parts
     assert q.mean() == pytest.approx(expected, abs=0.02)
 
 
 def test_a_drawn_test_at_a_tested_level_has_that_levels_effect(priors):
     population = written(priors, n=1)
-    pooling = population.pooling
+    layout = population.layout
     middle = population.draw_test(
         Setting(2.0), np.zeros(1, dtype=np.intp), np.random.default_rng(2), scattered=False
     )
-    k = pooling.names.index("Fc_bwd")
-    i = next(i for i, e in enumerate(pooling.effects) if k in e.members)
-    begin = 1 + sum(len(e.cells) for e in pooling.effects[:i])
+    k = layout.names.index("Fc_bwd")
+    i = next(i for i, e in enumerate(layout.effects) if k in e.members)
+    begin = 1 + sum(len(e.cells) for e in layout.effects[:i])
     parts = population.latent[0, 0, begin : begin + 3, k]
-    effect = pooling.spread[k] * pooling.effects[i].root[2] @ parts
-    law = np.log(2.0 / pooling.reference)
+    effect = layout.spread[k] * layout.effects[i].root[2] @ parts
+    law = np.log(2.0 / layout.reference)
     found = np.log(middle["Fc_bwd"][0])
     assert found == pytest.approx(population.levels[0, 0, k] + law + effect)
 
@@ -261,15 +263,15 @@ def products_of(places):
 
 def test_shapes_are_watched_where_a_law_of_weight_has_them(priors):
     settings = [Setting(p) for p in (0.5, 0.9, 1.6)]
-    mixed = pool(priors, ["Fc_fwd"], settings, {"Fc_fwd": "compare"})
+    mixed = lay_out(priors, ["Fc_fwd"], settings, {"Fc_fwd": "compare"})
     shapes = [shape for _, shape in mixed.shapes]
     assert sorted(shapes) == ["exponent", "share"]
     begin = len(mixed.names) + len(mixed.effects)
 
     def watched(**weights):
-        pooling = replace(mixed, weights={"Fc_fwd": weights})
-        active = set(hierarchy._active(pooling).tolist())
-        assert active >= {*range(begin), pooling.dim}
+        layout = replace(mixed, weights={"Fc_fwd": weights})
+        active = set(sampling._active(layout).tolist())
+        assert active >= {*range(begin), layout.dim}
         return {shape for i, shape in enumerate(shapes) if begin + i in active}
 
     assert watched(power=0.4, affine=0.6) == {"exponent", "share"}
@@ -283,12 +285,12 @@ def test_effects_and_dependences_have_columns_of_their_own(priors):
     settings = [Setting(p, s, known) for p in (0.5, 0.9, 1.6) for s in ("a", "b")]
     follows = {"Fc_fwd": ("velocity", "amplitude")}
     laws = {"Fc_fwd": "power"}
-    pooling = pool(priors, ["Fc_fwd", "offset"], settings, laws, follows)
-    assert len(pooling.effects) > 2
-    h = np.arange(pooling.dim, dtype=float) * np.ones((2, 3, 1))
-    d, cells = len(pooling.names), sum(len(effect.cells) for effect in pooling.effects)
+    layout = lay_out(priors, ["Fc_fwd", "offset"], settings, laws, follows)
+    assert len(layout.effects) > 2
+    h = np.arange(layout.dim, dtype=float) * np.ones((2, 3, 1))
+    d, cells = len(layout.names), sum(len(effect.cells) for effect in layout.effects)
     population = Population(
-        pooling=pooling,
+        layout=layout,
         h=h,
         latent=np.zeros((2, 3, 1 + cells, d)),
         choice=np.zeros((2, 3, 1), dtype=int),
@@ -299,11 +301,11 @@ def test_effects_and_dependences_have_columns_of_their_own(priors):
         convergence=None,
     )
     sds = population.effect_sds
-    for i, effect in enumerate(pooling.effects):
-        found = sds[f"{effect.name}_{pooling.groups[effect.group]}"]
+    for i, effect in enumerate(layout.effects):
+        found = sds[f"{effect.name}_{layout.groups[effect.group]}"]
         np.testing.assert_allclose(found, np.exp(d + i))
-    begin = d + len(pooling.effects)
-    shapes = [f"{name}_{shape}" for name, shape in pooling.shapes]
+    begin = d + len(layout.effects)
+    shapes = [f"{name}_{shape}" for name, shape in layout.shapes]
     assert set(population.dependences) == {"Fc_fwd_velocity", "Fc_fwd_amplitude"}
     for name, found in population.dependences.items():
         np.testing.assert_array_equal(found, begin + shapes.index(name))

@@ -11,10 +11,10 @@ from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.population.layout import Pooling, Setting, pool
+from mfd_bayes.population.layout import Layout, Setting, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Forecast, predict
-from mfd_bayes.population.storage import load_population, save_pooled, save_population
+from mfd_bayes.population.storage import load_population, save_population, save_test_draws
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_arrays
 
@@ -45,16 +45,16 @@ def population(priors):
         Setting(p, s, {"velocity": v, "amplitude": 1.0})
         for p, s, v in ((0.5, "a", 1.0), (0.8, "b", 2.0), (1.5, "b", 3.0))
     ]
-    pooling = pool(priors, NAMES, settings, laws, {"k3": ("velocity",)})
+    layout = lay_out(priors, NAMES, settings, laws, {"k3": ("velocity",)})
     rng = np.random.default_rng(1)
-    d, cells = len(NAMES), sum(len(e.cells) for e in pooling.effects)
+    d, cells = len(NAMES), sum(len(e.cells) for e in layout.effects)
     factors = np.tril(rng.normal(size=(4, 60, d, d)))
     factors /= np.linalg.norm(factors, axis=-1, keepdims=True)
     return Population(
-        pooling=pooling,
-        h=rng.normal(-2.0, 0.2, size=(4, 60, pooling.dim)),
+        layout=layout,
+        h=rng.normal(-2.0, 0.2, size=(4, 60, layout.dim)),
         latent=0.1 * rng.normal(size=(4, 60, 1 + cells, d)),
-        choice=pooling.draw_choice(240).reshape(4, 60, -1),
+        choice=layout.draw_choice(240).reshape(4, 60, -1),
         together=factors.astype(np.float32).astype(np.float64),  # they are stored in single
         priors=priors.parameters,
         actuation_unit="ksi",
@@ -80,16 +80,16 @@ def test_a_population_comes_back_bit_by_bit(population, back):
 
 
 def test_its_layout_comes_back(population, back):
-    assert len(population.pooling.effects) > 2
-    for name in Pooling.__dataclass_fields__:
-        stored, expected = getattr(back.pooling, name), getattr(population.pooling, name)
+    assert len(population.layout.effects) > 2
+    for name in Layout.__dataclass_fields__:
+        stored, expected = getattr(back.layout, name), getattr(population.layout, name)
         if name == "effects":
             stored, expected = ([vars_of(e) for e in both] for both in (stored, expected))
         if isinstance(expected, np.ndarray):
             np.testing.assert_array_equal(stored, expected)
         else:
             assert stored == expected, name
-    assert list(back.pooling.laws) == list(population.pooling.laws)
+    assert list(back.layout.laws) == list(population.layout.laws)
 
 
 def vars_of(effect):
@@ -140,14 +140,14 @@ def test_arviz_reads_the_file_by_the_papers_names(tmp_path, population):
 
 
 def test_a_pooled_test_is_written_by_its_quantities(tmp_path, population):
-    pooling = population.pooling
+    layout = population.layout
     draws = np.random.default_rng(2).normal(size=(4, 10, len(NAMES) + 1))
-    save_pooled(tmp_path / "test.nc", pooling, draws, {"k3": "kip/in"}, "first")
+    save_test_draws(tmp_path / "test.nc", layout, draws, {"k3": "kip/in"}, "first")
     arrays, facts = load_arrays(tmp_path / "test.nc")
     assert facts == {"test": "first"}
     assert set(arrays) == set(NAMES)
-    q = pooling.centre + pooling.spread * draws[2, 7, :-1]
-    expected = pooling.coordinates.values(q[None])
+    q = layout.centre + layout.spread * draws[2, 7, :-1]
+    expected = layout.coordinates.values(q[None])
     for name in NAMES:
         assert arrays[name][2, 7] == pytest.approx(expected[name][0], rel=1e-12)
 

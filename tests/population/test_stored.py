@@ -9,7 +9,7 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.errors import StoreError
-from mfd_bayes.population.layout import Setting, pool
+from mfd_bayes.population.layout import Setting, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.storage import load_population, save_population
 
@@ -24,15 +24,15 @@ def made(tmp_path_factory, priors):
         Setting(p, s, {"velocity": 1.0, "amplitude": 1.0})
         for p, s in ((0.5, "a"), (0.5, "a"), (0.8, "b"), (1.5, "b"))
     ]
-    pooling = pool(priors, NAMES, settings, laws, {"Fc_fwd": ("velocity",)})
-    assert {effect.name for effect in pooling.effects} == {"level", "session"}
+    layout = lay_out(priors, NAMES, settings, laws, {"Fc_fwd": ("velocity",)})
+    assert {effect.name for effect in layout.effects} == {"level", "session"}
     rng = np.random.default_rng(1)
-    d, cells = len(NAMES), sum(len(e.cells) for e in pooling.effects)
+    d, cells = len(NAMES), sum(len(e.cells) for e in layout.effects)
     population = Population(
-        pooling=pooling,
-        h=rng.normal(-2.0, 0.2, size=(2, 12, pooling.dim)),
+        layout=layout,
+        h=rng.normal(-2.0, 0.2, size=(2, 12, layout.dim)),
         latent=0.1 * rng.normal(size=(2, 12, 1 + cells, d)),
-        choice=pooling.draw_choice(24).reshape(2, 12, -1),
+        choice=layout.draw_choice(24).reshape(2, 12, -1),
         together=np.broadcast_to(np.eye(d), (2, 12, d, d)),
         priors=priors.parameters,
         actuation_unit="ksi",

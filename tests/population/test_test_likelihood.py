@@ -1,4 +1,4 @@
-"""What a test tells: its likelihood in pooled coordinates, and the Gaussian near it."""
+"""What a test tells: its likelihood in shared coordinates, and the Gaussian near it."""
 
 from dataclasses import replace
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.population import test_likelihood as evidence
-from mfd_bayes.population.layout import Setting, pool
-from mfd_bayes.population.test_likelihood import evidence_of, without_prior
+from mfd_bayes.population import test_likelihood
+from mfd_bayes.population.layout import Setting, lay_out
+from mfd_bayes.population.test_likelihood import likelihood_of, without_prior
 from mfd_bayes.records.trace import Trace
 
 
@@ -47,7 +47,7 @@ def test_a_posterior_wider_than_its_prior_still_has_a_covariance():
 
 
 def test_an_approximated_test_is_its_gaussian(make_linear):
-    test = make_linear((0.5, 0.9), ("Fc_fwd", "offset")).evidence(np.random.default_rng(1))[0]
+    test = make_linear((0.5, 0.9), ("Fc_fwd", "offset")).likelihoods(np.random.default_rng(1))[0]
     assert not test.gaussian
     near = test.approximated()
     assert near.gaussian
@@ -72,36 +72,36 @@ def posterior(priors):
 
 
 @pytest.fixture(scope="module")
-def pooled(priors, posterior):
+def shared(priors, posterior):
     settings = [Setting(p, "", {"velocity": 1.2}) for p in (0.5, 0.8)]
-    pooling = pool(priors, posterior.names, settings)
+    layout = lay_out(priors, posterior.names, settings)
     values = posterior.draw_prior(np.random.default_rng(4), 40)
-    return pooling, values, evidence_of(pooling, posterior, values)
+    return layout, values, likelihood_of(layout, posterior, values)
 
 
-def test_coordinates_of_a_test_are_the_pooled_ones_then_its_own(posterior, pooled):
-    pooling, values, found = pooled
-    assert pooling.names == tuple(n for n in posterior.names if n != "start")
-    d = len(pooling.names)
+def test_coordinates_of_a_test_are_the_pooled_ones_then_its_own(posterior, shared):
+    layout, values, found = shared
+    assert layout.names == tuple(n for n in posterior.names if n != "start")
+    d = len(layout.names)
     assert found.draws.shape == (40, posterior.dim) == (40, d + 1)
-    expected = (pooling.coordinates.of(values) - pooling.centre) / pooling.spread
+    expected = (layout.coordinates.of(values) - layout.centre) / layout.spread
     np.testing.assert_allclose(found.draws[:, :d], expected)
     np.testing.assert_allclose(
         np.argsort(found.draws[:, d]), np.argsort(values["start"])
     )  # its own, on a scale of its own
 
 
-def test_the_likelihood_is_the_tests_own(posterior, pooled):
-    _, values, found = pooled
+def test_the_likelihood_is_the_tests_own(posterior, shared):
+    _, values, found = shared
     expected = posterior.log_likelihood(posterior.coordinates(values))
     np.testing.assert_allclose(found.log_likelihood(found.draws), expected, rtol=1e-6)
     assert np.ptp(expected) > 10
 
 
-def test_likelihood_and_priors_make_the_tests_posterior(posterior, pooled):
+def test_likelihood_and_priors_make_the_tests_posterior(posterior, shared):
     """Up to a constant, that of the change of scale."""
-    pooling, values, found = pooled
-    d = len(pooling.names)
+    layout, values, found = shared
+    d = len(layout.names)
     density = found.log_likelihood(found.draws)
     density += found.log_interim_prior(found.draws[:, :d]) + found.log_own_prior(found.draws[:, d:])
     expected = posterior.log_prob(posterior.coordinates(values))
@@ -109,25 +109,25 @@ def test_likelihood_and_priors_make_the_tests_posterior(posterior, pooled):
     np.testing.assert_array_less(np.abs(left), 1e-5 * np.abs(expected))  # draws are rounded
 
 
-def test_of_many_draws_as_many_are_held_as_there_is_room_for(posterior, pooled, monkeypatch):
-    pooling, values, found = pooled
+def test_of_many_draws_as_many_are_held_as_there_is_room_for(posterior, shared, monkeypatch):
+    layout, values, found = shared
     assert found.draws.dtype == np.float32
-    monkeypatch.setattr(evidence, "ROOM", 30 * len(pooling.settings) * posterior.dim)
-    monkeypatch.setattr(evidence, "FEWEST", 10)
-    fewer = evidence_of(pooling, posterior, values)
+    monkeypatch.setattr(test_likelihood, "ROOM", 30 * len(layout.settings) * posterior.dim)
+    monkeypatch.setattr(test_likelihood, "FEWEST", 10)
+    fewer = likelihood_of(layout, posterior, values)
     np.testing.assert_array_equal(fewer.draws, found.draws[::2])
     np.testing.assert_array_equal(fewer.draws_log_prior, found.draws_log_prior[::2])
     np.testing.assert_array_equal(fewer.mean, found.mean)
 
 
-def test_the_interim_prior_of_the_draws_is_stored(pooled):
-    pooling, _, found = pooled
-    expected = found.log_interim_prior(found.draws[:, : len(pooling.names)])
+def test_the_interim_prior_of_the_draws_is_stored(shared):
+    layout, _, found = shared
+    expected = found.log_interim_prior(found.draws[:, : len(layout.names)])
     np.testing.assert_array_equal(found.draws_log_prior, expected)
 
 
-def test_what_is_beyond_all_range_has_no_likelihood_and_no_nan(pooled):
-    _, _, found = pooled
+def test_what_is_beyond_all_range_has_no_likelihood_and_no_nan(shared):
+    _, _, found = shared
     x = found.draws[:4].copy()
     x[0, 0], x[1, 3], x[2, -1] = 1e4, -1e4, np.inf
     density = found.log_likelihood(x)
