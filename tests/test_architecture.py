@@ -60,10 +60,9 @@ HOMES = {
     "distributed": ("mfd_bayes.jobs.cluster",),
     "threadpoolctl": ("mfd_bayes.jobs.cluster",),
     "typer": (
-        "mfd_bayes.cli.commands",
-        "mfd_bayes.cli.console",
-        "mfd_bayes.cli.arguments",
-        "mfd_bayes.cli.exits",
+        *("mfd_bayes.cli.commands", "mfd_bayes.cli.arguments", "mfd_bayes.cli.preparation"),
+        *("mfd_bayes.cli.calibration", "mfd_bayes.cli.prediction"),
+        *("mfd_bayes.cli.console", "mfd_bayes.cli.exits"),
     ),
     "rich": ("mfd_bayes.cli.console", "mfd_bayes.cli.progress"),
 }
@@ -182,8 +181,11 @@ def test_what_is_run_would_be_seen() -> None:
     assert {"eval", "allow_pickle"} <= calls_of("np.load(eval(x), allow_pickle=True)")
 
 
-def test_the_command_line_calls_the_pipeline_alone() -> None:
-    ours = files_of(imports_of(PACKAGE / "cli" / "commands.py"))
+@pytest.mark.parametrize(
+    "name", ["commands", "arguments", "preparation", "calibration", "prediction"]
+)
+def test_commands_call_the_pipeline_alone(name: str) -> None:
+    ours = files_of(imports_of(PACKAGE / "cli" / f"{name}.py"))
     rooms = {file.split(".")[1] for file in ours}
     assert rooms <= {"pipeline", "cli", "jobs"}
     assert {file for file in ours if ".jobs." in file} <= {"mfd_bayes.jobs.signals"}

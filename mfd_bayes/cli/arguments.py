@@ -1,16 +1,22 @@
-"""Arguments and options that commands share."""
+"""Arguments and options that several commands have."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mfd_bayes.cli.exits import this_command
+
+if TYPE_CHECKING:
+    from mfd_bayes.pipeline.commands import Options
+
 
 class EffortName(StrEnum):
-    """How far a sampling goes."""
+    """How many draws a calibration aims at."""
 
     quick = "quick"
     standard = "standard"
@@ -18,28 +24,38 @@ class EffortName(StrEnum):
 
 
 class Kind(StrEnum):
-    """What a band holds."""
+    """What a prediction band is about."""
 
     device = "device"
     new_test = "new_test"
     observation = "observation"
 
 
-Out = Annotated[Path, typer.Argument(help="The run folder.")]
+Run = Annotated[Path, typer.Argument(help="The run folder.")]
 Campaign = Annotated[Path, typer.Argument(help="The campaign file, campaign.toml.")]
-Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")]
+NewRun = Annotated[Path, typer.Option("-o", "--out", help="The run folder to write.")]
+Jobs = Annotated[int, typer.Option(min=0, help="Number of processes; 0 for one per processor.")]
 Scheduler = Annotated[
     str,
-    typer.Option(metavar="TCP://HOST:PORT", help="Do the tests on a dask cluster, and not here."),
+    typer.Option(
+        metavar="TCP://HOST:PORT", help="Calibrate on a dask cluster instead of this machine."
+    ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same draws.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace a run that is there.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Finish a run that was interrupted.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace a run that exists.")]
 Effort = Annotated[
     EffortName | None,
     typer.Option(
-        help="How far to sample; that of the run where one is resumed.", show_default="standard"
+        help="How many draws to aim at; a resumed run keeps its own.", show_default="standard"
     ),
 ]
-Quiet = Annotated[
-    bool, typer.Option("-q", "--quiet", help="Say nothing but warnings and the verdict.")
-]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print only warnings and the verdict.")]
+
+
+def completed(options: Options, out: Path, effort: str | None) -> Options:
+    """Options with this command, and the effort given or else that of the run that is resumed."""
+    from mfd_bayes.pipeline.commands import effort_of
+
+    chosen = effort_of(out, effort, resume=options.resume)
+    return replace(options, effort=chosen, command=this_command())

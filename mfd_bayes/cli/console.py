@@ -1,4 +1,4 @@
-"""What a command shows: sentences, and tables of what it found; nothing in it is markup."""
+"""What a command prints: sentences, and tables of what it found; nothing in it is markup."""
 
 from __future__ import annotations
 
@@ -6,12 +6,21 @@ import math
 import re
 import shlex
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from mfd_bayes.runs.verdict import Verdict
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from mfd_bayes.assessment.views import CampaignView, Check, DerivedRow, LeftOutView
+    from mfd_bayes.pipeline.plan import Plan
+    from mfd_bayes.validation.models import Comparison
 
 _ESCAPES = re.compile(
     r"""(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]              # colours, movements of the cursor
@@ -21,11 +30,11 @@ _ESCAPES = re.compile(
 )
 
 LISTED = 12
-"""Tests whose verdicts are listed one by one at the end of a run; of more, those that fail."""
+"""Up to this many tests, the end of a run lists every verdict; beyond, only those that failed."""
 
 
 def clean(text: object) -> str:
-    """Text from a file as a terminal must get it: one line, no escape sequences or controls."""
+    """Text as a terminal may show it: one line, without escape sequences and control characters."""
     return "".join(c if c.isprintable() else " " for c in _ESCAPES.sub("", str(text)))
 
 
@@ -34,27 +43,37 @@ def say(sentence: object, *, err: bool = False) -> None:
     typer.echo(clean(sentence), err=err)
 
 
-def open_console() -> Any:
-    """Output that takes every text as it is."""
+def open_console() -> Console:
+    """Console that prints every text as it is, 110 columns wide where it is no terminal."""
     from rich.console import Console
 
-    plain: dict[str, Any] = {"highlight": False, "markup": False, "emoji": False}
-    console = Console(**plain)
-    return console if console.is_terminal else Console(**plain, width=110)
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not console.is_terminal:
+        console.width = 110
+    return console
 
 
-def _table(title: str, *, caption: str = "") -> Any:
+def _table(title: str, *, caption: str = "") -> Table:
     from rich.table import Table
 
     return Table(title=clean(title), caption=clean(caption) or None)
 
 
-def _add(table: Any, *cells: object) -> None:
+def _add(table: Table, *cells: object) -> None:
     table.add_row(*map(clean, cells))
 
 
-def print_truth(view: Any, *, quiet: bool = False) -> None:
-    """Print the truth of a synthetic campaign beside its posterior; quiet, what it comes to."""
+def print_plan(plan: Plan, warnings: Iterable[tuple[str, str]]) -> None:
+    """Print what a calibration would do, and the warnings about its records."""
+    samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
+    say(f"{plan.campaign.path} is fine: would calibrate {samples}")
+    say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
+    for name, sentence in warnings:
+        say(f"warning: {name}: {sentence}")
+
+
+def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
+    """Print the true values of a synthetic campaign beside its posterior; quiet: only a summary."""
     if not quiet:
         open_console().print(_truth_table(view))
     known = [row for row in view.truth if row.informed]
@@ -65,7 +84,7 @@ def print_truth(view: Any, *, quiet: bool = False) -> None:
     )
 
 
-def _truth_table(view: Any) -> Any:
+def _truth_table(view: CampaignView) -> Table:
     table = _table("Truth against posterior (95 % equal-tailed interval)")
     for name in ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data"):
         table.add_column(name, overflow="fold")
@@ -77,7 +96,7 @@ def _truth_table(view: Any) -> Any:
     return table
 
 
-def print_derived(rows: Any, probability: float) -> None:
+def print_derived(rows: Sequence[DerivedRow], probability: float) -> None:
     """Print the derived quantities of a prediction."""
     low, high = (f"{50 * (1 + side * probability):g} %" for side in (-1, 1))
     notes = "; ".join(f"{r.name} {r.note}" for r in rows if r.note)
@@ -91,37 +110,47 @@ def print_derived(rows: Any, probability: float) -> None:
     open_console().print(table)
 
 
-def print_comparison(found: Any, *, quiet: bool = False) -> None:
-    """Print how well each model predicts, and which one is favoured; quiet, only that."""
+def print_comparison(found: Comparison, *, quiet: bool = False) -> None:
+    """Print how well each model predicts, and which one is favoured; quiet: only the latter."""
     if not quiet:
         open_console().print(_comparison_table(found))
     say(found.sentence)
 
 
-def _comparison_table(found: Any) -> Any:
+def _comparison_table(found: Comparison) -> Table:
     table = _table("Each cycle predicted from all others (leave-one-cycle-out)")
     table.add_column("test", overflow="fold", min_width=8)
-    for name in ("model", "cycles", "elpd ± se", "p_loo", "worst k", "k > 0.7"):
-        table.add_column(name, no_wrap=True)
-    for name in ("difference ± se", "RRSE"):
+    heads = (
+        "model",
+        "cycles",
+        "elpd ± se",
+        "p_loo",
+        "worst k",
+        "k > 0.7",
+        "difference ± se",
+        "RRSE",
+    )
+    for name in heads:
         table.add_column(name, no_wrap=True)
     for r in found.rows:
         elpd = f"{r.elpd:.1f} ± {r.elpd_se:.1f}"
-        apart = f"{r.difference:.1f} ± {r.difference_se:.1f}"
-        k = (f"{r.worst_k:.2f}", f"{r.bad:.0%} → {r.unsettled:.0%}")  # by PSIS → computed anew
-        figures = (f"{r.cycles}", elpd, f"{r.p_loo:.1f}", *k, apart, f"{r.rrse:.3f}")
+        difference = f"{r.difference:.1f} ± {r.difference_se:.1f}"
+        k = (f"{r.worst_k:.2f}", f"{r.bad:.0%} → {r.unsettled:.0%}")  # by PSIS → computed again
+        figures = (f"{r.cycles}", elpd, f"{r.p_loo:.1f}", *k, difference, f"{r.rrse:.3f}")
         _add(table, r.subject, r.model, *figures)
     return table
 
 
-def print_left_out(view: Any, *, quiet: bool = False) -> None:
-    """Print how each test was predicted without its part, and what that comes to; quiet, that."""
+def print_left_out(found: LeftOutView | None, *, quiet: bool = False) -> None:
+    """Print how well each part left out was predicted; quiet: only a summary."""
+    if found is None:
+        return
     if not quiet:
-        open_console().print(_left_out_table(view.left_out))
-    say(view.left_out.sentence)
+        open_console().print(_left_out_table(found))
+    say(found.sentence)
 
 
-def _left_out_table(found: Any) -> Any:
+def _left_out_table(found: LeftOutView) -> Table:
     table = _table(f"Each test predicted without its {found.by}, scores in kip")
     parts = found.by != "test"
     for name in ("test", *(["left out"] if parts else [])):
@@ -140,8 +169,8 @@ def _left_out_table(found: Any) -> Any:
     return table
 
 
-def print_checks(view: Any, *, every: bool) -> None:
-    """Print what failed, with its limit, and a line for each kind of check; or every check."""
+def print_checks(view: CampaignView, *, every: bool) -> None:
+    """Print how many checks of each kind passed, and those that failed; or every check."""
     if not every:
         _print_kinds(view.checks)
     shown = [c for c in view.checks if every or c.verdict == Verdict.FAIL]
@@ -155,8 +184,8 @@ def print_checks(view: Any, *, every: bool) -> None:
     open_console().print(table)
 
 
-def _print_kinds(checks: Any) -> None:
-    """One line for each kind of check: how many passed, were noted, and failed."""
+def _print_kinds(checks: Iterable[Check]) -> None:
+    """Print how many checks of each kind passed, were noted and failed."""
     kinds: dict[str, Counter[str]] = {}
     for check in checks:
         kinds.setdefault(check.name, Counter())[check.verdict] += 1
@@ -169,8 +198,8 @@ def _print_kinds(checks: Any) -> None:
     open_console().print(table)
 
 
-def print_end(view: Any, out: Path, *, quiet: bool = False) -> None:
-    """Print the verdicts of a run, and where to look next; quiet, the verdict on the whole."""
+def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
+    """Print the verdicts of a run, and where to look next; quiet: only the verdict on the run."""
     if not quiet:
         _print_verdicts(view)
     say(f"{view.verdict.upper()}: {view.sentence}")
@@ -179,8 +208,8 @@ def print_end(view: Any, out: Path, *, quiet: bool = False) -> None:
         say(f"look next at {out / 'report.html'}; every check: {command}")
 
 
-def _print_verdicts(view: Any) -> None:
-    """Print each test's verdict; where there are many, how many pass and which do not."""
+def _print_verdicts(view: CampaignView) -> None:
+    """Print each test's verdict; of many tests, how many pass and which do not."""
     failed = {
         test: Counter(c.name for c in view.checks if (c.subject, c.verdict) == (test, Verdict.FAIL))
         for test in (*(t.id for t in view.tests if t.role == "calibrate"), *view.failures)

@@ -7,42 +7,50 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 from mfd_bayes.cli.console import clean, open_console, say
-from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.jobs.signals import before_end
 
-Observe = Callable[[Any], None]
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.table import Table
+
+Observe = Callable[[Step], None]
 
 FRAME = 0.25
 """Seconds from one drawing of the table to the next."""
 
 ENDED = (State.DONE, State.KEPT, State.FAILED)
-"""Stages after which nothing more comes of a test."""
+"""Stages of work that has ended."""
 
 ALARMS = (State.FAILED, State.RESTARTED)
-"""Stages that are told of also where nothing else is."""
+"""Stages that are printed even with --quiet, and above the table on a terminal."""
 
-_GRACE = 1.0
-_KEPT = "done before"
+_COUNTED = (State.DONE, State.KEPT, State.FAILED, "running", State.WAITING)
 _STYLES: dict[str, str] = {
     State.FAILED: "red",
     State.WAITING: "dim",
     State.DONE: "green",
     State.KEPT: "green",
 }
+_LAST_FRAME = 1.0  # seconds to wait for a frame that is being drawn
+_KEPT = "done before"
 _FIGURES = {"steps": 5, "R-hat": 5, "ESS": 5, "steps/s": 7, "time": 7, "left": 7}
 _NAME, _STAGE, _LONGEST_STAGE = 8, 14, 36
-"""Widths of columns: of the figures, and at the least of a test's name and of its stage."""
+"""Widths of columns: of the figures; the smallest of a name and of a stage; the largest."""
 
 
 @contextmanager
 def watch(*, quiet: bool = False) -> Iterator[Observe]:
-    """Show steps as a table on a terminal, as lines elsewhere; quiet, only what went wrong."""
+    """Function that shows a step: in a table on a terminal, as a line elsewhere.
+
+    With `quiet`, only failures and restarts are shown.
+    """
     if quiet:
         yield lambda step: say(_line(step), err=True) if step.stage in ALARMS else None
     elif sys.stdout.isatty() and not open_console().is_dumb_terminal:
@@ -54,7 +62,11 @@ def watch(*, quiet: bool = False) -> Iterator[Observe]:
 
 @contextmanager
 def _live() -> Iterator[Observe]:
-    """Draw a table again and again; where the process is ended, after a whole frame."""
+    """Function that takes in a step; a thread draws the table.
+
+    Rich's own thread, `Live(auto_refresh=True)`, cannot be waited for during a limited time. A
+    process that ends on Ctrl-C needs that, or a frame may follow its last words.
+    """
     from rich.live import Live
 
     board, drawing, over = Board(), threading.RLock(), threading.Event()
@@ -65,36 +77,36 @@ def _live() -> Iterator[Observe]:
             with drawing:
                 live.refresh()
 
-    def observe(step: Any) -> None:
+    def observe(step: Step) -> None:
         with drawing:
             board.hear(step)
             if step.stage in ALARMS:
                 live.console.print(clean(_line(step)))
 
-    def hold() -> None:
+    def stop_drawing() -> None:
         over.set()
-        drawing.acquire(timeout=_GRACE)  # never given back: no frame may follow the last words
+        drawing.acquire(timeout=_LAST_FRAME)  # and keep it: no frame may follow the last words
 
-    artist = threading.Thread(target=draw, daemon=True)
-    with before_end(hold), live:
-        artist.start()
+    thread = threading.Thread(target=draw, daemon=True)
+    with before_end(stop_drawing), live:
+        thread.start()
         try:
             yield observe
         finally:
             over.set()
-            artist.join()
+            thread.join()
             board.close()
 
 
 @dataclass
 class _Row:
-    """A test, or another piece of work, and the last that was heard of it."""
+    """A test, or another piece of work, and its last step; times are those of the clock, s."""
 
     id: str
     counted: bool
     stage: str = State.WAITING
     message: str = ""
-    progress: Any = None
+    progress: Progress | None = None
     heard: float = math.nan
     began: float = math.nan
     ended: float = math.nan
@@ -104,8 +116,13 @@ class _Row:
         """Whether it has begun and not ended."""
         return self.stage not in (State.WAITING, *ENDED)
 
-    def hear(self, step: Any, now: float) -> None:
-        """Take in what is said of it."""
+    @property
+    def state(self) -> str:
+        """Its stage, or "running"."""
+        return "running" if self.running else self.stage
+
+    def hear(self, step: Step, now: float) -> None:
+        """Take in a step."""
         if not self.running:
             self.began, self.ended, self.progress = now, math.nan, None
         self.stage, self.message, self.heard = step.stage, step.message, now
@@ -114,15 +131,15 @@ class _Row:
             self.ended = now
 
     def seconds(self, now: float) -> float:
-        """How long it has taken so far."""
+        """Seconds that it has taken so far."""
         return (now if math.isnan(self.ended) else self.ended) - self.began
 
     def left(self, now: float) -> float:
-        """Seconds until it reaches its targets, about, or its limit; NaN if nothing tells."""
+        """Estimate of the seconds until it reaches its targets or its limit; NaN if unknown."""
         progress = self.progress
         if progress is None or not self.running:
             return math.nan
-        left: float = (progress.limit - progress.steps) / _rate(progress)
+        left = (progress.limit - progress.steps) / _rate(progress)
         if progress.share > 0.0:
             left = min(left, progress.seconds * (1.0 / progress.share - 1.0))
         return max(0.0, left - (now - self.heard))
@@ -130,7 +147,7 @@ class _Row:
 
 @dataclass
 class Board:
-    """All that is to be done, and where it stands; it is drawn as large as the terminal allows.
+    """Every piece of work and its progress; rich draws it as large as the terminal allows.
 
     Attributes
     ----------
@@ -143,11 +160,11 @@ class Board:
     _began: float = math.nan
     _closed: bool = False
 
-    def hear(self, step: Any) -> None:
-        """Take in what is said of a test."""
+    def hear(self, step: Step) -> None:
+        """Take in a step."""
         now = self.now()
         row = self._rows.get(step.id)
-        if row is None:  # work that was not announced, such as the report, is no test
+        if row is None:  # work that was not announced, such as the report, is not a test
             counted = step.stage in (State.WAITING, State.KEPT)
             row = self._rows[step.id] = _Row(step.id, counted)
         if step.stage == State.WAITING:
@@ -157,17 +174,19 @@ class Board:
         row.hear(step, now)
 
     def close(self) -> None:
-        """Say that nothing more will come, so that nothing waits any longer."""
+        """Stop to estimate the time left: no more steps will come."""
         self._closed = True
 
-    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> Iterator[RenderableType]:
         """Draw a line on the whole, and as many rows as there is room for."""
         from rich.text import Text
 
         rows, now = list(self._rows.values()), self.now()
         if math.isnan(self._began):
             return
-        room = max(1, console.size.height - 4)  # the line on top, the heads, a line to spare
+        room = max(1, console.size.height - 4)  # without headline, column heads and two lines
         shown, summary = _choose(rows, room)
         yield Text(self._headline(rows, now), style="bold", no_wrap=True, overflow="ellipsis")
         yield _table(shown, now, options.max_width)
@@ -176,12 +195,11 @@ class Board:
 
     def _headline(self, rows: list[_Row], now: float) -> str:
         """How much is done, and how long the rest will take."""
-        counts = Counter("running" if row.running else row.stage for row in rows if row.counted)
-        total = counts.total()
-        parts = []
+        counts = Counter(row.state for row in rows if row.counted)
+        total, parts = counts.total(), []
         if total:
             parts.append(f"{counts[State.DONE] + counts[State.KEPT]} of {total} done")
-        parts += [f"{counts[k]} {k}" for k in (State.FAILED, "running", State.WAITING) if counts[k]]
+        parts += [f"{counts[k]} {k}" for k in _COUNTED[2:] if counts[k]]
         parts.append(f"{_clock(now - self._began)} so far")
         left = math.nan if self._closed else _left(rows, now)
         if not math.isnan(left):
@@ -190,7 +208,10 @@ class Board:
 
 
 def _left(rows: list[_Row], now: float) -> float:
-    """Seconds until all that is known of is done, about; NaN as long as nothing tells."""
+    """Estimate of the seconds until all rows are done; NaN if unknown.
+
+    A test of which nothing is known is taken to last as long as the mean of the others.
+    """
     running = [row for row in rows if row.running]
     tests = [row for row in running if row.counted]
     lengths = [row.seconds(now) for row in rows if row.counted and row.stage == State.DONE]
@@ -210,7 +231,7 @@ def _left(rows: list[_Row], now: float) -> float:
 
 
 def _choose(rows: list[_Row], room: int) -> tuple[list[_Row], str]:
-    """Rows that are drawn, and in a line what the others are."""
+    """Rows to draw, those that run and those that ended last; and a summary of the others."""
     if len(rows) <= room:
         return rows, ""
     room -= 1
@@ -219,12 +240,11 @@ def _choose(rows: list[_Row], room: int) -> tuple[list[_Row], str]:
     last = ended[-(room - len(running)) :] if len(running) < room else []
     shown = [*last, *running]
     hidden = {row.id for row in rows} - {row.id for row in shown}
-    counts = Counter("running" if r.running else r.stage for r in rows if r.id in hidden)
-    names = (State.DONE, State.KEPT, State.FAILED, "running", State.WAITING)
-    return shown, "and " + ", ".join(f"{counts[k]} {k}" for k in names if counts[k])
+    counts = Counter(row.state for row in rows if row.id in hidden)
+    return shown, "and " + ", ".join(f"{counts[k]} {k}" for k in _COUNTED if counts[k])
 
 
-def _table(rows: list[_Row], now: float, width: int) -> Any:
+def _table(rows: Iterable[_Row], now: float, width: int) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
@@ -240,7 +260,7 @@ def _table(rows: list[_Row], now: float, width: int) -> Any:
 
 
 def _cells(row: _Row, now: float) -> tuple[str, ...]:
-    """What a row says after its name."""
+    """Cells of a row after its name."""
     stage = _KEPT if row.stage == State.KEPT else row.stage
     if row.running:
         stage = clean(f"{stage} {row.message}".strip())
@@ -248,8 +268,7 @@ def _cells(row: _Row, now: float) -> tuple[str, ...]:
     figures = ("", "", "", "")
     if progress is not None:
         r_hat = f"{progress.r_hat:.{3 if progress.r_hat < 10 else 0}f}"
-        ess = f"{progress.ess:.0f}"
-        figures = (f"{progress.steps}", r_hat, ess, _rate_text(progress))
+        figures = (f"{progress.steps}", r_hat, f"{progress.ess:.0f}", _rate_text(progress))
     left = row.left(now)
     return (
         *(stage, *figures),
@@ -265,17 +284,18 @@ def _clock(seconds: float) -> str:
     return f"{whole // 3600}:{minutes}" if whole >= 3600 else minutes.removeprefix("0")
 
 
-def _rate(progress: Any) -> float:
-    return float(max(progress.steps, 1) / max(progress.seconds, 1e-9))
+def _rate(progress: Progress) -> float:
+    """Steps per second."""
+    return max(progress.steps, 1) / max(progress.seconds, 1e-9)
 
 
-def _rate_text(progress: Any) -> str:
+def _rate_text(progress: Progress) -> str:
     rate = _rate(progress)
     return f"{rate:.{0 if rate >= 10 else 1}f}"
 
 
-def _line(step: Any) -> str:
-    """What a step says, in a line."""
+def _line(step: Step) -> str:
+    """A step in a line."""
     progress = step.progress
     if step.stage == State.KEPT:
         return f"{step.id}: {_KEPT}"

@@ -1,0 +1,151 @@
+"""The commands that calibrate and look at the result: calibrate, check, report, demo."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Annotated
+
+import typer
+
+from mfd_bayes.cli import console, progress
+from mfd_bayes.cli.arguments import (
+    Campaign,
+    Effort,
+    Force,
+    Jobs,
+    NewRun,
+    Quiet,
+    Resume,
+    Run,
+    Scheduler,
+    Seed,
+    completed,
+)
+from mfd_bayes.cli.exits import mistakes, resumption, this_command
+
+
+def calibrate(
+    campaign: Campaign,
+    out: NewRun,
+    resume: Resume = False,
+    force: Force = False,
+    jobs: Jobs = 0,
+    scheduler: Scheduler = "",
+    seed: Seed = 1,
+    effort: Effort = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check only.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit 1 if a check fails.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate every test of a campaign, infer the laws, and write the report.
+
+    Writes the run folder OUT: report.html, tables of parameters and laws (CSV,
+    JSON, LaTeX), checks.csv, pictures, and a posterior.nc of every test, which
+    ArviZ opens. After Ctrl-C, what is finished is kept: --resume goes on.
+
+    Example:
+      mfd-bayes calibrate campaign.toml -o out --dry-run
+      mfd-bayes calibrate campaign.toml -o out
+      mfd-bayes calibrate campaign.toml -o out --resume
+    """
+    with mistakes("" if dry_run else resumption()):
+        from mfd_bayes.pipeline import commands as pipeline
+
+        options = completed(
+            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
+            out,
+            effort,
+        )
+        if dry_run:
+            plan = pipeline.plan_campaign(campaign, options)
+            console.print_plan(plan, pipeline.find_warnings(plan))
+            return
+        with progress.watch(quiet=quiet) as observe:
+            view = pipeline.calibrate_campaign(campaign, out, options, observe)
+        console.print_end(view, out, quiet=quiet)
+    if strict and pipeline.fails(view):
+        raise typer.Exit(1)
+
+
+def check(
+    out: Run,
+    every: Annotated[bool, typer.Option("--all", help="Show every check.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show convergence and predictive checks as a table; exit 1 where one fails.
+
+    Shows how many checks of each kind passed, and every check that failed; --all
+    shows every check. Writes nothing; OUT/checks.csv holds them all.
+
+    Example:
+      mfd-bayes check out
+      mfd-bayes check out --all
+      mfd-bayes check out --quiet && echo fit to use
+    """
+    from mfd_bayes.pipeline import commands as pipeline
+
+    with mistakes():
+        view = pipeline.check(out)
+    if not quiet:
+        console.print_checks(view, every=every)
+    console.say(view.sentence)
+    if pipeline.fails(view):
+        raise typer.Exit(1)
+
+
+def report(
+    out: Run,
+    quiet: Quiet = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF too; needs a Chromium.")] = False,
+) -> None:
+    """Remake the report, tables and figures of a run from what is stored, without sampling.
+
+    Writes OUT/report.html, the tables beside it, OUT/figures and the pictures
+    of every test; with --pdf OUT/report.pdf too.
+
+    Example:
+      mfd-bayes report out
+      mfd-bayes report out --pdf
+    """
+    with mistakes(this_command()):
+        from mfd_bayes.pipeline import commands as pipeline
+
+        with progress.watch(quiet=quiet) as observe:
+            view = pipeline.report(out, observe, pdf=pdf)
+        console.print_end(view, out, quiet=quiet)
+
+
+def demo(
+    out: Run,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer draws; takes about a minute.")
+    ] = False,
+    jobs: Jobs = 0,
+    scheduler: Scheduler = "",
+    seed: Seed = 1,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a synthetic campaign after the MFD paper's test matrix.
+
+    Writes its CSV files and campaign.toml under OUT/campaign, an example for
+    your own, calibrates them, writes OUT/report.html and compares the posterior
+    with the true values.
+
+    Example:
+      mfd-bayes demo out --quick
+    """
+    effort = "quick" if quick else "standard"
+    resume = ["mfd-bayes", "calibrate", str(out / "campaign" / "campaign.toml"), "-o", str(out)]
+    resume += ["--effort", effort, "--seed", str(seed), "--resume"]
+    resume += ["--scheduler", scheduler] if scheduler else []
+    with mistakes(shlex.join(resume)):
+        from mfd_bayes.pipeline import commands as pipeline
+
+        options = completed(
+            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, force=force), out, effort
+        )
+        with progress.watch(quiet=quiet) as observe:
+            view = pipeline.demo(out, options, observe)
+        console.print_truth(view, quiet=quiet)
+        console.print_end(view, out, quiet=quiet)

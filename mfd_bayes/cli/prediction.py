@@ -1,0 +1,147 @@
+"""The commands that predict and compare: predict, crossvalidate, compare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mfd_bayes.cli import console, progress
+from mfd_bayes.cli.arguments import (
+    Campaign,
+    Effort,
+    Force,
+    Jobs,
+    Kind,
+    NewRun,
+    Quiet,
+    Resume,
+    Run,
+    Scheduler,
+    Seed,
+    completed,
+)
+from mfd_bayes.cli.exits import mistakes, resumption
+
+
+def predict(
+    out: Run,
+    motion: Annotated[Path, typer.Option(help="A file with time_s and displacement_in, …")],
+    actuation: Annotated[str, typer.Option(help='Such as "1000 psi".')],
+    bands: Annotated[Path, typer.Option("-o", "--out", help="CSV to write; a PNG beside it.")],
+    kind: Annotated[Kind, typer.Option(help="What the band is about.")] = Kind.new_test,
+    probability: Annotated[
+        float, typer.Option(help="Probability of the equal-tailed band.")
+    ] = 0.95,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Show the force in the motion's file beside it.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Predict the force of a motion at an actuation, tested or not.
+
+    Writes the band as CSV where -o says, a PNG beside it, and what derives from
+    the force, such as energy and peaks, as ..._derived.csv. Where the actuation
+    was never tested, or the run did not pass its checks, it warns.
+
+    Example:
+      mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
+    """
+    from mfd_bayes.pipeline import commands as pipeline
+
+    question = pipeline.Question(motion, actuation, kind.value, probability, bands, compare)
+    with mistakes():
+        band, derived = pipeline.predict(out, question)
+    for remark in band.remarks:
+        console.say(f"warning: {remark}", err=True)
+    console.say(
+        f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
+        f"{band.source}: {bands} and {bands.with_suffix('.png')}"
+    )
+    if not quiet:
+        console.print_derived(derived, band.probability)
+        console.say(f"look next at {question.derived}")
+
+
+def crossvalidate(
+    campaign: Campaign,
+    out: NewRun,
+    by: Annotated[
+        str, typer.Option(metavar="test|level|session", help="What to leave out in turn.")
+    ] = "test",
+    resume: Resume = False,
+    force: Force = False,
+    jobs: Jobs = 0,
+    scheduler: Scheduler = "",
+    seed: Seed = 1,
+    effort: Effort = None,
+    quiet: Quiet = False,
+) -> None:
+    """Predict every part of a campaign from all the others, and score the predictions.
+
+    Calibrates the campaign first; with --resume it takes the posteriors that
+    OUT has. Then it leaves out one test, level of actuation or session after
+    another and infers the population of the others. Writes
+    OUT/crossvalidation.csv and the report.
+
+    Example:
+      mfd-bayes crossvalidate campaign.toml -o out --by level --resume
+    """
+    with mistakes(resumption()):
+        from mfd_bayes.pipeline import commands as pipeline
+
+        options = completed(
+            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
+            out,
+            effort,
+        )
+        with progress.watch(quiet=quiet) as observe:
+            view = pipeline.crossvalidate(campaign, out, by, options, observe)
+        console.print_left_out(view.left_out, quiet=quiet)
+        console.print_end(view, out, quiet=quiet)
+
+
+def compare(
+    campaign: Campaign,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of one run for each model.")],
+    models: Annotated[
+        str, typer.Option(help="Two or more, with commas between them.")
+    ] = "three_stage,lugre,bouc_wen",
+    by: Annotated[
+        str, typer.Option(help="Leave out each test, level or session of each model's run too.")
+    ] = "",
+    resume: Resume = False,
+    force: Force = False,
+    jobs: Jobs = 0,
+    scheduler: Scheduler = "",
+    seed: Seed = 1,
+    effort: Effort = None,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a campaign under several models and say which one its records favour.
+
+    Writes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each
+    model predicts every cycle of a record from all others (PSIS-LOO). The
+    campaign's own model does not count.
+
+    Example:
+      mfd-bayes compare campaign.toml -o out
+      mfd-bayes compare campaign.toml -o out --models three_stage,lugre
+    """
+    with mistakes(resumption()):
+        from mfd_bayes.pipeline import commands as pipeline
+
+        names = [name.strip() for name in models.split(",") if name.strip()]
+        options = completed(
+            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
+            out,
+            effort,
+        )
+        with progress.watch(quiet=quiet) as observe:
+            found, left_out = pipeline.compare(campaign, out, names, options, observe, by)
+        console.print_comparison(found, quiet=quiet)
+        for model, view in left_out.items():
+            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} kip.")
+        if not quiet:
+            console.say(f"look next at {out / 'comparison.csv'}")

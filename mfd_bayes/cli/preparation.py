@@ -1,0 +1,99 @@
+"""The commands that look at data before a calibration: init, inspect, prior-check."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mfd_bayes.cli.arguments import Campaign
+from mfd_bayes.cli.console import say
+from mfd_bayes.cli.exits import mistakes
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(help="The folder of your test files.")],
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace a campaign.toml that exists.")
+    ] = False,
+) -> None:
+    """Write a first campaign.toml for a folder of test files.
+
+    Guesses columns, units, actuations and ids from the names and numbers of the
+    files; what is not certain is marked "unsure" in the file, with the
+    alternatives, and what is missing "FIXME". Writes FOLDER/campaign.toml.
+
+    Example:
+      mfd-bayes init tests
+      mfd-bayes init tests --force
+    """
+    from mfd_bayes.pipeline import commands as pipeline
+
+    with mistakes():
+        path, draft = pipeline.init(folder, force=force)
+    for name, reason in draft.left_out:
+        say(f"left out: {name}: {reason}")
+    for doubt in pipeline.doubts(draft):
+        say(f"unsure: {doubt}")
+    missing = pipeline.gaps(draft)
+    for gap in missing:
+        say(f"FIXME: {gap}")
+    left_out = f"{len(draft.left_out)} left out" if draft.left_out else "none left out"
+    say(f"{path} written: tests {len(draft.tests)}, {left_out}")
+    if missing:
+        say("warning: complete what is marked FIXME before you calibrate")
+    else:
+        say(f"look next: {shlex.join(['mfd-bayes', 'inspect', str(path)])}")
+
+
+def inspect(
+    file: Annotated[Path, typer.Argument(help="A test file or a campaign.toml.")],
+    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNGs.")] = Path(),
+) -> None:
+    """Show what was read, warn of what would spoil a fit, and draw it.
+
+    Columns, units, rate, peaks, cycles, energy and drifts; then warnings: swapped
+    signs, lags, clipping, spikes, lost samples and the like. Warnings are not
+    errors: the exit code stays 0.
+
+    Writes a PNG of every test: NAME_inspect.png, here or in the folder of -o.
+
+    Example:
+      mfd-bayes inspect test.csv
+      mfd-bayes inspect campaign.toml -o looks
+    """
+    from mfd_bayes.pipeline import commands as pipeline
+
+    with mistakes():
+        found = pipeline.inspect(file, folder)
+    for inspection, picture in found:
+        say(inspection.name)
+        for key, fact in inspection.facts.items():
+            say(f"  {key:21s}{fact}")
+        for fault in inspection.faults:
+            say(f"  {'warning':21s}{fault.name}: {fault.sentence}")
+        say(f"  {'picture':21s}{picture}")
+
+
+def prior_check(
+    campaign: Campaign,
+    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNGs.")] = Path(),
+) -> None:
+    """Draw the prior predictive band of the force beside the data of every test.
+
+    Where most of a test's force lies outside the band, correct the priors before
+    you calibrate. Writes a PNG of every test: CAMPAIGN_ID_prior.png, here or in
+    the folder of -o.
+
+    Example:
+      mfd-bayes prior-check campaign.toml
+      mfd-bayes prior-check campaign.toml -o looks
+    """
+    from mfd_bayes.pipeline import commands as pipeline
+
+    with mistakes():
+        found = pipeline.prior_check(campaign, folder)
+    for name, share, picture in found:
+        say(f"{name}: {share:.0%} of the force inside the 95 % prior band; {picture}")
