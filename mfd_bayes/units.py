@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ActuationUnit = Literal["ksi", "kip"]
 
 
-class Kind(NamedTuple):
+class Dimension(NamedTuple):
     """What a number measures: its internal unit, its dimension's name, units to suggest."""
 
     unit: str
@@ -28,18 +28,18 @@ class Kind(NamedTuple):
     examples: str
 
 
-KINDS: Mapping[str, Kind] = MappingProxyType(
+DIMENSIONS: Mapping[str, Dimension] = MappingProxyType(
     {
-        "time": Kind("s", "time", "'s' or 'ms'"),
-        "displacement": Kind("in", "length", "'in' or 'mm'"),
-        "velocity": Kind("in/s", "velocity", "'in/s' or 'mm/s'"),
-        "force": Kind("kip", "force", "'kip' or 'kN'"),
-        "pressure": Kind("ksi", "pressure", "'psi' or 'MPa'"),
-        "stiffness": Kind("kip/in", "stiffness", "'kip/in' or 'kN/mm'"),
-        "damping": Kind("kip*s/in", "damping", "'kip*s/in' or 'kN*s/mm'"),
-        "area": Kind("in^2", "area", "'in^2' or 'mm^2'"),
-        "rate": Kind("Hz", "rate", "'Hz' or '1/s'"),
-        "dimensionless": Kind("1", "ratio", "'1' or '%'"),
+        "time": Dimension("s", "time", "'s' or 'ms'"),
+        "displacement": Dimension("in", "length", "'in' or 'mm'"),
+        "velocity": Dimension("in/s", "velocity", "'in/s' or 'mm/s'"),
+        "force": Dimension("kip", "force", "'kip' or 'kN'"),
+        "pressure": Dimension("ksi", "pressure", "'psi' or 'MPa'"),
+        "stiffness": Dimension("kip/in", "stiffness", "'kip/in' or 'kN/mm'"),
+        "damping": Dimension("kip*s/in", "damping", "'kip*s/in' or 'kN*s/mm'"),
+        "area": Dimension("in^2", "area", "'in^2' or 'mm^2'"),
+        "rate": Dimension("Hz", "rate", "'Hz' or '1/s'"),
+        "dimensionless": Dimension("1", "ratio", "'1' or '%'"),
     }
 )
 """Every kind of number that a unit can be asked for."""
@@ -77,7 +77,7 @@ def factor(unit: str, kind: str, *, of: str = "") -> float:
     unit : str
         As people write it: ``"mm"``, ``"kN"``, ``"lb"`` (always a force), ``"kip*s/in"``.
     kind : str
-        A key of `KINDS`.
+        A key of `DIMENSIONS`.
     of : str
         What carries the unit, for the message: ``"column 'force_N'"``.
 
@@ -86,7 +86,7 @@ def factor(unit: str, kind: str, *, of: str = "") -> float:
     UnitError
         When the unit is unknown, has an offset, or does not measure this kind.
     """
-    target = KINDS[kind]
+    target = DIMENSIONS[kind]
     named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
     parsed = _parse(unit, named)
     measure = _measure(parsed)
@@ -252,7 +252,7 @@ def _spelled(word: str) -> str:
 def _measure(parsed: Any) -> str:
     """Name of what a unit measures."""
     registry = _registry()
-    for kind in KINDS.values():
+    for kind in DIMENSIONS.values():
         if parsed.dimensionality == registry.get_dimensionality(kind.unit):
             return kind.measure
     return str(parsed.dimensionality).replace("[", "").replace("]", "")

@@ -5,7 +5,7 @@ import pytest
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.units import (
-    KINDS,
+    DIMENSIONS,
     factor,
     measure,
     parse_actuation,
@@ -15,9 +15,9 @@ from mfd_bayes.units import (
 )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DIMENSIONS)
 def test_internal_units_have_factor_one(kind):
-    assert factor(KINDS[kind].unit, kind) == 1
+    assert factor(DIMENSIONS[kind].unit, kind) == 1
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():
     ],
 )
 def test_malformed_and_offset_units_are_unit_errors(unit):
-    for kind in KINDS:
+    for kind in DIMENSIONS:
         with pytest.raises(UnitError):
             factor(unit, kind)
 

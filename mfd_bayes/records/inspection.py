@@ -1,4 +1,4 @@
-"""What a record holds, before anything is fitted to it."""
+"""A look at a record before anything is fitted to it."""
 
 from __future__ import annotations
 
@@ -9,30 +9,28 @@ from numpy.typing import NDArray
 
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
-from mfd_bayes.records.readers import column_names
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
 SAME = 1e-4
-"""Share of its range by which a signal may differ in two files of one record."""
+"""Two signals are the same if they differ by less than this share of their range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What was read of a file.
+    """Facts, loops and faults of a record.
 
     Attributes
     ----------
     name : str
     facts : dict
-        What a laboratory looks at first, in words, by what it is.
+        Title to text: file, columns, rate, ranges, loops, drifts.
     trace : Trace
-        At the file's own rate.
+        At the record's own rate.
     loops : Loops
     faults : tuple of Fault
-        What would spoil a fit.
     """
 
     name: str
@@ -43,11 +41,11 @@ class Inspection:
 
 
 def same_record(one: Trace, other: Trace) -> bool:
-    """Whether two files hold one record, in whatever units and formats."""
+    """Whether two traces are the same record, read from files of other units or formats."""
     if one.samples != other.samples or one.force is None or other.force is None:
         return False
     pairs = ((one.displacement, other.displacement), (one.force, other.force))
-    few = slice(None, None, max(1, one.samples // 20))  # which tells most records apart
+    few = slice(None, None, max(1, one.samples // 20))  # enough to tell most records apart
     return all(_same(a[few], b[few]) and _same(a, b) for a, b in pairs)
 
 
@@ -56,26 +54,24 @@ def _same(a: Array, b: Array) -> bool:
 
 
 def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspection:
-    """Columns, units, rate, loops and drifts of a record, and its faults.
+    """Columns, units, rate, loops, drifts and faults of a record.
 
     Parameters
     ----------
     name : str
     record : Record
     gap : float, in, optional
-        Typical width of the gap under the priors, if there are any.
+        Median width of the gap under the priors, if there are any.
     """
     trace = record.trace()
     loops = find_loops(trace)
-    x = trace.displacement
+    x, turns = trace.displacement, trace.turning_points.size
     columns = ", ".join(f"{role}: {n} [{unit}]" for role, (n, unit) in record.columns.items())
-    turns = trace.turning_points.size
-    used = {n for n, _ in record.columns.values()}
-    others = [n for n in column_names(record.path) if n not in used]
+    others = ", ".join(record.other_columns)
     facts = {
         "file": record.path.name,
         "columns": columns,
-        **({"columns not used": ", ".join(others)} if others else {}),
+        **({"columns not used": others} if others else {}),
         "samples": f"{trace.samples} over {trace.time[-1] - trace.time[0]:.6g} s",
         "rate": f"{record.rate:.6g} Hz, jitter {record.jitter:.2%} of a step",
         "displacement": f"{x.min():.4g} to {x.max():.4g} in",
@@ -94,7 +90,7 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
 
 
 def _loops_fact(loops: Loops) -> str:
-    """Number of full loops, with amplitude and frequency of those that are no ramps."""
+    """Number of full loops, with amplitude and frequency of those at full stroke."""
     strong = loops.strong
     amplitude, frequency = loops.amplitude[strong], 1 / loops.period[strong]
     ramps = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
@@ -104,7 +100,7 @@ def _loops_fact(loops: Loops) -> str:
 
 
 def _force_facts(force: Array, loops: Loops) -> dict[str, str]:
-    """Peaks, samples at them, energy per loop, and how energy and offset drift."""
+    """Range of the force, samples at its peak, energy per loop, drift of energy and offset."""
     at_peak = max(np.count_nonzero(force == force.max()), np.count_nonzero(force == force.min()))
     facts = {"force": f"{force.min():.4g} to {force.max():.4g} kip, samples at a peak: {at_peak}"}
     if loops.energy is None or loops.offset is None or not loops.energy.size:
@@ -123,7 +119,7 @@ def _force_facts(force: Array, loops: Loops) -> dict[str, str]:
 
 
 def _range(values: Array) -> str:
-    """Median, with the ends where they are further than a hundredth apart."""
+    """Median, with the smallest and the largest where they differ by more than 1 %."""
     low, middle, high = (float(v) for v in np.quantile(values, [0.0, 0.5, 1.0]))
     wide = high - low > 0.01 * middle
     return f"{middle:.3g} ({low:.3g} to {high:.3g})" if wide else f"{middle:.3g}"

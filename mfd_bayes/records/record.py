@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.resampling import decimate, default_rate
-from mfd_bayes.records.roles import roles_of, unit_of
+from mfd_bayes.records.roles import ROLES, roles_of, unit_of
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, turning_points
 from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
 
@@ -29,13 +30,13 @@ GAP = 10.0
 """A step longer than this many median steps is a gap in time."""
 
 SHORTEST = 1e-9
-"""Shortest step in time, s."""
+"""Shortest step in time that is accepted, s."""
 
 STILL = 1e-9
-"""Stroke, in, that is none."""
+"""A peak-to-peak displacement of at most this, in, is no motion."""
 
 JITTER = 0.01
-"""Samples further than this share of a step from a uniform grid are interpolated onto one."""
+"""Above this jitter, in steps, samples are interpolated onto a uniform grid before decimation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class Record:
     ----------
     path : Path
     sha256 : str
-        Of the file's bytes.
+        Hash of the file's bytes.
     time : (T,), s
         Strictly increasing, without a gap.
     displacement : (T,), in
@@ -56,14 +57,15 @@ class Record:
     actuation_unit : "ksi", "kip" or None
     columns : dict
         Role to the column's name and unit in the file.
+    other_columns : tuple of str
+        Names of the file's columns that have no role.
     rate : float, Hz
-        Samples per second: (T - 1) over the duration, so that rounded time stamps do not drift;
-        one over the median step where the steps are not uniform.
+        Sampling rate: (T - 1) over the duration, which rounded time stamps do not change; one
+        over the median step where `jitter` is above `JITTER`.
     jitter : float
-        Largest distance of a sample from a uniform grid through the ends, in steps.
-    turning_points : int
+        Largest distance of a sample from a uniform grid between the ends, in steps.
     fit : (float, float), s, or None
-        Window that `trace` takes when it is given none.
+        Window that `trace` takes by default.
     """
 
     path: Path
@@ -75,10 +77,15 @@ class Record:
     actuation: float | Array | None
     actuation_unit: ActuationUnit | None
     columns: dict[str, tuple[str, str]]
+    other_columns: tuple[str, ...]
     rate: float
     jitter: float
-    turning_points: int
     fit: Window | None = None
+
+    @cached_property
+    def turning_points(self) -> int:
+        """Number of turning points."""
+        return _turns(self.displacement).size
 
     def trace(
         self,
@@ -87,16 +94,18 @@ class Record:
         window: Window | None = None,
         gap: float | None = None,
     ) -> Trace:
-        """Trace of this record, or of a window of it, at a rate.
+        """Trace of this record, or of a window of it, at a sampling rate.
 
         Parameters
         ----------
         rate : float, Hz, optional
-            Anti-aliased without delay down to this rate; left alone where the record's is lower.
+            Decimated to this rate behind a low-pass filter without delay; every sample is kept
+            where the record's own rate is lower.
         window : (float, float), s, optional
-            In the record's own time; `fit` when left out.
+            In the record's own time; `fit` by default.
         gap : float, in, optional
-            Without a rate: take `default_rate` for this gap. Without either: every sample.
+            Width of the device's gap. Without a rate, `default_rate` for this gap is taken;
+            without both, every sample.
 
         Raises
         ------
@@ -110,12 +119,11 @@ class Record:
         if rate is not None and not (math.isfinite(rate) and rate > 0):
             raise RecordError(f"rate must be positive, got {rate:g} Hz")
         if rate is None or rate >= self.rate * (1 - 1e-9):
-            signals = {role: signal[cut] for role, signal in self._signals().items()}
-            return self._as_trace(self.time[cut], signals)
+            return self._as_trace(self.time[cut], {k: v[cut] for k, v in self._signals().items()})
         return self._decimated(rate, float(self.time[cut][0]), float(self.time[cut][-1]))
 
     def _decimated(self, rate: float, start: float, end: float) -> Trace:
-        """Trace from `start` to `end` at a rate below the record's."""
+        """Trace from time `start` to `end` at a rate below the record's."""
         grid, signals = self._uniform()
         inside = np.flatnonzero((grid >= start) & (grid <= end))
         first, last = int(inside[0]), int(inside[-1])
@@ -129,7 +137,7 @@ class Record:
         )
 
     def _uniform(self) -> tuple[Array, dict[str, Array]]:
-        """Grid of uniform times, and the signals on it: the record's own, where it is one."""
+        """Uniform times, and the signals at them: the record's own where its jitter is small."""
         signals = self._signals()
         if self.jitter <= JITTER:
             return self.time, signals
@@ -138,22 +146,16 @@ class Record:
         return grid, {role: np.interp(grid, self.time, v) for role, v in signals.items()}
 
     def _signals(self) -> dict[str, Array]:
-        signals = {
-            "displacement": self.displacement,
-            "force": self.force,
-            "velocity": self.velocity,
-            "actuation": self.actuation,
-        }
-        return {k: v for k, v in signals.items() if isinstance(v, np.ndarray)}
+        named = {role: getattr(self, role) for role in ROLES if role != "time"}
+        return {role: v for role, v in named.items() if isinstance(v, np.ndarray)}
 
     def _as_trace(self, time: Array, signals: dict[str, Array]) -> Trace:
         history = signals.get("actuation")
-        # The filter may dip below zero beside a jump.
-        actuation = self.actuation if history is None else np.maximum(history, 0.0)
         return Trace.from_arrays(
             time,
             signals["displacement"],
-            actuation,
+            # The filter may go below zero beside a jump.
+            self.actuation if history is None else np.maximum(history, 0.0),
             signals.get("force"),
             signals.get("velocity"),
         )
@@ -176,10 +178,10 @@ def read_record(
         Role (`ROLES`) to column name. Where it names neither time nor displacement, the other
         roles are taken from headers such as ``time_s`` or ``displacement_in``.
     units : mapping, optional
-        Role to unit; by default what follows the column's last underscore, or stands behind its
-        name in brackets, or else in the file's row of units.
+        Role to unit. By default the unit is read from the column's name, behind its last
+        underscore or in brackets, or else from the file's row of units.
     actuation : str, optional
-        Held during the test: ``"500 psi"`` or ``"30 lbf"``. For a measured one, name its column.
+        Constant level: ``"500 psi"`` or ``"30 lbf"``. For a measured one, name its column.
     fit : str or (float, float), s, optional
         Window that `Record.trace` takes by default: ``"0 s to 60 s"``.
 
@@ -192,17 +194,13 @@ def read_record(
     """
     path = Path(path)
     table = read_table(path)
-    roles = roles_of(table, columns or {}, units or {}, guess_actuation=actuation is None)
-    if actuation is not None and "actuation" in roles:
-        raise RecordError(f"actuation of {path} is given both as {actuation!r} and as a column")
+    roles = roles_of(table, columns or {}, units or {}, actuation=actuation)
     named = {role: (name, unit_of(table, role, name, units or {})) for role, name in roles.items()}
-    values = table.columns(list(dict.fromkeys(roles.values())))
-    signals, unit = _internal(table, named, values)
-    level: float | None = None
+    signals, unit = _signals_of(table, named)
+    level: float | Array | None = signals.get("actuation")
     if actuation is not None:
         level, unit = parse_actuation(actuation, of=f"the actuation of {path}")
     rate, jitter = _check_time(table, signals["time"])
-    fit = parse_window(fit) if isinstance(fit, str) else fit
     record = Record(
         path=path,
         sha256=hash_file(path),
@@ -210,22 +208,23 @@ def read_record(
         displacement=signals["displacement"],
         force=signals.get("force"),
         velocity=signals.get("velocity"),
-        actuation=signals.get("actuation", level),
+        actuation=level,
         actuation_unit=unit,
         columns=named,
+        other_columns=tuple(name for name in table.names if name not in roles.values()),
         rate=rate,
         jitter=jitter,
-        turning_points=_turns(signals["displacement"]).size,
-        fit=fit,
+        fit=parse_window(fit) if isinstance(fit, str) else fit,
     )
     _check_motion(record)
     return record
 
 
-def _internal(
-    table: Table, named: dict[str, tuple[str, str]], values: dict[str, Array]
+def _signals_of(
+    table: Table, named: Mapping[str, tuple[str, str]]
 ) -> tuple[dict[str, Array], ActuationUnit | None]:
-    """Role → signal in internal units, and the unit of a measured actuation."""
+    """Role to signal in internal units, and the internal unit of a measured actuation."""
+    values = table.columns(list(dict.fromkeys(name for name, _ in named.values())))
     signals: dict[str, Array] = {}
     internal: ActuationUnit | None = None
     for role, (name, unit) in named.items():
@@ -234,13 +233,13 @@ def _internal(
             scale, internal = actuation_factor(unit, of=of)
         else:
             scale = factor(unit, role, of=of)
-        with np.errstate(over="ignore"):  # it is refused right below
+        with np.errstate(over="ignore"):  # check_magnitude refuses infinity
             signals[role] = values[name] * scale
         check_magnitude(of, signals[role])
     if "actuation" in signals:
         if np.mean(signals["actuation"]) < 0:
             raise RecordError(f"the actuation of {table.path} is negative on average")
-        # What little is below zero is the sensor's noise.
+        # Single samples below zero are the sensor's noise.
         signals["actuation"] = np.maximum(signals["actuation"], 0.0)
     for signal in signals.values():
         signal.flags.writeable = False
@@ -248,7 +247,7 @@ def _internal(
 
 
 def _check_time(table: Table, time: Array) -> tuple[float, float]:
-    """Rate, Hz, and jitter, in steps, of a time that increases without a gap."""
+    """Sampling rate, Hz, and jitter, in steps; refuses a time that stands still or has a gap."""
     if time.size < SAMPLES:
         raise RecordError(f"{table.path} has {time.size} samples; at least {SAMPLES} are needed")
     steps = np.diff(time)
@@ -258,26 +257,25 @@ def _check_time(table: Table, time: Array) -> tuple[float, float]:
             f"time in {table.path} does not increase at {table.place(row)}: "
             f"{time[row]:g} s after {time[row - 1]:g} s"
         )
-    median, row = float(np.median(steps)), int(np.argmax(steps)) + 1
-    if steps.min() < SHORTEST:
-        at = int(np.argmin(steps)) + 1
+    shortest, longest, median = int(np.argmin(steps)), int(np.argmax(steps)), np.median(steps)
+    if steps[shortest] < SHORTEST:
         raise RecordError(
-            f"time in {table.path} increases by {steps[at - 1]:.2g} s at {table.place(at)}; "
-            f"expected {SHORTEST:g} s or more"
+            f"time in {table.path} increases by {steps[shortest]:.2g} s at "
+            f"{table.place(shortest + 1)}; expected {SHORTEST:g} s or more"
         )
-    if steps[row - 1] > GAP * median:
+    if steps[longest] > GAP * median:
         raise RecordError(
-            f"time in {table.path} has a gap of {steps[row - 1]:.4g} s before {table.place(row)}, "
-            f"after {time[row - 1]:g} s; the median step is {median:.4g} s"
+            f"time in {table.path} has a gap of {steps[longest]:.4g} s before "
+            f"{table.place(longest + 1)}, after {time[longest]:g} s; the median step is "
+            f"{median:.4g} s"
         )
-    uniform = np.linspace(time[0], time[-1], time.size)
     step = float(time[-1] - time[0]) / (time.size - 1)
-    jitter = float(np.max(np.abs(time - uniform))) / step
-    return 1 / (median if jitter > JITTER else step), jitter
+    jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
+    return 1 / (float(median) if jitter > JITTER else step), jitter
 
 
 def _check_motion(record: Record) -> None:
-    """Refuse a record, or a fit window, whose motion does not turn twice."""
+    """Refuse a record, or a fit window, that has fewer than two turning points."""
     displacement = record.displacement[_slice(record, record.fit)]
     where = f"{record.path}" + (" in the fit window" if record.fit else "")
     if np.ptp(displacement) <= STILL:
@@ -288,7 +286,7 @@ def _check_motion(record: Record) -> None:
 
 
 def _slice(record: Record, window: Window | None) -> slice:
-    """Slice of a window, both ends in."""
+    """Samples of a window, both ends included."""
     if window is None:
         return slice(0, record.time.size)
     start, end = window

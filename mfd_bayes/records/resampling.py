@@ -1,4 +1,4 @@
-"""Lower sampling rates: which one is enough, and how to get there without delay."""
+"""Decimation without delay, and the sampling rate that is enough."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+MOST_SAMPLES = 6000
+"""Most samples of a trace at the default rate."""
+
+
 def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
     """Signal from sample `first` to `last` at a lower rate, without delay.
 
-    A symmetric low-pass filter: flat to 0.7 of the new Nyquist frequency, and at least 40 dB
-    down above it. What lies outside the window enters the filter; beyond the ends of the
-    signal its point reflection does, which keeps value and slope there.
+    A symmetric low-pass filter, flat to 0.7 of the new Nyquist frequency and at least 40 dB
+    down above it. The filter also uses the samples before `first` and after `last`; beyond the
+    ends of the signal it uses its point reflection, which keeps value and slope there.
 
     Parameters
     ----------
@@ -25,7 +29,7 @@ def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
     share : Fraction
         New rate over old, at most 1.
     first, last : int
-        The first sample comes back as the first; nothing comes back from after the last.
+        `first` is the first sample of the result; no sample of the result is after `last`.
 
     Returns
     -------
@@ -34,12 +38,12 @@ def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
     from scipy.signal import firwin, resample_poly
 
     up, down = share.numerator, share.denominator
-    # The window's reach is ten new samples; the padding is a whole number of them.
+    # The filter reaches over ten new samples; the padding is a whole number of new samples.
     blocks = -(-10 // up)
     pad = blocks * down
     padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
     taps = firwin(20 * down + 1, 0.84 / down, window=("kaiser", 5.0))
-    window: Any = taps  # scipy documents that taps are taken; its stubs leave them out
+    window: Any = taps  # scipy's documentation allows taps here, its type stubs do not
     piece = padded[first : last + 2 * pad + 1]
     fine = resample_poly(piece, up, down, window=window, padtype="line")
     count = (last - first) * up // down + 1
@@ -53,14 +57,13 @@ def default_rate(
     gap: float,
     *,
     rate: float | None = None,
-    max_samples: int = 6000,
 ) -> float:
-    """Lowest rate that resolves the crossing of a gap and the half-cycles.
+    """Lowest sampling rate that resolves the crossing of a gap and the half-cycles.
 
-    At least 20 samples per crossing of the gap after a turning point (for three crossings of
-    four: the lower quartile of their times), and 40 per median half-cycle, where the record
-    has them. Then up to the next whole divisor of the record's rate. The cap comes last and
-    yields to nothing: with it, a long record gets fewer samples per crossing.
+    At least 20 samples per crossing of the gap after a turning point, by the lower quartile of
+    the crossing times, and 40 per median half-cycle, if the record has them; then the next
+    higher rate that is the record's over a whole number. At most `MOST_SAMPLES` samples, which
+    comes before all else: a long record gets fewer samples per crossing.
 
     Parameters
     ----------
@@ -70,13 +73,11 @@ def default_rate(
         Samples at which the motion turns.
     gap : float, in
     rate : float, Hz, optional
-        The record's; from `time` when left out.
-    max_samples : int
+        The record's; by default from `time`.
 
     Returns
     -------
     float, Hz
-        The record's rate over a whole number.
     """
     record_rate = (time.size - 1) / float(time[-1] - time[0]) if rate is None else rate
     crossings = crossing_times(time, displacement, turns, gap)
@@ -85,13 +86,13 @@ def default_rate(
         needs.append(40 / float(np.median(np.diff(time[turns]))))
     wanted = max(needs, default=record_rate)
     divisor = max(1, int(record_rate / wanted * (1 + 1e-9)))
-    return record_rate / max(divisor, math.ceil(time.size / max_samples))
+    return record_rate / max(divisor, math.ceil(time.size / MOST_SAMPLES))
 
 
 def crossing_times(
     time: Array, displacement: Array, turns: NDArray[np.intp], gap: float
 ) -> list[float]:
-    """How long, s, it takes to `gap` away from each turning point, if before the next."""
+    """Times, s, from each turning point to a distance `gap` from it, if reached before the next."""
     times = []
     for start, end in zip(turns, [*turns[1:], time.size - 1], strict=True):
         away = np.abs(displacement[start : end + 1] - displacement[start])

@@ -10,7 +10,7 @@ from mfd_bayes.records.readers import Table
 from mfd_bayes.units import measure, same_unit
 
 ROLES = ("time", "displacement", "force", "velocity", "actuation")
-"""What a column can be; time and displacement must be there."""
+"""What a column can be; a record needs a time and a displacement."""
 
 _EXAMPLES = {"time": "time_s", "displacement": "displacement_in"}
 _SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
@@ -18,9 +18,10 @@ _BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
 
 
 def header_unit(name: str) -> str | None:
-    """Unit that a column's name ends in: ``"kip"`` of ``"force_kip"`` or ``"Force [kip]"``.
+    """Last part of a column's name: ``"kip"`` of ``"force_kip"`` or ``"Force [kip]"``.
 
-    None where it has no ending; what it ends in may be no unit, as of ``"axial_force"``.
+    None where the name has one part. The last part may be no unit: ``"force"`` of
+    ``"axial_force"``.
     """
     match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
     return match[1].strip().replace("_per_", "/") if match else None
@@ -31,30 +32,33 @@ def roles_of(
     columns: Mapping[str, str],
     units: Mapping[str, str],
     *,
-    guess_actuation: bool = True,
+    actuation: str | None = None,
 ) -> dict[str, str]:
-    """Role to column, as given, or from headers such as ``time_s`` or ``Displacement [mm]``.
+    """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
 
     Parameters
     ----------
     table : Table
     columns, units : mapping
         Role (`ROLES`) to column name and to unit, as given.
-    guess_actuation : bool
-        Whether a column may be taken for the actuation.
+    actuation : str, optional
+        Constant level, as given; without it a column is looked for.
 
     Raises
     ------
     RecordError
-        When a role is unknown, no column is for time or displacement, or several could be.
+        When a role is unknown, no column or several could be time or displacement, or the
+        actuation is given twice.
     """
     for role in (*columns, *units):
         if role not in ROLES:
             raise RecordError(f"unknown role {role!r} of a column; expected {', '.join(ROLES)}")
     roles = dict(columns)
     if not {"time", "displacement"} & columns.keys():
-        wanted = [r for r in ROLES if r not in roles and (r != "actuation" or guess_actuation)]
+        wanted = [r for r in ROLES if r not in roles and (r != "actuation" or actuation is None)]
         roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
+    if actuation is not None and "actuation" in roles:
+        raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
     missing = [role for role in ("time", "displacement") if role not in roles]
     if missing:
         raise RecordError(
@@ -65,12 +69,12 @@ def roles_of(
 
 
 def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str:
-    """Unit of a role's column: as given, or of its name, or of the file's row of units.
+    """Unit of a column: as given, or from its name, or from the file's row of units.
 
     Raises
     ------
     RecordError
-        When there is none, or the name and the file contradict each other.
+        When there is none, or the name and the row of units contradict each other.
     """
     if given := units.get(role):
         return given
@@ -92,7 +96,7 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
 
 
 def _guess(table: Table, role: str) -> str | None:
-    """Column called after the role, with a unit or without."""
+    """Name of the column that is called like the role, with or without a unit."""
     pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
     found = [name for name in table.names if pattern.fullmatch(name)]
     if len(found) > 1:

@@ -24,7 +24,8 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.store.files import load_arrays, read_json
+from mfd_bayes.store.files import read_json
+from mfd_bayes.store.netcdf import load_arrays
 import h5netcdf, h5py, nptdms, pandas, xarray
 
 def columns(path):

@@ -7,7 +7,7 @@ import pytest
 from mfd_bayes.errors import RecordError, UnitError
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import read_record
-from mfd_bayes.records.resampling import decimate, default_rate
+from mfd_bayes.records.resampling import MOST_SAMPLES, decimate, default_rate
 from mfd_bayes.records.trace import turning_points
 
 RATE = 200.0
@@ -74,7 +74,7 @@ def test_a_negative_measured_actuation_is_refused(tmp_path):
 
 def test_an_actuation_given_twice_is_refused(tmp_path):
     path = write(tmp_path, time_s=TIME, displacement_in=MOTION, p_psi=TIME)
-    assert "both" in refused(path, {"actuation": "p_psi"}, actuation="5 psi")
+    assert "'5 psi' and as a column" in refused(path, {"actuation": "p_psi"}, actuation="5 psi")
 
 
 def test_swapped_units_are_a_dimension_error(tmp_path):
@@ -255,7 +255,10 @@ def test_default_rate_keeps_40_samples_per_half_cycle_and_the_cap():
     wide = default_rate(time, motion, turns, 5.0)
     assert 40 <= wide < 42
     assert default_rate(time, motion, turns, 1e-6) == pytest.approx(1024 / 2)
-    assert time.size * default_rate(time, motion, turns, 1e-6, max_samples=500) / 1024 <= 500
+    time = np.arange(30_721) / 1024
+    motion = np.sin(np.pi * time)
+    turns = turning_points(motion, 1e-3)
+    assert time.size * default_rate(time, motion, turns, 1e-6) / 1024 <= MOST_SAMPLES == 6000
 
 
 def test_every_real_record_is_read_with_few_turning_points(data_folder):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -12,11 +12,11 @@ from mfd_bayes.records.readers.cells import unreadable
 from mfd_bayes.records.readers.excel import read_excel
 from mfd_bayes.records.readers.json_lists import read_json
 from mfd_bayes.records.readers.matlab import read_matlab
-from mfd_bayes.records.readers.table import Array, Table
+from mfd_bayes.records.readers.table import Table
 from mfd_bayes.records.readers.tdms import read_tdms
 from mfd_bayes.records.readers.text import read_text
 
-__all__ = ["SUFFIXES", "Table", "column_names", "read_columns", "read_table"]
+__all__ = ["SUFFIXES", "Table", "read_table"]
 
 _FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
     {
@@ -56,13 +56,3 @@ def read_table(path: Path) -> Table:
         raise unreadable(path, error) from error
     except MemoryError as error:
         raise RecordError(f"{path} does not fit into this machine's memory") from error
-
-
-def column_names(path: Path) -> tuple[str, ...]:
-    """Names of the columns that a file holds; raises as `read_table` does."""
-    return read_table(path).names
-
-
-def read_columns(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Named columns of a file, each (T,); raises as `read_table` and `Table.columns` do."""
-    return read_table(path).columns(names)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from mfd_bayes.records.readers.cells import bare_unit
-from mfd_bayes.units import KINDS, measure
+from mfd_bayes.units import DIMENSIONS, measure
 
 Row = Sequence[object]
 
@@ -15,7 +15,7 @@ SEARCHED = 200
 """Filled rows from a file's first in which names are looked for."""
 
 # A ratio or a rate is a unit too, but "1" or "cycles" tells no row of units from one of text.
-_TELLING = {kind.measure for kind in KINDS.values()} - {"ratio", "rate"}
+_TELLING = {kind.measure for kind in DIMENSIONS.values()} - {"ratio", "rate"}
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import pytest
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers import read_columns
+from mfd_bayes.records.readers import read_table
 
 
 @pytest.fixture
@@ -12,7 +12,7 @@ def refused():
 
     def sentence(path, names=("a",)):
         with pytest.raises(RecordError) as caught:
-            read_columns(path, names)
+            read_table(path).columns(names)
         message = str(caught.value)
         assert str(path) in message
         assert "\n" not in message

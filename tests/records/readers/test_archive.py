@@ -8,7 +8,7 @@ from zipfile import ZIP_DEFLATED, ZIP_LZMA, ZipFile
 import pytest
 from openpyxl import Workbook
 
-from mfd_bayes.records.readers import read_columns
+from mfd_bayes.records.readers import read_table
 
 SHEET = "xl/worksheets/sheet1.xml"
 OPEN = (
@@ -61,7 +61,7 @@ def too_many(path):
 
 def test_what_is_made_here_is_read_where_nothing_is_wrong(tmp_path):
     write(tmp_path / "a.xlsx", (OPEN + NAMES + NUMBERS * 3 + CLOSE, 1))
-    assert read_columns(tmp_path / "a.xlsx", ["b"])["b"].tolist() == [2, 2, 2]
+    assert read_table(tmp_path / "a.xlsx").columns(["b"])["b"].tolist() == [2, 2, 2]
 
 
 def test_a_bomb_is_refused_without_unpacking_it(tmp_path, refused):
@@ -112,7 +112,7 @@ def test_more_cells_than_are_read_are_refused(tmp_path, refused, monkeypatch):
     monkeypatch.setattr("mfd_bayes.records.readers.archive.CELLS", 2_000)
     path = tmp_path / "a.xlsx"
     write(path, (OPEN + NAMES, 1), (NUMBERS, 990), (CLOSE, 1))
-    assert read_columns(path, ["a"])["a"].size == 990
+    assert read_table(path).columns(["a"])["a"].size == 990
     write(path, (OPEN + NAMES, 1), (NUMBERS, 1_000), (CLOSE, 1))
     assert refused(path) == too_many(path).replace("2,000,000", "2,000")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from openpyxl import Workbook
 
-from mfd_bayes.records.readers import column_names, read_columns, read_table
+from mfd_bayes.records.readers import read_table
 
 TIME = np.arange(30) / 10
 FORCE = np.sin(TIME) / 3
@@ -41,14 +41,14 @@ def test_the_first_sheet_that_holds_a_table_is_read_below_its_titles(tmp_path):
 
 def test_a_table_may_begin_in_any_column_and_have_blank_rows(tmp_path):
     path = write(tmp_path, Data=[[], [None, "t", "x"], [None, 0, 1], [], [None, 1, 2.5]])
-    np.testing.assert_array_equal(read_columns(path, ["x"])["x"], [1, 2.5])
+    np.testing.assert_array_equal(read_table(path).columns(["x"])["x"], [1, 2.5])
     assert read_table(path).place(1) == "row 5 of sheet 'Data'"
 
 
 def test_columns_end_where_the_wanted_ones_do(tmp_path):
     path = write(tmp_path, Data=[["t", "x", "q"], [0, 1, 5], [1, 2, 5], [None, None, 5]])
-    np.testing.assert_array_equal(read_columns(path, ["t", "x"])["t"], [0, 1])
-    np.testing.assert_array_equal(read_columns(path, ["q"])["q"], [5, 5, 5])
+    np.testing.assert_array_equal(read_table(path).columns(["t", "x"])["t"], [0, 1])
+    np.testing.assert_array_equal(read_table(path).columns(["q"])["q"], [5, 5, 5])
 
 
 @pytest.mark.parametrize(
@@ -77,14 +77,14 @@ def test_a_cell_without_a_number_is_named_by_its_address(tmp_path, refused, cell
 def test_unused_columns_may_hold_anything(tmp_path):
     day = datetime.date(2024, 5, 1)
     path = write(tmp_path, Data=[["day", "t", "x"], [day, 0, 1], ["=B2", 1, 2]])
-    np.testing.assert_array_equal(read_columns(path, ["t", "x"])["x"], [1, 2])
+    np.testing.assert_array_equal(read_table(path).columns(["t", "x"])["x"], [1, 2])
 
 
 def test_a_sheet_of_numbers_is_preferred_to_one_of_texts(tmp_path):
     notes = [["Sensor", "gain", "unit"], ["LVDT", 2.5, "V/mm"], ["cell", 3.5, "mV/V"]]
     path = write(tmp_path, Notes=notes, Data=[["t", "x"], [0, 1], [1, 2]])
-    assert column_names(path) == ("t", "x")
-    assert column_names(write(tmp_path, Notes=notes)) == ("Sensor", "gain", "unit")
+    assert read_table(path).names == ("t", "x")
+    assert read_table(write(tmp_path, Notes=notes)).names == ("Sensor", "gain", "unit")
 
 
 def test_a_workbook_without_a_table_says_what_it_holds(tmp_path, refused):

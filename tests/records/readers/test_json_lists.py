@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from mfd_bayes.records.readers import column_names, read_columns
+from mfd_bayes.records.readers import read_table
 
 
 def write(path, text):
@@ -23,8 +23,8 @@ JSON_FORMS = {
 @pytest.mark.parametrize("form", JSON_FORMS)
 def test_every_json_form_gives_the_same_columns(tmp_path, form):
     path = write(tmp_path / "a.json", json.dumps(JSON_FORMS[form]))
-    assert column_names(path) == ("a", "b")
-    columns = read_columns(path, ["a", "b"])
+    assert read_table(path).names == ("a", "b")
+    columns = read_table(path).columns(["a", "b"])
     np.testing.assert_array_equal(columns["a"], [1, 2.5, 3])
     np.testing.assert_array_equal(columns["b"], [4, 5, 6])
 

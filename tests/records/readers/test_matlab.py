@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from mfd_bayes.records.readers import column_names, read_columns
+from mfd_bayes.records.readers import read_table
 
 TIME = np.arange(30) / 10
 FORCE = np.sin(TIME) / 3
@@ -35,8 +35,8 @@ def matlab_v73(path):
 def test_matlab_vectors_and_struct_fields_are_columns(tmp_path, make):
     path = tmp_path / "a.mat"
     make(path)
-    assert set(column_names(path)) == {"t", "test.time", "test.force"}
-    columns = read_columns(path, ["t", "test.force"])
+    assert set(read_table(path).names) == {"t", "test.time", "test.force"}
+    columns = read_table(path).columns(["t", "test.force"])
     np.testing.assert_array_equal(columns["t"], TIME)
     np.testing.assert_array_equal(columns["test.force"], FORCE)
 

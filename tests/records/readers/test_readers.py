@@ -7,7 +7,7 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 from openpyxl import Workbook
 
-from mfd_bayes.records.readers import SUFFIXES, column_names
+from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import read_record
 
 
@@ -57,7 +57,7 @@ def test_a_workbook_called_csv_is_not_read_as_one(tmp_path, refused):
 def test_the_case_of_a_suffix_does_not_matter(tmp_path):
     path = tmp_path / "a.TXT"
     path.write_text("t\tx\n1\t2\n")
-    assert column_names(path) == ("t", "x")
+    assert read_table(path).names == ("t", "x")
 
 
 def write_text(path, columns, units, separator, decimal):

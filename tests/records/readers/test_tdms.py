@@ -6,7 +6,7 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers import column_names, read_columns, read_table
+from mfd_bayes.records.readers import read_table
 
 TIME = np.arange(30) / 10
 FORCE = np.sin(TIME) / 3
@@ -61,8 +61,8 @@ def test_channels_are_columns_with_their_units(tmp_path):
 
 def test_channels_that_share_a_name_are_told_apart_by_their_groups(tmp_path):
     path = write(tmp_path, ("A", "x", TIME), ("B", "x", FORCE), ("B", "y", FORCE))
-    assert column_names(path) == ("A/x", "B/x", "y")
-    np.testing.assert_array_equal(read_columns(path, ["B/x"])["B/x"], FORCE)
+    assert read_table(path).names == ("A/x", "B/x", "y")
+    np.testing.assert_array_equal(read_table(path).columns(["B/x"])["B/x"], FORCE)
 
 
 def test_the_increments_of_waveforms_make_a_time(tmp_path):
@@ -75,8 +75,8 @@ def test_the_increments_of_waveforms_make_a_time(tmp_path):
 
 def test_groups_of_different_increments_have_a_time_each(tmp_path):
     path = write(tmp_path, ("A", "x", FORCE, wave()), ("B", "F", FORCE, wave(0.1)))
-    assert column_names(path) == ("A/time", "B/time", "x", "F")
-    times = read_columns(path, ["B/time"])["B/time"]
+    assert read_table(path).names == ("A/time", "B/time", "x", "F")
+    times = read_table(path).columns(["B/time"])["B/time"]
     np.testing.assert_allclose(times, 0.5 + np.arange(30) / 10)
 
 
@@ -93,7 +93,7 @@ def test_groups_of_different_increments_have_a_time_each(tmp_path):
     ids=["a time", "in ms", "no waveform", "no increment", "a spectrum", "two clocks in a group"],
 )
 def test_no_time_is_offered_where_there_is_one_or_none_can_be_made(tmp_path, channels):
-    assert column_names(write(tmp_path, *channels)) == (channels[0][1], channels[1][1])
+    assert read_table(write(tmp_path, *channels)).names == (channels[0][1], channels[1][1])
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_no_time_is_offered_where_there_is_one_or_none_can_be_made(tmp_path, cha
 )
 def test_channels_without_numbers_are_refused_when_used(tmp_path, refused, values, held):
     path = write(tmp_path, ("G", "x", TIME), ("G", "note", values))
-    np.testing.assert_array_equal(read_columns(path, ["x"])["x"], TIME)
+    np.testing.assert_array_equal(read_table(path).columns(["x"])["x"], TIME)
     assert refused(path, ["note"]) == f"channel 'note' of {path} holds {held}; expected numbers"
 
 
@@ -145,7 +145,7 @@ def test_the_file_itself_is_read_and_not_an_index_beside_it(tmp_path):
     path = write(tmp_path, ("G", "x", TIME))
     other = write(tmp_path, ("G", "y", FORCE), name="b.tdms")
     path.with_name("a.tdms_index").write_bytes(b"TDSh" + other.read_bytes()[4:])
-    assert column_names(path) == ("x",)
+    assert read_table(path).names == ("x",)
 
 
 def test_a_file_that_is_cut_off_is_refused(tmp_path, refused, capfd):
@@ -160,7 +160,7 @@ def test_a_file_that_is_cut_off_is_refused(tmp_path, refused, capfd):
 def test_a_part_that_was_never_closed_is_read_where_it_is_whole(tmp_path):
     path = tmp_path / "a.tdms"
     path.write_bytes(part(5, TEN, follows=2**64 - 1))
-    np.testing.assert_array_equal(read_columns(path, ["x"])["x"], np.arange(10))
+    np.testing.assert_array_equal(read_table(path).columns(["x"])["x"], np.arange(10))
 
 
 @pytest.mark.parametrize("samples", [11, 10**12, 2**63])

@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mfd_bayes.records.readers import column_names, read_columns, read_table
+from mfd_bayes.records.readers import read_table
 
 TIME = np.arange(30) / 10
 FORCE = np.sin(TIME) / 3
@@ -17,8 +17,8 @@ def write(path, text):
 def test_csv_gives_its_columns_and_skips_comments(tmp_path, suffix):
     rows = "\n".join(f"{float(t)!r}, {float(f)!r}" for t, f in zip(TIME, FORCE, strict=True))
     path = write(tmp_path / f"a{suffix}", f"\ufeff# lab 3\n\ntime_s, force_kip\n# go\n{rows}\n\n")
-    assert column_names(path) == ("time_s", "force_kip")
-    columns = read_columns(path, ["force_kip", "time_s"])
+    assert read_table(path).names == ("time_s", "force_kip")
+    columns = read_table(path).columns(["force_kip", "time_s"])
     np.testing.assert_allclose(columns["time_s"], TIME, rtol=1e-15)
     np.testing.assert_allclose(columns["force_kip"], FORCE, rtol=1e-15)
 
@@ -26,14 +26,14 @@ def test_csv_gives_its_columns_and_skips_comments(tmp_path, suffix):
 def test_csv_from_a_spreadsheet_with_quotes_and_crlf_is_read(tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes(b'"a","b, c"\r\n"1.5",2\r\n"2.5",3\r\n')
-    np.testing.assert_array_equal(read_columns(path, ["a"])["a"], [1.5, 2.5])
-    np.testing.assert_array_equal(read_columns(path, ["b, c"])["b, c"], [2, 3])
+    np.testing.assert_array_equal(read_table(path).columns(["a"])["a"], [1.5, 2.5])
+    np.testing.assert_array_equal(read_table(path).columns(["b, c"])["b, c"], [2, 3])
 
 
 @pytest.mark.parametrize("comma", ["\t", ";"])
 def test_other_separators_are_recognised_by_the_header(tmp_path, comma):
     path = write(tmp_path / "a.txt", f"a{comma}b\n1{comma}2\n3{comma}4\n")
-    np.testing.assert_array_equal(read_columns(path, ["b"])["b"], [2, 4])
+    np.testing.assert_array_equal(read_table(path).columns(["b"])["b"], [2, 4])
 
 
 def test_a_bad_cell_is_named_by_line_and_column(tmp_path, refused):
@@ -73,7 +73,7 @@ def test_an_open_quote_is_refused(tmp_path, refused):
 
 def test_unused_columns_may_hold_anything(tmp_path):
     path = write(tmp_path / "a.csv", "a,note\n1,first\n2,\n")
-    np.testing.assert_array_equal(read_columns(path, ["a"])["a"], [1, 2])
+    np.testing.assert_array_equal(read_table(path).columns(["a"])["a"], [1, 2])
 
 
 def test_a_missing_column_lists_those_there_are(tmp_path, refused):
@@ -114,7 +114,7 @@ def test_a_binary_file_called_csv_is_refused(tmp_path, refused):
 def test_decimal_commas_are_told_apart_from_separators(tmp_path, separator):
     rows = "".join(f"0,{i}25{separator}\N{MINUS SIGN}3,{i}\n" for i in range(9))
     path = write(tmp_path / "a.csv", f"Zeit{separator}Kraft\n{rows}")
-    columns = read_columns(path, ["Zeit", "Kraft"])
+    columns = read_table(path).columns(["Zeit", "Kraft"])
     np.testing.assert_array_equal(columns["Zeit"], np.arange(25, 900, 100) / 1000)
     np.testing.assert_allclose(columns["Kraft"], -3 - np.arange(9) / 10, rtol=1e-15)
 
@@ -126,7 +126,7 @@ def test_what_pandas_writes_comes_back_to_the_last_bit(tmp_path, separator, deci
     frame = pd.DataFrame({"Zeit, s": TIME, "Kraft": FORCE, "note": "a, b"})
     path = tmp_path / "a.csv"
     frame.to_csv(path, sep=separator, decimal=decimal, index=False)
-    columns = read_columns(path, ["Zeit, s", "Kraft"])
+    columns = read_table(path).columns(["Zeit, s", "Kraft"])
     np.testing.assert_allclose(columns["Zeit, s"], TIME, rtol=1e-15)
     np.testing.assert_allclose(columns["Kraft"], FORCE, rtol=1e-15)
 
@@ -153,7 +153,7 @@ def test_commas_that_may_stand_before_thousands_are_refused(tmp_path, refused):
         "write them with a decimal point"
     )
     settled = write(tmp_path / "b.txt", "a\tb\n0,125\t12,500\n2,250\t3\n")
-    np.testing.assert_array_equal(read_columns(settled, ["b"])["b"], [12.5, 3])
+    np.testing.assert_array_equal(read_table(settled).columns(["b"])["b"], [12.5, 3])
 
 
 def test_points_and_commas_in_one_table_are_refused(tmp_path, refused):
@@ -220,14 +220,14 @@ def test_a_title_is_no_row_of_names_above_units(tmp_path):
 def test_settings_above_a_table_are_not_taken_for_it(tmp_path):
     text = "Station,MTS\nRate,1024\nGain,Offset\n1.5,2\nTime,Force\n0,1\n1,2\n2,3\n"
     path = write(tmp_path / "a.csv", text)
-    assert column_names(path) == ("Time", "Force")
-    np.testing.assert_array_equal(read_columns(path, ["Force"])["Force"], [1, 2, 3])
+    assert read_table(path).names == ("Time", "Force")
+    np.testing.assert_array_equal(read_table(path).columns(["Force"])["Force"], [1, 2, 3])
 
 
 def test_separators_at_the_ends_of_lines_make_no_column(tmp_path):
     path = write(tmp_path / "a.tsv", "a\tb\t\n1\t2\t\n3\t4\t\n")
-    assert column_names(path) == ("a", "b")
-    np.testing.assert_array_equal(read_columns(path, ["b"])["b"], [2, 4])
+    assert read_table(path).names == ("a", "b")
+    np.testing.assert_array_equal(read_table(path).columns(["b"])["b"], [2, 4])
 
 
 @pytest.mark.parametrize("line", ["3", "3 4 5"])
@@ -248,5 +248,5 @@ def test_names_with_blanks_that_cannot_be_told_apart_are_refused(tmp_path, refus
 def test_the_encodings_of_laboratories_are_read(tmp_path, encoding):
     path = tmp_path / "a.txt"
     path.write_bytes("Zeit\tWeg µ°\r\n0,5\t1\r\n".encode(encoding))
-    np.testing.assert_array_equal(read_columns(path, ["Zeit"])["Zeit"], [0.5])
-    assert column_names(path) == ("Zeit", "Weg µ°")
+    np.testing.assert_array_equal(read_table(path).columns(["Zeit"])["Zeit"], [0.5])
+    assert read_table(path).names == ("Zeit", "Weg µ°")
