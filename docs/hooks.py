@@ -2,9 +2,9 @@
 
 A line of a page that reads
 
-    {{ commands }}                                  is replaced by every command's --help,
-    {{ lines of benchmarks/sbc.txt with uniform }}  by the lines of a file that match a pattern,
-    {{ file priors/mfd.toml }}                      by a whole file.
+    {{ commands }}                                      is replaced by every command's --help,
+    {{ lines of benchmarks/sbc/sbc.txt with uniform }}  by the lines of a file that match a pattern,
+    {{ file priors/mfd.toml }}                          by a whole file.
 
 Links to files of the project (`../../tests/test_units.py`) become links to copies of them in the
 site, and formulas become MathML, which browsers show without any script.
@@ -25,7 +25,7 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-LINKED = ("tests/**/*.py", "benchmarks/*.txt")
+LINKED = ("tests/**/*.py", "benchmarks/*/*.txt")
 SHOWN = ("reports/report.html", "reports/figures/overview.png")
 
 _DIRECTIVE = re.compile(r"^\{\{ (.+) \}\}$", re.MULTILINE)

@@ -1,6 +1,8 @@
 """What the tests share."""
 
+import importlib
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,3 +18,14 @@ def data_folder() -> Path:
             f"real records not found at {folder}; set MFD_BAYES_DATA to their parent folder"
         )
     return folder
+
+
+@pytest.fixture(scope="session")
+def benchmark_module():
+    """Function that imports a module of benchmarks/, such as "sbc.study"."""
+    root = Path(__file__).parents[1]
+    if not (root / "benchmarks").is_dir():
+        pytest.skip("benchmarks/ is not part of this distribution")
+    sys.path.append(str(root))  # last, so that an installed mfd_bayes is the one that is tested
+    yield lambda name: importlib.import_module(f"benchmarks.{name}")
+    sys.path.remove(str(root))

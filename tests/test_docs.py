@@ -290,7 +290,7 @@ def test_the_commands_are_those_there_are(site):
 
 
 @needs_docs
-@pytest.mark.parametrize("wish", ["lines of benchmarks/sbc.txt with no such words", "nonsense"])
+@pytest.mark.parametrize("wish", ["lines of benchmarks/sbc/sbc.txt with no such words", "nonsense"])
 def test_a_page_that_asks_for_what_is_not_there_stops_the_build(wish):
     from mkdocs.exceptions import PluginError
 

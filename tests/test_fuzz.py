@@ -1,10 +1,8 @@
-"""Some seeded inputs of benchmarks/fuzz.py: changed files end in a result or in a sentence."""
+"""Some seeded inputs of benchmarks/fuzz: changed files end in a result or in a sentence."""
 
-import importlib
 import os
 import sys
 from collections import Counter
-from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -13,16 +11,9 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="memory is limit
 
 
 @pytest.fixture(scope="module")
-def study() -> ModuleType:
-    folder = Path(__file__).parents[1] / "benchmarks"
-    if not folder.is_dir():
-        pytest.skip("benchmarks/ is not part of this distribution")
+def study(benchmark_module) -> ModuleType:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads take the memory
-    sys.path.insert(0, str(folder))
-    try:
-        return importlib.import_module("fuzz")
-    finally:
-        sys.path.remove(str(folder))
+    return benchmark_module("fuzz.run")
 
 
 def test_changed_files_end_in_a_result_or_a_sentence(study):

@@ -1,21 +1,22 @@
-"""Lay out a campaign folder from the real band-brake records of the 2022 session.
+"""Write a campaign folder from the real band-brake records of the 2022 session.
 
-    python benchmarks/brfd_campaign.py FOLDER
+    python -m benchmarks.common.brfd_campaign FOLDER
 
-copies the records from MFD_BAYES_DATA (default ../shared/data) and writes campaign.toml: every
-test at 0.5 Hz calibrates, every one at 1 Hz validates. Then
+copies the records from MFD_BAYES_DATA (by default ../shared/data) and writes campaign.toml: all
+tests at 0.5 Hz are for calibration, all tests at 1 Hz for validation. Then
 
     mfd-bayes calibrate FOLDER/campaign.toml -o OUT
 
-The records are CC BY-SA 4.0 (Coble, Huggins, Cao, Ricles, Downey, 2022): keep them out of the
-project.
+The records are under CC BY-SA 4.0 (Coble, Huggins, Cao, Ricles, Downey, 2022): keep them out of
+the project.
 """
 
 import csv
-import os
 import shutil
 import sys
 from pathlib import Path
+
+from benchmarks.common.data import data_folder
 
 HEADER = """\
 [campaign]
@@ -64,8 +65,7 @@ def lay_out(source: Path, folder: Path, session: str = "2022-07") -> Path:
 def main() -> None:
     if len(sys.argv) != 2:
         sys.exit(__doc__)
-    root = Path(os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    print(lay_out(root / "brfd", Path(sys.argv[1])))
+    print(lay_out(data_folder() / "brfd", Path(sys.argv[1])))
 
 
 if __name__ == "__main__":

@@ -1,17 +1,17 @@
-"""How often the demo's truth lies inside its 95 % intervals, over several seeds.
+"""How often the demo's 95 % intervals hold the true value, over several seeds.
 
-    python benchmarks/demo_coverage.py [SEEDS] > benchmarks/demo_coverage.txt
+    python -m benchmarks.demo_coverage.run [SEEDS] > benchmarks/demo_coverage/demo_coverage.txt
 
-runs `mfd-bayes demo --quick` for seeds 1 to SEEDS (5): some five minutes on two cores.
+runs `mfd-bayes demo --quick` with the seeds 1 to SEEDS (5): about five minutes on two cores.
 """
 
-import platform
 import subprocess
 import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
 
+from benchmarks.common.machine import platform_line
 from mfd_bayes.assessment import assess
 from mfd_bayes.runs.run import open_run
 
@@ -21,7 +21,7 @@ def main() -> None:
     command = str(Path(sys.executable).parent / "mfd-bayes")
     inside: Counter[str] = Counter()
     known: Counter[str] = Counter()
-    print(f"demo --quick, {platform.platform()}, Python {platform.python_version()}")
+    print(f"demo --quick, {platform_line()}")
     print(f"{'seed':>6}{'inside':>9}{'known':>8}{'share':>9}  verdict")
     for seed in range(1, seeds + 1):
         with tempfile.TemporaryDirectory() as folder:

@@ -1,17 +1,19 @@
-"""What a force costs: ours against peers, over sizes, in memory and on real records.
+"""How long the computation of a force takes: ours beside other implementations.
 
     pip install -e '.[bench]'
-    python benchmarks/forward.py > benchmarks/forward.txt
+    python -m benchmarks.forward.run > benchmarks/forward/forward.txt
 
-runs on one thread of one core (Linux) for two minutes. Neither numba nor JAX is imported by the
-package. The contenders take turns, round by round, because a shared machine's speed changes from
-one second to the next; what is timed is a run of calls of one kind, so that the cache is warm.
-"best" is the least time over the rounds, "median" the middle one, and every ratio is the median
-of the ratios within a round. A pass is one np.exp over a 2000 × 64 array into an array that
-exists already. Exit status 1: a peer does not agree with ours, ours is slower than numba or JAX,
-or takes over 15 passes.
+runs on one thread of one core (Linux) for two minutes. It compares sizes, memory and real records.
+The package itself imports neither numba nor JAX.
 
-The real records come from --data (MFD_BAYES_DATA, ../shared/data); they are left out where absent.
+The implementations take turns, round by round, because a shared machine's speed changes from one
+second to the next. In each turn one function is called many times, so that the cache is warm.
+"best" is the shortest time over the rounds and "median" the middle one; every ratio is the median
+of the ratios within a round. A "pass" is one np.exp over a 2000 × 64 array into an existing array.
+
+Exit status 1: an implementation does not agree with ours, ours is slower than numba or JAX, or
+ours takes more than 15 passes. The real records come from --data (MFD_BAYES_DATA,
+../shared/data); without them that table is left out.
 """
 
 from __future__ import annotations
@@ -36,13 +38,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import forward_peers as peers
 import jax
 import numba
 import numpy as np
-import scipy
 from numpy._core._multiarray_umath import __cpu_features__ as cpu_features
 
+from benchmarks.common.data import add_data_option
+from benchmarks.common.machine import load, print_bars, processor, versions
+from benchmarks.forward import peers
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
@@ -277,7 +280,7 @@ def table_memory(quick):
     """Table 3: peak memory, in a process of its own."""
     samples = 10_000 if quick else 100_000
     print(f"\n3. Peak memory of one call, 512 vectors × {samples:,} samples")
-    command = [sys.executable, __file__, "--peak", str(samples)]
+    command = [sys.executable, "-m", "benchmarks.forward.run", "--peak", str(samples)]
     run = subprocess.run(command, check=True, capture_output=True, text=True)
     grown, output = (float(word) for word in run.stdout.split())
     print(
@@ -383,23 +386,17 @@ def table_steps(quick):
 
 def print_machine():
     """Print what the table was measured on."""
-    info = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    model = next(line.split(":")[1].strip() for line in info if line.startswith("model name"))
     vector = next((k for k in ("AVX512_SKX", "AVX2", "AVX") if cpu_features.get(k)), "no AVX")
     svml = "with" if numba.config.USING_SVML else "without"
     print("What a force costs, one thread of one core\n")
-    print(f"{model}, {os.cpu_count()} cores, {vector} (numpy); load {os.getloadavg()[0]:.1f}")
-    print(
-        f"Python {sys.version.split()[0]}, numpy {np.__version__}, scipy {scipy.__version__}, "
-        f"numba {numba.__version__} {svml} SVML, JAX {jax.__version__}, float64"
-    )
+    print(f"{processor()}, {vector} (numpy); {load()}")
+    print(f"{versions('numpy', 'scipy', 'numba')} {svml} SVML, JAX {jax.__version__}, float64")
 
 
 def parse():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    root = os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--data", type=Path, default=Path(root), help="folder that holds brfd/")
+    add_data_option(parser)
     parser.add_argument("--quick", action="store_true", help="fewer rounds and smaller sizes")
     parser.add_argument("--peak", type=int, help=argparse.SUPPRESS)
     return parser.parse_args()
@@ -417,7 +414,7 @@ def main():
     failed += table_memory(options.quick)
     failed += table_records(options.quick, options.data / "brfd")
     failed += table_steps(options.quick)
-    print("\nall bars hold" if not failed else "\n" + "\n".join(f"FAILED: {bar}" for bar in failed))
+    print_bars(failed)
     sys.exit(1 if failed else 0)
 
 

@@ -1,4 +1,4 @@
-"""Files made a little or very wrong: bytes of any file, and tokens, trees and parts of some."""
+"""Changes that damage a file: bytes of any file, and words, trees and parts of some formats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NetCDF files of a run folder made wrong: their facts, numbers, shapes and attributes."""
+"""Damaged NetCDF files of a run folder: facts, numbers, shapes and attributes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import io
 
 import h5py
 import numpy as np
-from fuzz_mutations import FLOATS, Rng, mutate_bytes, mutate_tree
+
+from benchmarks.fuzz.mutations import FLOATS, Rng, mutate_bytes, mutate_tree
 
 
 def mutate_netcdf(data: bytes, rng: Rng) -> bytes:

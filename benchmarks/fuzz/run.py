@@ -1,13 +1,12 @@
-"""Feed changed files to everything that reads one, and keep what ends neither well nor in words.
+"""Give damaged files to every reader, and report each that gives neither a result nor an error.
 
-    python benchmarks/fuzz.py --inputs 101000 --seed 1 > benchmarks/fuzz.txt
-    python benchmarks/fuzz.py --seed 1 --target csv --only 1234 --keep folder
+    python -m benchmarks.fuzz.run --inputs 101000 --seed 1 > benchmarks/fuzz/fuzz.txt
+    python -m benchmarks.fuzz.run --seed 1 --target csv --only 1234 --keep folder
 
-Every input is made from the seed, the target's name and its number alone, and is read in a
-process with a bound on its memory and its time. It must end in a result or in an `MfdError`;
-a traceback, a signal, too much time or memory, a file written outside the input's folder, a
-program that is started, a connection and an object that is unpickled are findings. Exits with 1
-where there are any.
+Every input is made only from the seed, the target's name and its number, and is read in a process
+with limits of memory and time. It must end in a result or in an `MfdError`. Findings are: any
+other exception, a signal, too much time or memory, a file written outside the input's folder, a
+program started, a network connection, and an object unpickled. Exits with 1 where there are any.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import argparse
 import hashlib
 import multiprocessing
 import os
-import platform
 import resource
 import shutil
 import sys
@@ -31,11 +29,10 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
-
 import numpy as np
-from fuzz_targets import Target, controls, few, targets
 
+from benchmarks.common.machine import platform_line
+from benchmarks.fuzz.targets import Target, controls, few, targets
 from mfd_bayes.errors import MfdError
 
 __all__ = ["controls", "few", "make_input", "run", "shares", "targets"]
@@ -329,8 +326,8 @@ def main() -> int:
 def _print(
     found: Sequence[Target], tallies: Sequence[Tally], given: argparse.Namespace, seconds: float
 ) -> int:
-    print(f"benchmarks/fuzz.py --inputs {given.inputs} --seed {given.seed}, {platform.platform()},")
-    print(f"Python {platform.python_version()}; {MEMORY >> 20} MB and {SECONDS:g} s an input\n")
+    print(f"python -m benchmarks.fuzz.run --inputs {given.inputs} --seed {given.seed}")
+    print(f"{platform_line()}; {MEMORY >> 20} MB and {SECONDS:g} s an input\n")
     widths = (24, 9, 9, 14, 9, 9)
     head = ("target", "inputs", "results", "clean errors", "findings", "ms each")
     print("".join(f"{cell:>{w}}" for cell, w in zip(head, widths, strict=True)))

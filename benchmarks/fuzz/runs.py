@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fuzz_mutations import Rng
-from fuzz_seeds import FORCE, MOTION, TIME, priors, texts
 
+from benchmarks.fuzz.mutations import Rng
+from benchmarks.fuzz.seeds import FORCE, MOTION, TIME, priors, texts
 from mfd_bayes.assessment import assess, verdicts
 from mfd_bayes.assessment.fits import calibrated_view, held_out_view
 from mfd_bayes.assessment.laws import law_rows, law_views

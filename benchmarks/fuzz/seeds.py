@@ -1,4 +1,4 @@
-"""Valid files that are changed: records in every format, a campaign file and its priors."""
+"""Valid files to damage: records in every format, a campaign file and its priors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is fuzzed: a valid folder for each kind of file, how it is changed, and who reads it."""
+"""The kinds of file that are damaged: a valid folder for each, how it is changed, its reader."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuzz_mutations import (
+from benchmarks.fuzz.mutations import (
     Mutate,
     mutate_bytes,
     mutate_json,
@@ -19,8 +19,8 @@ from fuzz_mutations import (
     mutate_tree,
     mutate_zip,
 )
-from fuzz_netcdf import mutate_netcdf
-from fuzz_runs import (
+from benchmarks.fuzz.netcdf import mutate_netcdf
+from benchmarks.fuzz.runs import (
     read_fold,
     read_held_out,
     read_population,
@@ -31,8 +31,16 @@ from fuzz_runs import (
     run_files,
     seal,
 )
-from fuzz_seeds import CAMPAIGN, jsons, matlab_v5, matlab_v73, priors, tdms, texts, workbook
-
+from benchmarks.fuzz.seeds import (
+    CAMPAIGN,
+    jsons,
+    matlab_v5,
+    matlab_v73,
+    priors,
+    tdms,
+    texts,
+    workbook,
+)
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.draft.columns import guess_columns
 from mfd_bayes.campaign.file import load_campaign

@@ -1,4 +1,4 @@
-"""The real records of `heldout.py`: campaigns, LuGre fitted alone, semi-active tension."""
+"""The real records: campaign files, least-squares fits of LuGre, and semi-active tension."""
 
 from __future__ import annotations
 

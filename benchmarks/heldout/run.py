@@ -1,17 +1,18 @@
-"""Are the bands of tests never seen right, and no wider than they must be? On real records.
+"""Whether predicted bands hold the force of real tests that were left out, without being too wide.
 
-    python benchmarks/heldout.py > benchmarks/heldout.txt
+    python -m benchmarks.heldout.run > benchmarks/heldout/heldout.txt
 
-calibrates the band brake's sessions (staged noise; kept in out_heldout/, so that a second run
-samples nothing again) and predicts what was left out:
+calibrates the sessions of the band brake with staged noise and predicts what was left out:
 
 -   the 36 lb harmonic tests, each in turn, and the earthquakes from all of them;
--   the 2022 session, each tension in turn, and each test whose tension another one has;
+-   the 2022 session: each tension in turn, and each test whose tension another test has too;
 -   semi-active tests of another session, under the tension measured at the band's slack end.
 
-With --ou the same with OU noise, which tells what the noise's stages are worth. LuGre alone is
-fitted to each record by least squares. Exit status 1: a bar was missed. The real records come
-from --data (MFD_BAYES_DATA, ../shared/data).
+The calibrated runs stay in out_heldout/, so that a second run does not sample them again; delete
+the folder when records or code have changed. --ou does the same with OU noise, to show what the
+stages of the noise are worth. For comparison LuGre alone is fitted to each record by least squares.
+Exit status 1: a limit was missed. The real records come from --data (MFD_BAYES_DATA,
+../shared/data).
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ import sys
 import time
 from pathlib import Path
 
-import heldout_records as records
 import numpy as np
 
+from benchmarks.common.data import PROJECT, add_data_option
+from benchmarks.heldout import records
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options
 from mfd_bayes.population.predict import Forecast, predict
@@ -204,9 +206,8 @@ def speed(run: Run) -> None:
 def parse() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    root = os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--data", type=Path, default=Path(root), help="folder that holds brfd/")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "out_heldout")
+    add_data_option(parser)
+    parser.add_argument("--out", type=Path, default=PROJECT / "out_heldout")
     parser.add_argument("--effort", default="standard", help="of every test's calibration")
     parser.add_argument("--fold-effort", default="quick", help="of each population in a fold")
     parser.add_argument("--jobs", type=int, default=2)

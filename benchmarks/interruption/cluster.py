@@ -1,4 +1,4 @@
-"""A dask scheduler and two workers as processes of this machine, and their losses."""
+"""A dask scheduler and two workers as processes of this machine, and faults of them."""
 
 import json
 import os
@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from distributed import Client
-from interruption_harness import of_session
+
+from benchmarks.interruption.harness import of_session
 
 PATIENCE = 300.0
 """Seconds in which the processes of a cluster must start."""

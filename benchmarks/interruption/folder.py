@@ -8,9 +8,8 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from interruption_cluster import Cluster
-from interruption_harness import COMMAND, LIMIT, TIMED, differing, files
-
+from benchmarks.interruption.cluster import Cluster
+from benchmarks.interruption.harness import COMMAND, LIMIT, TIMED, differing, files
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.errors import MfdError
 from mfd_bayes.runs.run import open_run

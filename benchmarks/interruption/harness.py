@@ -1,4 +1,4 @@
-"""A calibration as a process, what befalls it on this machine, and what its folder then holds."""
+"""A calibration as a process, the faults of this machine, and the content of its run folder."""
 
 import json
 import os

@@ -1,34 +1,34 @@
-"""What befalls a calibration, at random moments of its course, and what a resumed run is then.
+"""What a calibration leaves after a fault at a random moment, and whether it resumes to the same.
 
-    python benchmarks/interruption.py [FAULTS] [SEED] > benchmarks/interruption.txt
+    python -m benchmarks.interruption.run [FAULTS] [SEED] > benchmarks/interruption/interruption.txt
 
-runs `mfd-bayes calibrate` on a small synthetic campaign undisturbed, here and on a dask cluster;
-then FAULTS (60) times from nothing, each time with a fault:
+runs `mfd-bayes calibrate` on a small synthetic campaign undisturbed, on this machine and on a dask
+cluster; then FAULTS (60) times from the start, each time with one fault:
 
-SIGINT, SIGTERM, SIGKILL  sent to the command
-worker       a process of its own is killed
-disk         a disk (tmpfs, for which it must be root) of random size that fills up
-read-only    the disk becomes read-only, at every second time as in `forbid_writing`'s second way
-lost worker  of the two of a cluster, one is killed
+SIGINT, SIGTERM, SIGKILL  the signal is sent to the command
+worker       one of its worker processes is killed
+disk         its disk fills up (a tmpfs of random size; needs root)
+read-only    its disk becomes read-only, every second time by the second way of `forbid_writing`
+lost worker  one of the two workers of a cluster is killed
 all workers  both are killed, and 3 s later another is started
-no workers   both are killed and none is started; told to wait for one, the user gives Ctrl-C
+no workers   both are killed and none is started; asked to wait for one, the user presses Ctrl-C
 scheduler    the cluster's scheduler is killed
-client       SIGKILL of the command that works on a cluster
+client       the command that works on a cluster gets SIGKILL
 
-After each, every file that is there must be the undisturbed run's, and every posterior must open.
-The folder is looked at by `check`, or a copy of it by `report`: they must give what the undisturbed
-run gives, or say in a sentence that it is not finished. Then the run is resumed with another number
-of processes, after "client" on the same cluster, and compared: arrays bit for bit, all else byte
-for byte but for times and the command. "c" among the jobs is the cluster.
+After each fault, every file in the run folder must be equal to that of the undisturbed run, and
+every posterior must open. `check` reads the folder, or `report` reads a copy of it: they must
+print what the undisturbed run gives, or one sentence that the run is not finished. Then the run
+is resumed with another number of processes (after "client" on the same cluster) and compared with
+the undisturbed run: arrays bit for bit, everything else byte for byte except times and the
+command. "c" in the column of jobs is the cluster.
 
-A moment is one of the undisturbed run. A process of its own is killed so long after the first one
-started, at 0.3 of the moment that is shown; on a cluster the moments are those until its tests are
-done. The campaign's model is LuGre, which takes half of the time of three stages. Two faults are
-brought side by side; an hour on two cores that are busy with other work besides.
+The moments are drawn over the duration of the undisturbed run. A worker process is killed at 0.3
+of the moment shown, counted from the start of the first worker; on a cluster the moments end when
+its tests are done. The model is LuGre, which takes half the time of the three-stage model. Two
+faults run side by side; it takes an hour on two cores that are busy with other work too.
 """
 
 import os
-import platform
 import shutil
 import subprocess
 import sys
@@ -40,12 +40,12 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-import interruption_cluster as dask
-import interruption_harness as harness
 import numpy as np
-from interruption_folder import (
+
+from benchmarks.common.machine import platform_line
+from benchmarks.interruption import cluster as dask
+from benchmarks.interruption import harness
+from benchmarks.interruption.folder import (
     Fault,
     Undisturbed,
     check,
@@ -54,7 +54,7 @@ from interruption_folder import (
     left_behind,
     look_at,
 )
-from interruption_harness import EXITS, Ended, calibrate, differing, end, files
+from benchmarks.interruption.harness import EXITS, Ended, calibrate, differing, end, files
 
 ON_CLUSTER = ("lost worker", "all workers", "no workers", "scheduler", "client")
 AS_ROOT = ("disk", "read-only")
@@ -244,7 +244,7 @@ def meet(number: int, home: Path, plan: Plan, run: Undisturbed) -> tuple[Fault, 
 
 def study(home: Path, plan: Plan) -> None:
     run = prepare(home)
-    print(f"mfd-bayes calibrate, {platform.platform()}, Python {platform.python_version()}")
+    print(f"mfd-bayes calibrate, {platform_line()}")
     print(
         f"undisturbed: {run.seconds:.0f} s, {run.size / 1e6:.1f} MB, {len(files(run.out))} files; "
         f"on a cluster its tests are done after {run.on_cluster:.0f} s, to the same bits"

@@ -1,14 +1,14 @@
-"""Make small faults in the code, one at a time, and count those that its tests notice.
+"""Make small faults in the code, one at a time, and count those that the tests notice.
 
-    python benchmarks/mutation.py --sample 680 --keep outcomes.json > benchmarks/mutation.txt
-    python benchmarks/mutation.py --modules mfd_bayes/friction/gap.py --lines 120 130
+    python -m benchmarks.mutation.run --sample 680 --keep outcomes.json > mutation.txt
+    python -m benchmarks.mutation.run --modules mfd_bayes/friction/gap.py --lines 120 130
 
-The code is a copy in a temporary folder, and a fault exists only in the memory of the process that
-tries it. Each is tried on the tests that execute its line, of the folder that mirrors its own,
-quickest files first, until one fails. The order is random, so that what is done after any time is
-a sample; the same command with the same `--keep` goes on, and `--minutes 0` prints what there is.
-`mutation_judged.toml` says of faults that survived what they are; what it does not know stands
-last in the table. Exits with 1 where the tests fail without any fault.
+The code is copied to a temporary folder, and a fault exists only in the memory of the process that
+tries it. For each fault, the tests that execute its line run, from the folder of tests that has
+the name of its room, quickest files first, until one fails. The order of faults is random, so that
+what is done at any time is a random sample. The same command with the same `--keep` goes on;
+`--minutes 0` only prints the table. `judged.toml` explains known faults that survived; those that
+it does not know are listed last. Exits with 1 where the tests fail without any fault.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import ast
 import importlib
 import json
 import os
-import platform
 import random
 import shutil
 import sys
@@ -28,15 +27,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from mutation_operators import Mutant, mutants
-from mutation_table import Outcome, judgements, table
-from mutation_tests import Child, cover, try_on
+from benchmarks.common.data import PROJECT, data_folder
+from benchmarks.common.machine import platform_line
+from benchmarks.mutation.operators import Mutant, mutants
+from benchmarks.mutation.table import Outcome, judgements, table
+from benchmarks.mutation.trials import Child, cover, try_on
 
 Kept = dict[tuple[str, str, int, str], Outcome]
 
-PROJECT = Path(__file__).parents[1]
 FOLDERS = ("tests/friction", "tests/population", "tests/calibration")
 TARGETS = (
     *("mfd_bayes/friction/*.py", "mfd_bayes/population/*.py"),
@@ -70,7 +68,7 @@ def main() -> int:
     began = time.perf_counter()
     os.nice(10)
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    os.environ.setdefault("MFD_BAYES_DATA", str(PROJECT.parent / "shared" / "data"))
+    os.environ.setdefault("MFD_BAYES_DATA", str(data_folder()))
     kept = _kept(asked.keep)
     with tempfile.TemporaryDirectory() as folder:
         tree = _copied(Path(folder).resolve())
@@ -83,10 +81,10 @@ def main() -> int:
             if not _try_all(tree, _chosen(faults, asked), kept, asked):
                 return 1
     done = sorted(kept.values(), key=lambda o: (o.module, o.line, o.column, o.change))
-    print(f"benchmarks/mutation.py {' '.join(sys.argv[1:])}, {platform.platform()},")
-    print(f"Python {platform.python_version()}; {time.perf_counter() - began:.0f} s\n")
+    print(f"python -m benchmarks.mutation.run {' '.join(sys.argv[1:])}, {platform_line()};")
+    print(f"{time.perf_counter() - began:.0f} s\n")
     counts = {module: len(found) for module, found in faults.items() if found}
-    print(table(counts, done, judgements(PROJECT / "benchmarks" / "mutation_judged.toml")))
+    print(table(counts, done, judgements(Path(__file__).with_name("judged.toml"))))
     return 0
 
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-import forward_peers
 import jax
 import jax.numpy as jnp
 import numpy as np
-import sampling_peers as peers
 from numpyro.infer import MCMC, NUTS
-from population_study import FOLLOWERS, LEVELS, Campaign
+
+from benchmarks.forward import peers as forward_peers
+from benchmarks.population.study import FOLLOWERS, LEVELS, Campaign
+from benchmarks.sampling import peers
 
 LOGISTIC = float(np.pi / np.sqrt(3.0))
 """Sd of a uniform number's logit."""

@@ -1,24 +1,25 @@
-"""The population of tests: against an independent sampler, and ranks of truths drawn from it.
+"""Whether the inference across tests is right: against NUTS, and by simulation.
 
     pip install -e '.[bench]'
-    python benchmarks/population.py --campaigns 100 --seed 1 > benchmarks/population.txt
+    python -m benchmarks.population.run --campaigns 100 > benchmarks/population/population.txt
 
-Agreement: one synthetic campaign of four tests at three levels, 17 parameters each, Ornstein-
-Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 1500 effective draws; the
-peer is NumPyro's NUTS on the joint density of population and tests in JAX, which shares no code
-with ours (`population_peer`). Every level, scatter, deviation, shape and quantity of a test
-must have a mean within `MEAN` sd and an sd within `SPREAD` of the peer's. The control, tests
-taken for points, has to fail.
+Agreement: one synthetic campaign of four tests at three levels, 17 parameters each, with
+Ornstein–Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 1500
+effective draws. NumPyro's NUTS samples the joint density of population and tests, written in JAX, which
+shares no code with ours (`benchmarks.population.peer`). Every level, scatter, deviation, shape and
+quantity of a test must have a mean within `MEAN` standard deviations, and a standard deviation
+within `SPREAD`, of those of NUTS. The control ignores the uncertainty of each test, and has to
+fail.
 
-Ranks: campaigns of four short tests whose hyperparameters, tests, and records are drawn from the
-prior of the population (`population_study`), calibrated one by one and then jointly; the rank of
-the truth among L draws is uniform if all is right (Talts et al. 2018). It is judged as in
-`sbc.py`, by the simultaneous band of the ECDF, familywise by Bonferroni. The control takes the
-means of the same tests as known exactly, and has to fail.
+Ranks: the hyperparameters, tests and records of small campaigns are drawn from the prior of the
+population (`benchmarks.population.study`). Their four short tests are calibrated one by one and
+then jointly. If all is right, the rank of the true value among L draws is uniform (Talts et al. 2018),
+which is judged as in `benchmarks.sbc.run`. The control takes the means of the same tests as known
+exactly, and has to fail.
 
-Every finished campaign is a file in --work, so an interrupted run goes on where it stopped;
-those that other code or settings made are not taken, and none is dropped. Exit status 1: a bar
-falls, ranks are not uniform, a campaign without draws, or a control that passes.
+Every finished campaign is a file in --work, so an interrupted run goes on where it stopped. Files
+made by other code or other settings are not used, and no campaign is dropped. Exit status 1: a
+limit is exceeded, ranks are not uniform, a campaign has no draws, or a control passes.
 """
 
 from __future__ import annotations
@@ -35,21 +36,18 @@ os.environ.update(
 )
 
 import argparse
-import hashlib
-import json
-import multiprocessing
-import platform
 import sys
 import time
 import warnings
 from pathlib import Path
 
 import numpy as np
-import population_study as study_of
-from population_study import RIGHT, WRONG
-from sbc_study import LEVEL, Uniformity, failures
 
-import mfd_bayes
+from benchmarks.common.machine import platform_line, print_bars
+from benchmarks.common.series import fingerprint, run_series
+from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
+from benchmarks.population import study as study_of
+from benchmarks.population.study import RIGHT, WRONG
 from mfd_bayes.calibration.diagnostics import measure
 from mfd_bayes.errors import MfdError
 
@@ -74,7 +72,7 @@ spread  sd of the ranks over the uniform one's: above 1 the posteriors are too n
 
 def compare(seed, quick):
     """Print how ours agrees with NUTS, and give what fell."""
-    import population_peer as peer
+    from benchmarks.population import peer
 
     study = study_of.full_study(seed)
     campaign = study_of.synthesize(study, 0)
@@ -178,41 +176,16 @@ def rhat(values, walkers):
 # ranks
 
 
-def fingerprint(study):
-    """Short hash of the settings, and of the code that the campaigns depend on."""
+def run_campaigns(seed, count, work, jobs):
+    """Results of campaigns 0 to `count`; those of an earlier run are read from `work`."""
+    study = study_of.small_study(seed)
     settings = (dict(study.priors.parameters), dict(study.priors.scatter), study.single)
     settings = (*settings, study.joint, study.draws, study.seed)
-    digest = hashlib.sha256(repr(settings).encode())
-    digest.update(study.motion.displacement.tobytes())
-    package = Path(mfd_bayes.__file__).parent
-    files = [Path(study_of.__file__)]
-    for room in ("records", "friction", "calibration", "population"):
-        files += sorted((package / room).glob("*.py"))
-    for path in files:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def run_campaigns(seed, count, work, jobs):
-    """Campaigns 0 to `count`, those of an earlier run read from `work`."""
-    folder = work / fingerprint(study_of.small_study(seed))
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{index}.json" for index in range(count)]
-    left = [(seed, index, path) for index, path in enumerate(files) if not path.is_file()]
-    print(f"{count - len(left)} of {count} campaigns found in {folder}", file=sys.stderr)
-    began = time.perf_counter()
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        for done, _ in enumerate(pool.imap_unordered(_run_and_store, left), 1):
-            minutes = (time.perf_counter() - began) / 60.0
-            print(f"{done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
-    return [json.loads(path.read_text(encoding="utf-8")) for path in files]
-
-
-def _run_and_store(task):
-    seed, index, path = task
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps(run_campaign(seed, index)), encoding="utf-8")
-    beside.replace(path)
+    motion = study.motion.displacement.tobytes()
+    rooms = ("records", "friction", "calibration", "population")
+    folder = work / fingerprint(settings, motion, study_of.__file__, rooms)
+    tasks = [(folder / f"{index}.json", run_campaign, (seed, index)) for index in range(count)]
+    return run_series(tasks, jobs, "campaigns")
 
 
 def run_campaign(seed, index):
@@ -267,10 +240,8 @@ def judge(campaigns, study):
             f"quantities by Bonferroni: p below {LEVEL / len(ranks):.2g} fails\n"
             f"{'quantity':24s}{'p':>10}{'z':>8}{'spread':>9}"
         )
-        middle, sd = study.draws / 2.0, np.sqrt(((study.draws + 1) ** 2 - 1) / 12.0)
         for name, values in ranks.items():
-            z = (np.mean(values) - middle) / sd * np.sqrt(len(values))
-            line = f"{name:24s}{uniformity.p_value(values):10.2g}{z:8.2f}{np.std(values) / sd:9.2f}"
+            line = f"{name:24s}{rank_cells(values, uniformity)}"
             print(line + ("  fails" if name in fell else ""))
         if way == RIGHT:
             failed += [f"ranks of {name} are not uniform" for name in fell]
@@ -294,8 +265,8 @@ def parse():
 def main():
     options = parse()
     warnings.simplefilter("ignore", FutureWarning)
-    print(" ".join(["python benchmarks/population.py", *sys.argv[1:]]))
-    print(f"{platform.platform()}, Python {platform.python_version()}, numpy {np.__version__}")
+    print(" ".join(["python -m benchmarks.population.run", *sys.argv[1:]]))
+    print(f"{platform_line()}, numpy {np.__version__}")
     failed = []
     if options.only != "ranks":
         print("\nAgreement with NUTS on the joint density\n")
@@ -305,7 +276,7 @@ def main():
         print("\nRanks of truths drawn from the prior of the population\n")
         campaigns = run_campaigns(options.seed, options.campaigns, options.work, options.jobs)
         failed += judge(campaigns, study_of.small_study(options.seed))
-    print("\nall bars hold" if not failed else "\n" + "\n".join(f"FAILED: {bar}" for bar in failed))
+    print_bars(failed)
     sys.exit(1 if failed else 0)
 
 

@@ -1,7 +1,7 @@
 """Synthetic campaigns drawn from the prior of a population, their inference, and ranks of truths.
 
-Truths follow model.md section 6 and what `Layout` says in words; of its code only the prior's
-figures are taken (centre, spread, scales, the reference), none of its laws, effects or layout.
+The truths follow section 6 of model.md and the docstring of `Layout`. Of its code only the
+numbers of the prior are used (centre, spread, scales, reference), not its laws, effects or layout.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sbc_study import narrow_priors
 
+from benchmarks.sbc.study import narrow_priors
 from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile

@@ -1,8 +1,8 @@
-"""What others would sample the same posterior with: emcee as it comes, and NumPyro's NUTS.
+"""Other samplers of the same posterior: emcee with its defaults, and NumPyro's NUTS.
 
-NUTS needs the density in JAX: model.md sections 2 to 5 with the priors of `priors/*.toml`, in
-the coordinates of `Posterior`, so that it is the same function of q. `jax_density` gives it;
-`benchmarks/sampling.py` checks that it is the same before it races the two.
+NUTS needs the density in JAX: `jax_density` writes sections 2 to 5 of model.md and the priors of
+`priors/*.toml` in the coordinates of `Posterior`. `benchmarks.sampling.run` checks that both
+densities are the same before it measures.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import emcee
-import forward_peers
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 from numpyro.infer import NUTS
 
+from benchmarks.forward import peers as forward_peers
 from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
 
 LOG_2PI = float(np.log(2 * np.pi))

@@ -1,17 +1,19 @@
-"""The posteriors that `sampling.py` holds ours against, by a long plain run of emcee.
+"""Reference posteriors for `benchmarks.sampling.run`, by a long plain run of emcee.
 
     pip install -e '.[bench]'
-    python benchmarks/reference.py
+    python -m benchmarks.sampling.reference
 
-writes benchmarks/reference.json, two records at a time, in 17 minutes of a core's own time. Each
-record is sampled by four ensembles that know nothing of each other, each with emcee's own
-differential evolution (ter Braak 2006: 80 % of the usual length, 20 % full jumps between walkers)
-and nothing else: no learned proposal, no code of `mfd_bayes.calibration.sampling`. Every ensemble
-looks for the modes anew, from prior draws of its own, and starts with twice Laplace's sd around
-all that it found, each by its evidence, so that R̂ tells when they disagree. The first half of
-each run is its burn-in. It ends when the smallest bulk effective sample size is `ESS`, R̂ at most
-`R_HAT` and what is kept as long as `LENGTH` autocorrelation times.
-Exit status 1: a record fell short of that within `MOST` steps.
+writes benchmarks/sampling/reference.json, two records at a time, in 17 minutes of processor time.
+
+Each record is sampled by four independent ensembles with emcee's own differential evolution (ter
+Braak 2006: 80 % of the moves with the usual length, 20 % full jumps between walkers) and nothing
+else: no learned proposal, no code of `mfd_bayes.calibration.sampling`. Every ensemble searches for
+the modes again, from its own draws of the prior. Its walkers start around all modes found, with
+twice the standard deviation of Laplace's approximation; the share of a mode follows its evidence.
+So R-hat shows when the ensembles disagree. The first half of each run is discarded as warm-up. A
+run ends when the smallest bulk effective sample size is `ESS`, R-hat is at most `R_HAT`, and what
+is kept is `LENGTH` autocorrelation times long.
+Exit status 1: a record did not reach that within `MOST` steps.
 
 The real records come from --data (MFD_BAYES_DATA, ../shared/data).
 """
@@ -36,6 +38,7 @@ import emcee
 import numpy as np
 import scipy
 
+from benchmarks.common.data import add_data_option
 from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
 from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.calibration.map_fit import find_modes
@@ -45,7 +48,7 @@ from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 
 FILE = Path(__file__).with_name("reference.json")
-COMMAND = "python benchmarks/reference.py"
+COMMAND = "python -m benchmarks.sampling.reference"
 RATE = 64.0  # Hz
 RECORDS = {
     "30 lb, 0.25 Hz": "2023_30lb_0.25Hz_1.0in.csv",
@@ -219,8 +222,7 @@ def rounded(values):
 def parse():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    root = os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--data", type=Path, default=Path(root), help="folder that holds brfd/")
+    add_data_option(parser)
     parser.add_argument("--ess", type=float, default=ESS, help="least bulk ESS of a coordinate")
     parser.add_argument("--output", type=Path, default=FILE)
     return parser.parse_args()

@@ -1,27 +1,28 @@
-"""Effective draws per second: ours against emcee's stretch move and NumPyro's NUTS, and all right.
+"""Effective draws per second, and whether they are right: ours, emcee's stretch move, and NUTS.
 
     pip install -e '.[bench]'
-    python benchmarks/sampling.py > benchmarks/sampling.txt
+    python -m benchmarks.sampling.run > benchmarks/sampling/sampling.txt
 
 runs on one thread of one core (Linux) for about a quarter of an hour, on three real records and a
-synthetic one. Every contender samples the same posterior in the same coordinates q, until the
-smallest bulk effective sample size of a coordinate is that of "thorough", or its time is up. What
-counts is that size, measured on all by one function, over all seconds that it took. Seconds are
-of CPU: on one core those of the clock, when nothing else runs.
+synthetic one. Every sampler draws from the same posterior in the same coordinates q, until the
+smallest bulk effective sample size of a coordinate is that of "thorough", or its time is up. The
+figure of merit is this size, measured by one function for all samplers, divided by all the seconds
+that were used. Seconds are processor time.
 
-- ours is `sample(posterior, "thorough", seed)`, with its search for modes, with several seeds
-  before, between and after the others, for a shared machine's speed changes; the middle one counts;
-- stretch is emcee with its defaults, 64 walkers, batches of the same density, and starts at
-  Laplace draws around our mode, which costs it nothing; burn-in counts as time;
-- NUTS has the density in JAX (x64, checked against ours) and a dense mass matrix, which it adapts
-  in NumPyro's usual 1000 draws from our mode, which costs it nothing; compiling and warm-up count
-  as time, and are also shown left out. "Alone" it starts at the prior's medians, as it would have
-  to without our mode; "helped" it is given Laplace's covariance there, too, and adapts in 300.
+- Ours is `sample(posterior, "thorough", seed)`, with its search for modes. It runs with several
+  seeds, before, between and after the others, because a shared machine's speed changes; the middle
+  rate counts.
+- Stretch is emcee with its defaults, 64 walkers and the same density in batches. It starts at
+  draws of Laplace's approximation around our mode, which costs it nothing; its warm-up counts.
+- NUTS (NumPyro) has the density in JAX (x64, checked against ours) and a dense mass matrix, which
+  it adapts in NumPyro's usual 1000 draws from our mode, which costs it nothing. Compiling and
+  warm-up count, and rates without them are shown too. "alone" starts at the prior's medians, as it
+  would have to without our mode; "helped" is also given Laplace's covariance, and adapts in 300.
 
-Means and sds are compared with reference.json, which `reference.py` makes. Exit status 1: a
-density differs from JAX's or from the reference's, a reference fell short of its limits, ours is
-not as many times as fast as `BARS` say, or a mean or an sd is off by more than `MEAN` sd or
-`SPREAD`.
+Means and standard deviations are compared with reference.json, which
+`benchmarks.sampling.reference` makes. Exit status 1: a density differs from JAX's or from the
+reference's, a reference did not reach its own limits, ours is not as many times as fast as `BARS`
+say, or a mean or a standard deviation is off by more than `MEAN` or `SPREAD`.
 
 The real records come from --data (MFD_BAYES_DATA, ../shared/data).
 """
@@ -46,14 +47,21 @@ import time
 import warnings
 from pathlib import Path
 
-import emcee
 import jax
 import numpy as np
-import numpyro
-import sampling_peers as peers
-import scipy
-from reference import COMMAND, ESS, FILE, RECORDS, SYNTHETIC, find_posterior, reached
 
+from benchmarks.common.data import add_data_option
+from benchmarks.common.machine import load, print_bars, processor, versions
+from benchmarks.sampling import peers
+from benchmarks.sampling.reference import (
+    COMMAND,
+    ESS,
+    FILE,
+    RECORDS,
+    SYNTHETIC,
+    find_posterior,
+    reached,
+)
 from mfd_bayes.calibration.diagnostics import measure
 from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.calibration.sampling import sample
@@ -214,14 +222,9 @@ def _row(name, run, reference, middle, *, bar=False):
 
 def print_machine():
     """Print what the table was measured on."""
-    info = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    model = next(line.split(":")[1].strip() for line in info if line.startswith("model name"))
     print("Effective draws per second, one thread of one core\n")
-    print(f"{model}, {os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}")
-    print(
-        f"Python {sys.version.split()[0]}, numpy {np.__version__}, scipy {scipy.__version__}, "
-        f"emcee {emcee.__version__}, NumPyro {numpyro.__version__}, JAX {jax.__version__}, float64"
-    )
+    print(f"{processor()}; {load()}")
+    print(f"{versions('numpy', 'scipy', 'emcee', 'numpyro', 'jax')}, float64")
     print(
         "\nevaluations: of the density, modes included, or of its gradient; ours is: times as "
         "fast;\nmean, sd: largest deviations from reference.json, of means in sds and of sds, and "
@@ -232,8 +235,7 @@ def print_machine():
 def parse():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    root = os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--data", type=Path, default=Path(root), help="folder that holds brfd/")
+    add_data_option(parser)
     parser.add_argument("--quick", action="store_true", help="one seed of ours, shorter races")
     parser.add_argument("--only", choices=[*RECORDS, SYNTHETIC], help="one record alone")
     parser.add_argument("--reference", type=Path, default=FILE)
@@ -261,7 +263,7 @@ def main():
     for name, ratios in table.items():
         print(f"{name:18s}" + "".join(f"{ratio:22.1f}" for ratio in ratios.values()))
     print(f"{'bar':18s}" + "".join(f"{BARS.get(name, ''):>22}" for name in others))
-    print("\nall bars hold" if not failed else "\n" + "\n".join(f"FAILED: {bar}" for bar in failed))
+    print_bars(failed)
     sys.exit(1 if failed else 0)
 
 

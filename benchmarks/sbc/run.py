@@ -1,23 +1,25 @@
-"""Simulation-based calibration: whether posteriors rank truths drawn from their prior evenly.
+"""Simulation-based calibration: whether posteriors of one test are right on average.
 
-    python benchmarks/sbc.py --tests 300 --control 100 --jobs 2 --seed 1
+    python -m benchmarks.sbc.run --tests 300 --control 100 --jobs 2 --seed 1
 
-writes benchmarks/sbc.txt (a table) and benchmarks/sbc.png (a picture). A test is a synthetic
-record: every parameter, the place in the gap, the offset and the noise are drawn from a prior
-narrowed to sensible loops, the model and Ornstein–Uhlenbeck noise make the force, and the
-posterior under that very prior is sampled. If all is right, the rank of the truth among L nearly
-independent draws is uniform over 0 … L, whatever the prior (Talts et al. 2018), and so is that of
-the log likelihood (Modrák et al. 2023), which sees what single parameters do not.
+writes sbc.txt (a table) and sbc.png (a picture) beside this file.
 
-Uniformity is judged by the band that the whole ECDF of the ranks stays within at once (Säilynoja,
-Bürkner and Vehtari 2022, adjusted by simulation), familywise over all quantities by Bonferroni.
-The negative control samples the first records of the same series with a wrong likelihood, noise
-without correlation, and has to fail.
+A test is a synthetic record. Every parameter, the start in the gap, the offset and the noise are
+drawn from a prior that is narrowed to sensible loops; the model and Ornstein–Uhlenbeck noise give
+the force; then the posterior under the same prior is sampled. If all is right, the rank of the
+true value among L nearly independent draws is uniform over 0 … L, whatever the prior (Talts et
+al. 2018). The same holds for the log likelihood (Modrák et al. 2023), which reacts to faults that
+no single parameter shows.
 
-Every finished test is a file in --work, so an interrupted run goes on where it stopped; tests
-that other code or other settings made are not taken. No test is dropped: those that stop at the
-limit of steps are ranked like all others and counted, and one that cannot be sampled at all fails
-the run. Exit status 1: not uniform, a test without draws, or a control that passes.
+Ranks are judged by a band that holds the whole ECDF at once (Säilynoja, Bürkner and Vehtari 2022,
+adjusted by simulation), with Bonferroni's correction for the number of quantities. The negative
+control samples the first records of the same series with a wrong likelihood, noise without
+correlation, and has to fail.
+
+Every finished test is a file in --work, so an interrupted run goes on where it stopped. Files made
+by other code or other settings are not used. No test is dropped: a test that stops at the limit of
+steps is ranked and counted like all others, and a test that cannot be sampled fails the run.
+Exit status 1: ranks are not uniform, a test has no draws, or the control passes.
 """
 
 from __future__ import annotations
@@ -28,20 +30,17 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import argparse
-import hashlib
-import json
-import multiprocessing
-import platform
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import sbc_study
-from sbc_study import LEVEL, TRUE, WRONG, Ranked, Study, Uniformity
 
-import mfd_bayes
+from benchmarks.common.machine import platform_line
+from benchmarks.common.series import fingerprint, run_series
+from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
+from benchmarks.sbc import study as sbc_study
+from benchmarks.sbc.study import TRUE, WRONG, Ranked, Study
 
 LEGEND = """\
 p       of the simultaneous ECDF test of one quantity
@@ -55,20 +54,19 @@ REACH = 0.35  # of the picture: the control's log likelihood goes far beyond
 def main() -> int:
     options = read_options()
     study = sbc_study.full_study(options.seed)
-    work = options.work / fingerprint(study)
     passed = []
     blocks, pictures = [], []
     for noise, count in ((TRUE, options.tests), (WRONG, options.control)):
-        tests = run_tests(study, noise, count, work, options.jobs)
+        tests = run_tests(study, noise, count, options.work, options.jobs)
         ranks = sbc_study.ranks_by_quantity(tests)
         uniformity = Uniformity(len(tests) - sum(bool(t.error) for t in tests), study.draws)
-        failed = sbc_study.failures(ranks, uniformity)
+        failed = failures(ranks, uniformity)
         fine = not failed and not any(test.error for test in tests)
         passed.append(fine if noise == TRUE else bool(failed))
         blocks.append(table(noise, tests, ranks, uniformity, study))
         pictures.append((noise, ranks, uniformity))
-    command = " ".join(["python benchmarks/sbc.py", *sys.argv[1:]])
-    place = f"{platform.platform()}, Python {platform.python_version()}"
+    command = " ".join(["python -m benchmarks.sbc.run", *sys.argv[1:]])
+    place = platform_line()
     text = "\n\n".join([f"{command}\n{place}", LEGEND, *blocks]) + "\n"
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "sbc.txt").write_text(text, encoding="utf-8")
@@ -88,42 +86,19 @@ def read_options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def fingerprint(study: Study) -> str:
-    """Short hash of the settings, and of the code that the tests depend on."""
-    settings = (dict(study.priors.parameters), study.effort, study.draws, study.seed)
-    digest = hashlib.sha256(repr(settings).encode())
-    digest.update(study.motion.displacement.tobytes())
-    package = Path(mfd_bayes.__file__).parent
-    files = [Path(sbc_study.__file__)]
-    for room in ("records", "friction", "calibration"):
-        files += sorted((package / room).glob("*.py"))
-    for path in files:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
 def run_tests(study: Study, noise: str, count: int, work: Path, jobs: int) -> list[Ranked]:
-    """Tests 0 to `count`, those of an earlier run read from `work`."""
-    folder = work / noise
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{index}.json" for index in range(count)]
-    left = [(study.seed, index, noise, files[index]) for index in range(count)]
-    left = [task for task in left if not task[3].is_file()]
-    print(f"{noise}: {count - len(left)} of {count} tests found in {folder}", file=sys.stderr)
-    began = time.perf_counter()
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        for done, _ in enumerate(pool.imap_unordered(_run_and_store, left), 1):
-            minutes = (time.perf_counter() - began) / 60.0
-            print(f"{noise}: {done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
-    return [Ranked(**json.loads(path.read_text(encoding="utf-8"))) for path in files]
+    """Results of tests 0 to `count`; those of an earlier run are read from `work`."""
+    settings = (dict(study.priors.parameters), study.effort, study.draws, study.seed)
+    motion = study.motion.displacement.tobytes()
+    rooms = ("records", "friction", "calibration")
+    folder = work / fingerprint(settings, motion, str(sbc_study.__file__), rooms) / noise
+    tasks = [(folder / f"{i}.json", run_test, (study.seed, i, noise)) for i in range(count)]
+    return [Ranked(**found) for found in run_series(tasks, jobs, f"tests with {noise} noise")]
 
 
-def _run_and_store(task: tuple[int, int, str, Path]) -> None:
-    seed, index, noise, path = task
-    ranked = sbc_study.run_test(sbc_study.full_study(seed), index, noise)
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps(vars(ranked)), encoding="utf-8")
-    beside.replace(path)
+def run_test(seed: int, index: int, noise: str) -> dict[str, object]:
+    """Ranks of one test, as they are stored."""
+    return vars(sbc_study.run_test(sbc_study.full_study(seed), index, noise))
 
 
 def table(
@@ -135,7 +110,7 @@ def table(
 ) -> str:
     """Verdict on a series of tests, quantity by quantity."""
     ranked = [test for test in tests if not test.error]
-    failed = sbc_study.failures(ranks, uniformity)
+    failed = failures(ranks, uniformity)
     short = sum(not test.converged for test in ranked)
     seconds = np.array([test.seconds for test in ranked])
     purpose = "the right likelihood" if noise == TRUE else "negative control, a wrong likelihood"
@@ -152,12 +127,10 @@ def table(
         "",
         f"{'quantity':20s}{'p':>10}{'z':>8}{'spread':>9}{'worst':>9}",
     ]
-    middle, sd = study.draws / 2.0, np.sqrt(((study.draws + 1) ** 2 - 1) / 12.0)
     for name, values in ranks.items():
-        z = (np.mean(values) - middle) / sd * np.sqrt(len(values))
         worst = np.max(np.abs(uniformity.deviation(values)))
         lines.append(
-            f"{name:20s}{uniformity.p_value(values):10.2g}{z:8.2f}{np.std(values) / sd:9.2f}"
+            f"{name:20s}{rank_cells(values, uniformity)}"
             f"{worst:9.3f}{'  fails' if name in failed else ''}"
         )
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Synthetic tests drawn from a prior, ranks of their truths, and whether ranks are uniform."""
+"""Synthetic tests drawn from a prior, and the ranks of their true values among the draws."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
@@ -19,8 +18,6 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.01  # familywise
-SIMULATIONS = 100_000  # of the band: Bonferroni's level of one quantity is some 4e-4
 TRUE, WRONG = "ou", "iid"
 MEDIANS = {
     "sigma0": 25.0,  # kip/in
@@ -169,58 +166,8 @@ def with_derived(values: Mapping[str, Array]) -> dict[str, Array]:
     return dict(values) | derived
 
 
-class Uniformity:
-    """The ECDF test of N ranks from 0 to L, and its band.
-
-    At z = (k + 1)/(L + 1) the number of ranks up to k is binomial. The statistic is the least
-    two-sided tail probability over all k, and its distribution is simulated.
-    """
-
-    def __init__(self, tests: int, draws: int, simulations: int = SIMULATIONS) -> None:
-        self.tests = tests
-        self.z = np.arange(1, draws + 1) / (draws + 1)
-        counts = np.arange(tests + 1)[:, None]
-        below = stats.binom.cdf(counts, tests, self.z)
-        above = stats.binom.sf(counts - 1, tests, self.z)
-        self._tails = 2.0 * np.minimum(below, above)  # by count and k
-        rng = np.random.default_rng(0)
-        bins = rng.multinomial(tests, np.full(draws + 1, 1.0 / (draws + 1)), simulations)
-        self._null = np.sort(self._statistic(np.cumsum(bins, axis=1)[:, :-1]))
-
-    def p_value(self, ranks: Sequence[int]) -> float:
-        """Chance that uniform ranks stray as far as these."""
-        found = self._statistic(self.counts(ranks)[None])[0]
-        strays = np.searchsorted(self._null, found * (1.0 + 1e-9), side="right")
-        return float((1 + strays) / (1 + self._null.size))
-
-    def deviation(self, ranks: Sequence[int]) -> Array:
-        """ECDF of the ranks less the uniform one, (L,)."""
-        return self.counts(ranks) / self.tests - self.z
-
-    def band(self, level: float) -> tuple[Array, Array]:
-        """Least and greatest deviation whose p-value is above `level`, (L,) each."""
-        rank = int(np.ceil(level * (self._null.size + 1))) - 2
-        inside = self._tails > self._null[max(rank, 0)] * (1.0 - 1e-9)
-        least = np.argmax(inside, axis=0)
-        greatest = self.tests - np.argmax(inside[::-1], axis=0)
-        return least / self.tests - self.z, greatest / self.tests - self.z
-
-    def counts(self, ranks: Sequence[int]) -> NDArray[np.intp]:
-        """Number of ranks up to k, for k below L, (L,)."""
-        return np.cumsum(np.bincount(ranks, minlength=self.z.size + 1))[:-1]
-
-    def _statistic(self, counts: NDArray[np.intp]) -> Array:
-        return self._tails[counts, np.arange(self.z.size)].min(axis=1)
-
-
 def ranks_by_quantity(tests: Sequence[Ranked]) -> dict[str, list[int]]:
     """Ranks of all tests that have any, in the order of `KINDS`, then what is derived."""
     ranked = [test.ranks for test in tests if not test.error]
     order = [n for n in (*KINDS, *DERIVED, LIKELIHOOD) if ranked and n in ranked[0]]
     return {name: [ranks[name] for ranks in ranked] for name in order}
-
-
-def failures(ranks: Mapping[str, Sequence[int]], uniformity: Uniformity) -> dict[str, float]:
-    """p-values of the quantities that are not uniform, familywise at `LEVEL` by Bonferroni."""
-    found = {name: uniformity.p_value(values) for name, values in ranks.items()}
-    return {name: p for name, p in found.items() if p < LEVEL / len(found)}

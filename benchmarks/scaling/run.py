@@ -1,24 +1,23 @@
-"""What time and memory a calibration takes, by samples, walkers, parameters and tests.
+"""How time and memory of a calibration grow with samples, walkers, parameters and tests.
 
-    python benchmarks/scaling.py density > benchmarks/scaling.txt
-    python benchmarks/scaling.py campaign 20 60 180 500 >> benchmarks/scaling.txt
+    python -m benchmarks.scaling.run density > benchmarks/scaling/scaling.txt
+    python -m benchmarks.scaling.run campaign 20 60 180 500 >> benchmarks/scaling/scaling.txt
 
 `density` computes the log posterior of synthetic records of a slow sine, for all walkers of a step
-at once as the sampler does, each in a process of its own: seconds a step, the median of five or of
-as many as take half a minute, and how far the process's peak memory grows. One of samples, walkers
-and model is varied at a time.
+at once as the sampler does, each case in its own process. It prints the seconds of a step (the
+median of five, or of as many as take half a minute) and how far the peak memory of the process
+grows. It varies one of samples, walkers and model at a time.
 
-`campaign` calibrates synthetic campaigns of so many tests each at effort "quick" with two
-processes, three-stage model and Ornstein-Uhlenbeck noise, two cycles at 0.5 and 1 Hz and ten
-levels of pressure, 50 Hz. `ratio` is the seconds until the last test is stored over the sum of the
-tests' own seconds divided by two; then come the seconds and the peak resident memory of each stage
-in the process that gathers the tests, the sweeps of the population, the peak of the greatest
-worker, and the sizes of what was written. 500 tests take an hour on two cores.
+`campaign` calibrates synthetic campaigns with the given numbers of tests, at effort "quick" with
+two processes, the three-stage model and Ornstein–Uhlenbeck noise, two cycles at 0.5 and 1 Hz, ten
+levels of pressure, at 50 Hz. `ratio` is the time until the last test is stored, divided by half of
+the sum of the tests' own times (two processes: 1 is ideal). Then follow the seconds and the peak
+memory of each stage in the main process, the sweeps of the population, the peak memory of the
+largest worker, and the sizes of what was written. 500 tests take an hour on two cores.
 """
 
 import multiprocessing
 import os
-import platform
 import resource
 import sys
 import tempfile
@@ -30,6 +29,7 @@ from statistics import median
 
 import numpy as np
 
+from benchmarks.common.machine import platform_line
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import find_priors, load_priors
 from mfd_bayes.campaign.synthetic import Truth, write_campaign
@@ -194,7 +194,7 @@ def apart(study, case):
 
 def main() -> None:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    print(f"{platform.platform()}, Python {platform.python_version()}, numpy {np.__version__}\n")
+    print(f"{platform_line()}, numpy {np.__version__}\n")
     if sys.argv[1:2] == ["density"]:
         density()
         return

@@ -1,10 +1,9 @@
 """Real processes, killed at random moments: what they leave, and what a resumed run makes of it.
 
-benchmarks/interruption.py does the same more often, with the whole report and on a cluster too.
+benchmarks/interruption does the same more often, with the whole report and on a cluster too.
 """
 
 import fcntl
-import importlib.util
 import json
 import os
 import shutil
@@ -45,17 +44,9 @@ if __name__ == "__main__":
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory) -> ModuleType:
+def study(benchmark_module, tmp_path_factory) -> ModuleType:
     """The benchmark's harness, running the driver."""
-    path = Path(__file__).parents[2] / "benchmarks" / "interruption_harness.py"
-    if not path.is_file():
-        pytest.skip("benchmarks/ is not part of this distribution")
-    spec = importlib.util.spec_from_file_location("interruption_study", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
+    module = benchmark_module("interruption.harness")
     driver = tmp_path_factory.mktemp("driver") / "driver.py"
     driver.write_text(DRIVER)
     module.heed_interrupts()

@@ -1,11 +1,9 @@
 """Run folders of strangers: hashes, links, ids that lead out, manifests that say anything."""
 
 import copy
-import importlib
 import json
 import math
 import shutil
-import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -25,16 +23,9 @@ from mfd_bayes.validation.folds import Fold, read_predictions
 
 
 @pytest.fixture(scope="module")
-def runs() -> ModuleType:
+def runs(benchmark_module) -> ModuleType:
     """The benchmark's maker of run folders."""
-    benchmarks = Path(__file__).parents[2] / "benchmarks"
-    if not benchmarks.is_dir():
-        pytest.skip("benchmarks/ is not part of this distribution")
-    sys.path.insert(0, str(benchmarks))
-    try:
-        return importlib.import_module("fuzz_runs")
-    finally:
-        sys.path.remove(str(benchmarks))
+    return benchmark_module("fuzz.runs")
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,9 @@
 """Simulation-based calibration, reduced: truths are ranked evenly by their posteriors.
 
-The study is that of benchmarks/sbc.py, which does the same with all parameters and 300 tests.
+The study is that of benchmarks/sbc, which does the same with all parameters and 300 tests.
 """
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -20,22 +17,9 @@ TESTS, CONTROLS = 40, 12
 DRAWS = 31
 
 
-def load_study() -> ModuleType:
-    path = Path(__file__).parents[2] / "benchmarks" / "sbc_study.py"
-    if not path.is_file():
-        pytest.skip("benchmarks/ is not part of this distribution")
-    spec = importlib.util.spec_from_file_location("sbc_study", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
-def sbc() -> ModuleType:
-    return load_study()
+def sbc(benchmark_module) -> ModuleType:
+    return benchmark_module("sbc.study")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Which tests execute which lines, and those tests run on a fault."""
+"""Which tests execute which lines, and a run of those tests on one fault."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from types import CodeType, FrameType
 from typing import Any
 
 import pytest
-from mutation_operators import Mutant, mutants
+
+from benchmarks.mutation.operators import Mutant, mutants
 
 MEMORY = 4 * 2**30
 """Bytes of addresses that a process may use."""

@@ -1,0 +1,1 @@
+"""How often the demo's 95 % intervals hold the true value."""

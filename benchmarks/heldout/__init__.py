@@ -1,0 +1,1 @@
+"""Whether predicted bands hold the force of tests that were not used."""

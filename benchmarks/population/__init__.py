@@ -1,0 +1,1 @@
+"""Whether the posterior of all tests together is right, against NUTS and by simulation."""

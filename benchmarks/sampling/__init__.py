@@ -1,0 +1,1 @@
+"""How many effective draws a second the sampler gives, and whether they are right."""

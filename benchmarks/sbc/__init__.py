@@ -1,0 +1,1 @@
+"""Whether posteriors of one test are right on average, by simulation-based calibration."""
