@@ -23,6 +23,11 @@ def sbc(benchmark_module) -> ModuleType:
 
 
 @pytest.fixture(scope="module")
+def uniform(benchmark_module) -> ModuleType:
+    return benchmark_module("common.uniformity")
+
+
+@pytest.fixture(scope="module")
 def ranks(sbc: ModuleType) -> dict[str, dict[str, list[int]]]:
     """Ranks by noise that the posterior assumes, and quantity; the records are the same."""
     time = np.arange(80) / 16.0
@@ -49,21 +54,23 @@ def test_every_quantity_that_varies_is_ranked(
     assert {len(values) for values in found.values()} == {TESTS}
 
 
-def test_truths_are_ranked_evenly(sbc: ModuleType, ranks: dict[str, dict[str, list[int]]]) -> None:
+def test_truths_are_ranked_evenly(
+    sbc: ModuleType, uniform: ModuleType, ranks: dict[str, dict[str, list[int]]]
+) -> None:
     """Familywise 1 %, Bonferroni over the quantities."""
-    assert sbc.failures(ranks[sbc.TRUE], sbc.Uniformity(TESTS, DRAWS)) == {}
+    assert uniform.failures(ranks[sbc.TRUE], uniform.Uniformity(TESTS, DRAWS)) == {}
 
 
 def test_a_wrong_likelihood_ranks_them_unevenly(
-    sbc: ModuleType, ranks: dict[str, dict[str, list[int]]]
+    sbc: ModuleType, uniform: ModuleType, ranks: dict[str, dict[str, list[int]]]
 ) -> None:
     """Negative control: noise that is correlated is taken for noise that is not."""
-    failed = sbc.failures(ranks[sbc.WRONG], sbc.Uniformity(CONTROLS, DRAWS))
+    failed = uniform.failures(ranks[sbc.WRONG], uniform.Uniformity(CONTROLS, DRAWS))
     assert {"offset", sbc.LIKELIHOOD} <= set(failed)
 
 
-def test_uniform_ranks_fail_as_rarely_as_stated(sbc: ModuleType) -> None:
-    uniformity = sbc.Uniformity(60, DRAWS, 20_000)
+def test_uniform_ranks_fail_as_rarely_as_stated(uniform: ModuleType) -> None:
+    uniformity = uniform.Uniformity(60, DRAWS, 20_000)
     rng = np.random.default_rng(1)
     found = [uniformity.p_value(rng.integers(0, DRAWS + 1, 60)) for _ in range(2000)]
     for level in (0.05, 0.2):
@@ -72,9 +79,9 @@ def test_uniform_ranks_fail_as_rarely_as_stated(sbc: ModuleType) -> None:
 
 
 def test_a_curve_leaves_the_band_just_when_its_p_value_is_below_the_level(
-    sbc: ModuleType,
+    uniform: ModuleType,
 ) -> None:
-    uniformity = sbc.Uniformity(60, DRAWS, 20_000)
+    uniformity = uniform.Uniformity(60, DRAWS, 20_000)
     lower, upper = uniformity.band(0.05)
     rng = np.random.default_rng(2)
     verdicts = set()
