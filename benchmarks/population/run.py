@@ -4,8 +4,8 @@
     python -m benchmarks.population.run --campaigns 100 > benchmarks/population/population.txt
 
 Agreement: one synthetic campaign of four tests at three levels, 17 parameters each, with
-Ornstein–Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 1500
-effective draws. NumPyro's NUTS samples the joint density of population and tests, written in JAX, which
+Ornstein–Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 1500 effective
+draws. NumPyro's NUTS samples the joint density of population and tests, written in JAX, which
 shares no code with ours (`benchmarks.population.peer`). Every level, scatter, deviation, shape and
 quantity of a test must have a mean within `MEAN` standard deviations, and a standard deviation
 within `SPREAD`, of those of NUTS. The control ignores the uncertainty of each test, and has to
@@ -13,9 +13,9 @@ fail.
 
 Ranks: the hyperparameters, tests and records of small campaigns are drawn from the prior of the
 population (`benchmarks.population.study`). Their four short tests are calibrated one by one and
-then jointly. If all is right, the rank of the true value among L draws is uniform (Talts et al. 2018),
-which is judged as in `benchmarks.sbc.run`. The control takes the means of the same tests as known
-exactly, and has to fail.
+then jointly. If all is right, the rank of the true value among L draws is uniform (Talts et al.
+2018), which is judged as in `benchmarks.sbc.run`. The control takes the means of the same tests as
+known exactly, and has to fail.
 
 Every finished campaign is a file in --work, so an interrupted run goes on where it stopped. Files
 made by other code or other settings are not used, and no campaign is dropped. Exit status 1: a
