@@ -21,7 +21,7 @@ ActuationUnit = Literal["ksi", "kip"]
 
 
 class Dimension(NamedTuple):
-    """What a number measures: its internal unit, its dimension's name, units to suggest."""
+    """A dimension: its internal unit, its name in messages, and units to suggest."""
 
     unit: str
     measure: str
@@ -42,10 +42,10 @@ DIMENSIONS: Mapping[str, Dimension] = MappingProxyType(
         "dimensionless": Dimension("1", "ratio", "'1' or '%'"),
     }
 )
-"""Every kind of number that a unit can be asked for."""
+"""The dimensions that a unit can have, by name."""
 
-# Nothing here is a mass, so a laboratory's pound is always a force; nor a conductance, so S is s.
-# What pint calls the usual spellings of units; from three letters on in any case.
+# Usual spellings of units, and pint's; from three letters on, upper or lower case does not matter.
+# There are no masses here, so a pound is a force, and no conductances, so S is the second.
 _SPELLINGS = {
     **dict.fromkeys(("S", "sec", "secs"), "s"),
     **dict.fromkeys(("msec", "msecs"), "ms"),
@@ -62,41 +62,41 @@ _SPELLINGS = {
     **{word: word for word in ("klbf", "ksi", "psf", "bar", "deg")},
 }
 
-# Only names, products and small powers reach pint, whose parser evaluates what it is given.
+# pint's parser evaluates its input: it is given names, products and small powers alone.
 _TERM = r"\(*[A-Za-zµμ°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
 _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
 _LONGEST = 200  # characters of a quantity
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
 
 
-def factor(unit: str, kind: str, *, of: str = "") -> float:
-    """Factor that turns values in `unit` into the internal unit of `kind`.
+def factor(unit: str, dimension: str, *, of: str = "") -> float:
+    """Factor from a unit to the internal unit of its dimension.
 
     Parameters
     ----------
     unit : str
         As people write it: ``"mm"``, ``"kN"``, ``"lb"`` (always a force), ``"kip*s/in"``.
-    kind : str
+    dimension : str
         A key of `DIMENSIONS`.
     of : str
-        What carries the unit, for the message: ``"column 'force_N'"``.
+        What has the unit, for the message: ``"column 'force_N'"``.
 
     Raises
     ------
     UnitError
-        When the unit is unknown, has an offset, or does not measure this kind.
+        When the unit is unknown, has an offset, or is of another dimension.
     """
-    target = DIMENSIONS[kind]
+    target = DIMENSIONS[dimension]
     named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
     parsed = _parse(unit, named)
     measure = _measure(parsed)
     if measure != target.measure:
         article = "an" if target.measure == "area" else "a"
         raise UnitError(
-            f"{named} measures {measure}; {kind} needs {article} {target.measure} "
+            f"{named} measures {measure}; {dimension} needs {article} {target.measure} "
             f"such as {target.examples}"
         )
-    # The checks against 0 and 2 refuse offset and logarithmic units.
+    # The values at 0 and 2 show an offset or a logarithmic unit.
     zero, one, two = (_convert(value, parsed, target.unit, named) for value in (0.0, 1.0, 2.0))
     if zero != 0 or not math.isfinite(one) or one <= 0 or not math.isclose(two, 2 * one):
         raise UnitError(f"{named} is not a plain multiple of {target.unit!r}")
@@ -129,7 +129,7 @@ def convert(unit: str, target: str) -> float:
     Raises
     ------
     UnitError
-        When one is unknown, or they measure different things.
+        When one is unknown, or their dimensions differ.
     """
     named = f"unit {unit!r}"
     parsed, wanted = _parse(unit, named), _parse(target, f"unit {target!r}")
@@ -139,7 +139,7 @@ def convert(unit: str, target: str) -> float:
 
 
 def measure(unit: str) -> str | None:
-    """Name of what a unit measures: ``"force"`` of ``"kips"``; None where the unit is unknown."""
+    """Name of a unit's dimension: ``"force"`` of ``"kips"``; None for an unknown unit."""
     try:
         return _measure(_parse(unit, unit))
     except UnitError:
@@ -154,16 +154,16 @@ def same_unit(one: str, other: str) -> bool:
         return False
 
 
-def parse_quantity(text: str, kind: str, *, of: str = "") -> float:
-    """Value of ``"500 psi"`` in the internal unit of `kind`.
+def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
+    """Value of ``"500 psi"`` in the internal unit of its dimension.
 
     Raises
     ------
     UnitError
-        When it is not a number and a unit of that kind.
+        When it is not a number and a unit of that dimension.
     """
     value, unit = _split(text, of)
-    return value * factor(unit, kind, of=of or f"{text!r}")
+    return value * factor(unit, dimension, of=of or f"{text!r}")
 
 
 def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
@@ -200,7 +200,7 @@ def parse_window(text: str) -> tuple[float, float]:
 
 def _split(text: str, of: str) -> tuple[float, str]:
     """Split a quantity into its number and its unit."""
-    # Matching takes the square of the blanks' number; no quantity is that long.
+    # The time of matching grows with the square of the number of blanks.
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     text = text if len(text) <= _LONGEST else f"{text[:40]}…"
     expected = f"{of + ': ' if of else ''}expected a number and a unit such as '500 psi'"
@@ -216,26 +216,25 @@ def _split(text: str, of: str) -> tuple[float, str]:
 
 @cache
 def _registry() -> UnitRegistry[Any]:
-    """Build pint's units once; it takes a tenth of a second."""
+    """Registry of pint, built once in a tenth of a second."""
     from pint import UnitRegistry
 
     return UnitRegistry()
 
 
 def _parse(unit: str, named: str) -> Any:
-    """Parse a unit, and nothing else, with pint."""
+    """Unit of a text, as pint has it."""
+    unknown = f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
     text = unit.strip().removesuffix(".")
     if not text or len(text) > 60 or not _UNIT.fullmatch(text):
-        raise UnitError(f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'")
+        raise UnitError(unknown)
     plain = re.sub(r"[A-Za-z_]+", lambda word: _spelled(word[0]), text)
     try:
         parsed = _registry().parse_units(plain)
-        _ = parsed.dimensionality  # which units such as "delta_dB" do not have
+        _ = parsed.dimensionality  # fails for units such as "delta_dB"
         return parsed
     except Exception as error:  # pint raises AssertionError, TypeError, TokenError and its own
-        raise UnitError(
-            f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
-        ) from error
+        raise UnitError(unknown) from error
 
 
 def _spelled(word: str) -> str:
@@ -245,16 +244,16 @@ def _spelled(word: str) -> str:
         return _SPELLINGS[word]
     if len(word) > 2 and lower in _SPELLINGS:
         return _SPELLINGS[lower]
-    # No symbol is as long as that: "Newtons" is written out.
+    # A longer word is no symbol but a name: "Newtons".
     return lower if len(word) > 4 else word
 
 
 def _measure(parsed: Any) -> str:
-    """Name of what a unit measures."""
+    """Name of the dimension of pint's unit."""
     registry = _registry()
-    for kind in DIMENSIONS.values():
-        if parsed.dimensionality == registry.get_dimensionality(kind.unit):
-            return kind.measure
+    for dimension in DIMENSIONS.values():
+        if parsed.dimensionality == registry.get_dimensionality(dimension.unit):
+            return dimension.measure
     return str(parsed.dimensionality).replace("[", "").replace("]", "")
 
 

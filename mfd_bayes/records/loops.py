@@ -1,4 +1,4 @@
-"""The full loops of a record: how large, how fast, how much energy, and how these drift."""
+"""The full loops of a record: amplitude, period, energy, mean force, and their drift."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 
 STRONG = 0.95
-"""A loop of at least this share of the largest amplitude is no ramp, and counts in a drift."""
+"""A loop is strong from this share of the largest amplitude on; others ramp in or out."""
 
 FEWEST = 3
-"""Fewest strong loops of which a drift is told."""
+"""Fewest strong loops for which a drift is computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,15 +25,15 @@ class Loops:
     Attributes
     ----------
     bounds : (L + 1,), int
-        Samples at which the loops begin, and at which the last ends; empty without a loop.
+        Samples at which the loops begin, and at which the last one ends; empty without a loop.
     period : (L,), s
     amplitude : (L,), in
         Half the peak-to-peak displacement.
     energy : (L,), kip·in, or None
-        Dissipated, ∮ F dx, by the trapezoidal rule; None without a force.
+        Dissipated energy, ∮ F dx, by the trapezoidal rule; None without a force.
     offset : (L,), kip, or None
-        Mean force along the way, ∮ F |dx| / ∮ |dx|: zero of the load cell, dead weight, and
-        what the device differs by between its directions.
+        Mean force along the loop, ∮ F |dx| / ∮ |dx|: from the load cell's zero, dead weight, and
+        the difference between the two directions of the device.
     """
 
     bounds: NDArray[np.intp]
@@ -44,37 +44,35 @@ class Loops:
 
     @property
     def strong(self) -> NDArray[np.bool_]:
-        """Which loops are no ramps, (L,)."""
+        """Whether each loop has at least `STRONG` of the largest amplitude, (L,)."""
         return np.asarray(self.amplitude >= STRONG * self.amplitude.max(initial=0.0))
 
     @property
-    def _steady(self) -> bool:
-        """Whether enough loops are strong, and no fewer than the others, for a drift to be told."""
-        strong = int(np.count_nonzero(self.strong))
-        return strong >= max(FEWEST, self.amplitude.size - strong)
-
-    @property
     def energy_drift(self) -> float | None:
-        """Energy of the last third of the strong loops over that of the first, less one.
+        """Relative change of the energy from the first third of the strong loops to the last.
 
-        None where there are fewer than `FEWEST`, or than weak ones, or no force.
+        None without a force, with fewer than `FEWEST` strong loops, or fewer than weak ones.
         """
-        if self.energy is None or not self._steady:
-            return None
-        first, last = _ends(self.energy[self.strong])
-        return last / first - 1.0 if first != 0.0 else None
+        ends = self._ends(self.energy)
+        return None if ends is None or ends[0] == 0.0 else ends[1] / ends[0] - 1.0
 
     @property
     def offset_drift(self) -> float | None:
-        """Offset of the last third of the strong loops less that of the first, kip, or None."""
-        if self.offset is None or not self._steady:
+        """Change of the offset, kip, from the first third of the strong loops to the last."""
+        ends = self._ends(self.offset)
+        return None if ends is None else ends[1] - ends[0]
+
+    def _ends(self, values: Array | None) -> tuple[float, float] | None:
+        """Median of the first third and of the last third of the strong loops."""
+        strong = int(np.count_nonzero(self.strong))
+        if values is None or strong < max(FEWEST, self.amplitude.size - strong):
             return None
-        first, last = _ends(self.offset[self.strong])
-        return last - first
+        kept, third = values[self.strong], strong // 3
+        return float(np.median(kept[:third])), float(np.median(kept[-third:]))
 
 
 def find_loops(trace: Trace) -> Loops:
-    """Full loops of a trace, at its own rate."""
+    """Full loops of a trace."""
     bounds = trace.turning_points[::2]
     if bounds.size < 2:
         empty = np.empty(0)
@@ -92,9 +90,3 @@ def find_loops(trace: Trace) -> Loops:
         way = np.add.reduceat(np.abs(steps), begins)
         offset = np.add.reduceat(mean * np.abs(steps), begins) / way
     return Loops(bounds, np.diff(trace.time[bounds]), 0.5 * (high - low), energy, offset)
-
-
-def _ends(values: Array) -> tuple[float, float]:
-    """Median of the first third, and of the last."""
-    third = max(1, values.size // 3)
-    return float(np.median(values[:third])), float(np.median(values[-third:]))

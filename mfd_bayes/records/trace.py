@@ -1,4 +1,4 @@
-"""What the friction models are driven by: a motion, an actuation and, when known, a force."""
+"""The input of a friction model, motion and actuation, and the measured force where known."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ HYSTERESIS = 1e-3
 """Reversals smaller than this share of the peak-to-peak displacement are sensor noise."""
 
 LARGEST = 1e10
-"""Largest number of a trace, in internal units: times since 1970 in seconds are below it."""
+"""Largest number of a trace, in internal units; times since 1970 in s are below it."""
 
 SMOOTH = 0.1
-"""Share of a step by which a smooth turn may differ from one of constant acceleration."""
+"""Share of a step by which a smooth turn may differ from a turn of constant acceleration."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionPath:
-    """A trace's motion with the vertex of every turn as a sample of its own.
+    """The motion of a trace with a sample added at the vertex of every turn.
 
-    The true extreme lies between two samples. Left out, the way since the turn would be
-    short by up to a (ω Δt)²/8, which a stiff unloading shows.
+    The true extreme lies between two samples. Without it, the distance since the turn would be
+    too short by up to a (ω Δt)²/8, which shows in a stiff unloading.
 
     Attributes
     ----------
     time, displacement, velocity : (P,), s, in, in/s
     step, rate : (P,), in, in/s
-        Motion since the sample before, and the mean velocity of it; 0 at the first.
+        Motion since the sample before, and its mean velocity; 0 at the first sample.
     turning_points : (K,), int
-        Samples of the path at which the motion turns. The last turn counts whatever its
-        size: that the motion went on is not known.
+        Samples of the path at which the motion turns. The last turn counts however small it
+        is, because the motion after it is not known.
     direction : int
         +1 or -1, the direction of the first stretch of motion.
     nearest : (P,), int
-        The trace's sample at, or beside, each of the path's.
+        For each sample of the path, the sample of the trace at or beside it.
     samples : (T,), int
-        The path's samples that are the trace's.
+        Samples of the path that are the trace's.
     stretch : (T,), int
-        Number of turning points before each of these.
+        Number of turning points before each of `samples`.
     """
 
     time: Array
@@ -61,9 +61,7 @@ class MotionPath:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A motion sampled in time, in internal units.
-
-    Made by `Trace.from_arrays`, which checks it.
+    """A sampled motion in internal units, made and checked by `Trace.from_arrays`.
 
     Attributes
     ----------
@@ -72,10 +70,10 @@ class Trace:
     displacement : (T,), in
     velocity : (T,), in/s
     actuation : float or (T,), ksi (pressure) or kip (tension)
-        NaN when it was not given.
+        NaN where it is not known.
     force : (T,), kip, or None
     turning_points : (K,), int
-        Samples, in order and without the ends, at which the motion turns.
+        Samples at which the motion turns, in order and without the ends.
     direction : int
         +1 or -1, the direction of the first stretch of motion.
     hysteresis : float, in
@@ -102,7 +100,7 @@ class Trace:
         *,
         hysteresis: float | None = None,
     ) -> Trace:
-        """Trace of arrays that are checked first.
+        """Trace of arrays, which are checked.
 
         Parameters
         ----------
@@ -111,10 +109,10 @@ class Trace:
         actuation : scalar or (T,), ksi or kip, optional
         force : (T,), kip, optional
         velocity : (T,), in/s, optional
-            Central differences of the displacement when left out.
+            By default central differences of the displacement.
         hysteresis : float, in, optional
-            Smallest reversal that counts as a turning point; by default
-            `HYSTERESIS` times the peak-to-peak displacement.
+            Smallest reversal that counts as a turning point; by default `HYSTERESIS` times the
+            peak-to-peak displacement.
 
         Raises
         ------
@@ -125,16 +123,8 @@ class Trace:
         x = _column("displacement", displacement, t.size)
         if t.size < 3:
             raise RecordError(f"a trace needs at least 3 samples, got {t.size}")
-        steps = np.diff(t)
-        if not np.all(steps > 0):
-            at = int(np.argmax(~(steps > 0))) + 1
-            raise RecordError(f"time must increase; it does not at sample {at} (t = {t[at]:g} s)")
-        if velocity is None:
-            with np.errstate(over="ignore", invalid="ignore"):  # it is refused right below
-                v = np.gradient(x, t)
-            check_magnitude("velocity", v, LARGEST**2)
-        else:
-            v = _column("velocity", velocity, t.size)
+        _check_increasing(t)
+        v = _differences(t, x) if velocity is None else _column("velocity", velocity, t.size)
         span = HYSTERESIS * float(np.ptp(x)) if hysteresis is None else hysteresis
         turns = turning_points(x, span)
         return cls(
@@ -155,33 +145,26 @@ class Trace:
 
     @cached_property
     def path(self) -> MotionPath:
-        """The motion with the vertices of its turns, on which forces are computed."""
+        """The motion with the vertices of its turns; forces are computed on it."""
         return _path(self)
 
     @property
     def varying(self) -> bool:
-        """Whether the actuation is a history."""
+        """Whether the actuation changes with time."""
         return isinstance(self.actuation, np.ndarray)
 
     @property
     def reference_actuation(self) -> float:
-        """The constant actuation, or a history's mean: the level that theta belongs to."""
+        """The constant actuation, or the mean of a varying one: the level that theta belongs to."""
         return float(np.mean(self.actuation))
 
 
 def _path(trace: Trace) -> MotionPath:
     """Path of a trace: every vertex that is a turning point, between its two samples."""
-    t, x, v = trace.time, trace.displacement, trace.velocity
-    left, share, vertex = vertices(t, x, v)
-    displacement = np.insert(x, left + 1, vertex)
-    added = np.zeros(displacement.size, dtype=bool)
-    added[left + 1 + np.arange(left.size)] = True
-    turning = turning_points(displacement, trace.hysteresis, last=True)
-    kept = np.isin(np.flatnonzero(added), turning)
-    left, share, vertex = left[kept], share[kept], vertex[kept]
-
+    t = trace.time
+    left, share, vertex = _turns_between_samples(trace)
     at = left + 1
-    displacement = np.insert(x, at, vertex)
+    displacement = np.insert(trace.displacement, at, vertex)
     samples = np.arange(t.size) + np.searchsorted(at, np.arange(t.size), side="right")
     turning = turning_points(displacement, trace.hysteresis, last=True)
     time = np.insert(t, at, t[left] + share * (t[left + 1] - t[left]))
@@ -190,7 +173,7 @@ def _path(trace: Trace) -> MotionPath:
     return MotionPath(
         time=time,
         displacement=displacement,
-        velocity=np.insert(v, at, 0.0),
+        velocity=np.insert(trace.velocity, at, 0.0),
         step=step,
         rate=step / duration,
         turning_points=turning,
@@ -201,13 +184,22 @@ def _path(trace: Trace) -> MotionPath:
     )
 
 
-def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Vertices of the turns between samples: sample before, share of its step, displacement.
+def _turns_between_samples(trace: Trace) -> tuple[NDArray[np.intp], Array, Array]:
+    """The `vertices` of a trace that are turning points."""
+    left, share, vertex = vertices(trace.time, trace.displacement, trace.velocity)
+    at = left + 1 + np.arange(left.size)
+    displacement = np.insert(trace.displacement, left + 1, vertex)
+    kept = np.isin(at, turning_points(displacement, trace.hysteresis, last=True))
+    return left[kept], share[kept], vertex[kept]
 
-    Where the velocity changes sign the acceleration is taken constant over the step, so
-    that the velocity is linear in time. Steps whose length is not that of such a motion
-    (corners, noise) have no vertex. Only the two samples of the step are looked at, so
-    that a model that is stepped in time finds the same.
+
+def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Vertices of turns between samples: sample before, share of the step, displacement in in.
+
+    Where the velocity changes its sign, the acceleration is taken as constant over the step, so
+    the velocity is linear in time. Steps that do not fit such a motion (corners, noise) have no
+    vertex. Only the two samples of a step are used, so a model that steps in time finds the same
+    vertices.
     """
     left = np.flatnonzero(v[:-1] * v[1:] < 0)
     before, behind, step = np.abs(v[left]), np.abs(v[left + 1]), t[left + 1] - t[left]
@@ -226,20 +218,20 @@ def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Arr
 def turning_points(
     displacement: Array, hysteresis: float, *, last: bool = False
 ) -> NDArray[np.intp]:
-    """Where the motion turns by more than `hysteresis`, ends left out.
+    """Samples at which the motion turns by more than `hysteresis`, without the ends.
 
     Parameters
     ----------
     displacement : (T,), in
     hysteresis : float, in
-        A turn counts when the motion retreats from its extreme by more than this.
+        A turn counts when the motion goes back from its extreme by more than this.
     last : bool
-        Whether the last turn counts whatever its size.
+        Whether the last turn counts however small it is.
 
     Returns
     -------
     (K,) int
-        Samples: alternating maxima and minima. Of equal extremes the last counts.
+        Alternating maxima and minima. Of equal extremes the last counts.
     """
     corners = _corners(displacement)
     values = displacement[corners]
@@ -267,9 +259,10 @@ def turning_points(
 
 
 def _corners(displacement: Array) -> NDArray[np.intp]:
-    """Where the sign of the motion changes, with both ends."""
-    moving = np.flatnonzero(np.diff(displacement))
-    signs = np.sign(np.diff(displacement)[moving])
+    """Samples at which the sign of the motion changes, and both ends."""
+    steps = np.diff(displacement)
+    moving = np.flatnonzero(steps)
+    signs = np.sign(steps[moving])
     changes = moving[1:][signs[1:] != signs[:-1]]
     return np.concatenate([[0], changes, [displacement.size - 1]]).astype(np.intp)
 
@@ -277,6 +270,21 @@ def _corners(displacement: Array) -> NDArray[np.intp]:
 def _first_direction(displacement: Array, turns: NDArray[np.intp]) -> int:
     end = displacement[turns[0]] if turns.size else displacement[-1]
     return 1 if end >= displacement[0] else -1
+
+
+def _check_increasing(time: Array) -> None:
+    steps = np.diff(time)
+    if not np.all(steps > 0):
+        at = int(np.argmax(~(steps > 0))) + 1
+        raise RecordError(f"time must increase; it does not at sample {at} (t = {time[at]:g} s)")
+
+
+def _differences(time: Array, displacement: Array) -> Array:
+    """Velocity by central differences."""
+    with np.errstate(over="ignore", invalid="ignore"):  # check_magnitude refuses what is infinite
+        velocity = np.gradient(displacement, time)
+    check_magnitude("velocity", velocity, LARGEST**2)
+    return velocity
 
 
 def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
@@ -294,12 +302,12 @@ def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
 
 
 def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
-    """Refuse numbers whose squares, or squares of squares, would not be numbers.
+    """Refuse numbers so large that their fourth power could overflow.
 
     Raises
     ------
     RecordError
-        When one is beyond `most`, or not finite.
+        When the size of one is above `most`, or it is not finite.
     """
     if not np.all(np.abs(values) <= most):
         raise RecordError(

@@ -1,1 +1,1 @@
-"""Bytes on a disk: a file is written whole, or it is not there."""
+"""Files on a disk: written completely or not at all, and checked when they are read."""

@@ -1,4 +1,4 @@
-"""Text, JSON and bytes, written whole or not at all."""
+"""Text, JSON and bytes: a file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -8,26 +8,19 @@ import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.errors import StoreError
-
-if TYPE_CHECKING:
-    pass
-
-Array = NDArray[np.float64]
-
 
 PART = ".part"
 _LARGEST_JSON = 64 * 2**20
 _DEEPEST = 50
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file beside its place and rename it into it.
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file under a temporary name beside its place, then rename it.
 
     Raises
     ------
@@ -50,12 +43,12 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
-        with suppress(OSError):  # read-only by now, and said; the next run sweeps it away
+        with suppress(OSError):  # the folder became read-only; the next run removes it
             part.unlink(missing_ok=True)
 
 
 def is_part(path: Path, name: str) -> bool:
-    """Whether a file is what a killed process was writing in the place of `name`."""
+    """Whether a file is a temporary one of `name` that a killed process left."""
     return path.name.startswith(f".{name}.") and path.suffix == PART
 
 
@@ -66,20 +59,16 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a binary file atomically."""
-
-    def write(part: Path) -> None:
-        part.write_bytes(content)
-
-    write_atomically(path, write)
+    write_atomically(path, lambda part: part.write_bytes(content))
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write valid JSON atomically: what is not finite becomes null."""
+    """Write valid JSON atomically; numbers that are not finite become null."""
     write_text(path, json_text(content, indent=2) + "\n")
 
 
 def json_text(content: object, indent: int | None = None) -> str:
-    """Valid JSON: what is not finite becomes null."""
+    """Valid JSON; numbers that are not finite become null."""
     return json.dumps(_plain(content), indent=indent, allow_nan=False)
 
 
@@ -89,11 +78,11 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises
     ------
     StoreError
-        When the file is missing or holds no JSON object.
+        When the file is missing, too large, or holds no JSON object.
     """
     try:
         if path.stat().st_size > _LARGEST_JSON:
-            raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: it is none of ours")
+            raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: not of this program")
         content = json.loads(path.read_text(encoding="utf-8"))
         _check_tree(content)
     except OSError as error:
@@ -106,7 +95,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def _check_tree(content: object) -> None:
-    """Refuse what cannot be written again: nested too deeply, or text that is no Unicode."""
+    """Refuse content that could not be written again: nested too deeply, or invalid Unicode."""
     level, depth = [content], 0
     while level:
         depth += 1

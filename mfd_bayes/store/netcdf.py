@@ -35,12 +35,12 @@ class StoredTest:
     Attributes
     ----------
     draws : xarray.Dataset
-        Named variables (chain, draw) with units, as ArviZ reads them.
+        Variables (chain, draw) with units, as ArviZ reads them.
     stats : xarray.Dataset
         lp, log_prior and log_likelihood (chain, draw).
     trace : Trace
     facts : dict
-        Fingerprint, model, noise, sampler's figures.
+        Fingerprint, model, noise, figures of the sampler.
     """
 
     draws: xr.Dataset
@@ -49,24 +49,16 @@ class StoredTest:
     facts: dict[str, Any]
 
     def values(self) -> dict[str, Array]:
-        """All quantities by name, (chain · draw,) each."""
+        """Draws of every quantity by name, (chain · draw,) each."""
         return {str(k): v.to_numpy().reshape(-1) for k, v in self.draws.data_vars.items()}
 
 
-def save_test(
-    path: Path,
-    values: Mapping[str, Array],
-    units: Mapping[str, str],
-    stats: Mapping[str, Array],
-    trace: Trace,
-    predictive: Array,
-    facts: Mapping[str, Any],
-) -> None:
-    """Write a posterior as NetCDF with the groups that ArviZ knows.
+@dataclass(frozen=True, eq=False)
+class CalibratedTest:
+    """A calibrated test to be stored.
 
-    Parameters
+    Attributes
     ----------
-    path : Path
     values : mapping of str to (chain, draw)
     units : mapping of str to str
     stats : mapping of str to (chain, draw)
@@ -76,36 +68,42 @@ def save_test(
     facts : mapping
         Kept as JSON in the posterior's attributes.
     """
+
+    values: Mapping[str, Array]
+    units: Mapping[str, str]
+    stats: Mapping[str, Array]
+    trace: Trace
+    predictive: Array
+    facts: Mapping[str, Any]
+
+
+def save_test(path: Path, test: CalibratedTest) -> None:
+    """Write a calibrated test as NetCDF with the groups that ArviZ knows."""
     import xarray as xr
 
-    posterior = xr.Dataset(
-        {name: (_CHAINS, value, {"units": units[name]}) for name, value in values.items()},
-        coords=_numbers(values),
-        attrs={"facts": json_text(facts)},
-    )
-    replicas = {
-        "force": (("chain", "draw", "time"), predictive.astype(np.float32), {"units": "kip"})
-    }
+    replicas = (("chain", "draw", "time"), test.predictive.astype(np.float32), {"units": "kip"})
+    numbers = _numbers({"force": test.predictive})
     groups = {
-        "posterior": posterior,
+        "posterior": _posterior(test.values, test.units, test.facts),
         "sample_stats": xr.Dataset(
-            {name: (_CHAINS, value) for name, value in stats.items()}, coords=_numbers(stats)
+            {name: (_CHAINS, value) for name, value in test.stats.items()},
+            coords=_numbers(test.stats),
         ),
         "posterior_predictive": xr.Dataset(
-            replicas, coords={"time": trace.time, **_numbers({"force": predictive})}
+            {"force": replicas}, coords={"time": test.trace.time, **numbers}
         ),
-        **_trace_groups(trace),
+        **_trace_groups(test.trace),
     }
     write_atomically(path, lambda part: _write_groups(part, groups))
 
 
 def load_test(path: Path) -> StoredTest:
-    """Posterior of a file written by `save_test`.
+    """Calibrated test of a file written by `save_test`.
 
     Raises
     ------
     StoreError
-        When the file is missing or is no such file.
+        When the file is missing, damaged or of another program.
     """
     with _reading(path):
         names = ("posterior", "sample_stats", "observed_data", "constant_data")
@@ -120,7 +118,7 @@ def load_test(path: Path) -> StoredTest:
 
 
 def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
-    """Write the record of a test that is predicted, never fitted."""
+    """Write the trace of a test that is predicted and not fitted."""
     groups = _trace_groups(trace)
     groups["constant_data"].attrs["facts"] = json_text(facts)
     write_atomically(path, lambda part: _write_groups(part, groups))
@@ -132,7 +130,7 @@ def load_trace(path: Path) -> tuple[Trace, dict[str, Any]]:
     Raises
     ------
     StoreError
-        When the file is missing or is no such file.
+        When the file is missing, damaged or of another program.
     """
     with _reading(path):
         groups = _read_groups(path, ("observed_data", "constant_data"))
@@ -146,19 +144,8 @@ def save_arrays(
     units: Mapping[str, str] | None = None,
 ) -> None:
     """Write draws, (chain, draw, …) each, as a posterior group."""
-    import xarray as xr
-
-    data = {}
-    for name, values in arrays.items():
-        extra = tuple(f"{name}_dim_{i}" for i in range(values.ndim - 2))
-        about = {"units": units[name]} if units and name in units else {}
-        data[name] = ((*_CHAINS, *extra), values, about)
-    posterior = xr.Dataset(
-        data,
-        coords=_numbers(arrays),
-        attrs={"facts": json_text(facts)},
-    )
-    write_atomically(path, lambda part: _write_groups(part, {"posterior": posterior}))
+    groups = {"posterior": _posterior(arrays, units or {}, facts)}
+    write_atomically(path, lambda part: _write_groups(part, groups))
 
 
 def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -167,7 +154,7 @@ def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     Raises
     ------
     StoreError
-        When the file is missing or is no such file.
+        When the file is missing, damaged or of another program.
     """
     with _reading(path):
         posterior = _read_groups(path, ("posterior",))["posterior"]
@@ -175,8 +162,22 @@ def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         return arrays, json.loads(posterior.attrs["facts"])
 
 
+def _posterior(
+    arrays: Mapping[str, Array], units: Mapping[str, str], facts: Mapping[str, Any]
+) -> xr.Dataset:
+    """Group of draws, (chain, draw, …) each, with their units and facts."""
+    import xarray as xr
+
+    data = {}
+    for name, values in arrays.items():
+        extra = tuple(f"{name}_dim_{i}" for i in range(values.ndim - 2))
+        about = {"units": units[name]} if name in units else {}
+        data[name] = ((*_CHAINS, *extra), values, about)
+    return xr.Dataset(data, coords=_numbers(arrays), attrs={"facts": json_text(facts)})
+
+
 def _numbers(arrays: Mapping[str, Array]) -> dict[str, Array]:
-    """Numbers of the chains and draws: ArviZ 1 draws no trace plot without them."""
+    """Numbers of the chains and of the draws, which ArviZ 1 needs for a trace plot."""
     shape = next((values.shape[:2] for values in arrays.values()), (0, 0))
     return {name: np.arange(size) for name, size in zip(_CHAINS, shape, strict=True)}
 
@@ -210,7 +211,7 @@ def _trace_of(groups: Mapping[str, xr.Dataset]) -> Trace:
 
 
 def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
-    """Write NetCDF by way of memory: the HDF5 library crashes where a disk is full."""
+    """Write NetCDF to memory, then to the file: the HDF5 library crashes on a full disk."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
@@ -227,7 +228,7 @@ def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
 
     groups = {}
     with h5py.File(path, "r") as file:
-        # It is written unpacked, so that it holds what it declares.
+        # This program writes unpacked, so a file holds what it declares.
         check_objects(file, 2 * path.stat().st_size + _SLACK, plain=True)
     for name in names:
         with xr.open_dataset(path, group=name, engine="h5netcdf", decode_times=False) as dataset:
@@ -237,7 +238,7 @@ def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Name the file in whatever a missing, damaged or foreign one makes of its reading."""
+    """Turn every error of reading a file into a `StoreError` that names the file."""
     if not path.is_file():
         raise StoreError(f"{path} does not exist")
     try:

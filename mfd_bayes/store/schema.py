@@ -1,4 +1,4 @@
-"""What JSON of a run folder must say: kinds are strict, the first fault is told in a sentence."""
+"""Checks of the JSON in a run folder: types are strict, the message names the first fault."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pydantic import (
 from mfd_bayes.errors import StoreError
 
 LARGEST = 1e100
-"""Largest size of a figure: its square is a number still."""
+"""Largest size of a figure: its square does not overflow."""
 
 
 class Part(BaseModel):
-    """An object of JSON; what it holds besides its fields is not read."""
+    """An object of JSON; keys other than its fields are ignored."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
@@ -31,8 +31,8 @@ Kind = TypeVar("Kind", bound=Part)
 
 
 def _bounded(value: float) -> float:
-    if abs(value) > LARGEST:  # NaN is not
-        raise ValueError(f"must not be beyond {LARGEST:g}")
+    if abs(value) > LARGEST:  # false for NaN
+        raise ValueError(f"must not be larger than {LARGEST:g} in size")
     return value
 
 
@@ -42,14 +42,14 @@ Figure = Annotated[
     BeforeValidator(lambda value: math.nan if value is None else value),
     AfterValidator(_bounded),
 ]
-"""A computed number, NaN where it was not finite: JSON has null for that."""
+"""A computed number; null in JSON is NaN."""
 
 Positive = Annotated[float, Field(gt=0.0, le=LARGEST)]
 Index = Annotated[int, Field(ge=0)]
 
 
 def check(kind: type[Kind], content: Any, where: object) -> Kind:
-    """Content of a JSON text as a `Part`.
+    """Content of a JSON file as a `Part`.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ def check(kind: type[Kind], content: Any, where: object) -> Kind:
     content : dict
         As JSON gives it.
     where : Path or str
-        The file, which is named in what is said.
+        The file, for the message.
 
     Raises
     ------
     StoreError
-        When a key is missing or of the wrong kind.
+        When a key is missing or its value has the wrong type.
     """
     try:
         return kind.model_validate(content)

@@ -1,4 +1,4 @@
-"""A TOML file into a dict, whatever the file holds."""
+"""A TOML file as a dict, within limits on its size."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 LARGEST = 2**20
-"""Bytes: ten times a campaign of 500 tests."""
-
+"""Largest file, bytes: ten times a campaign of 500 tests."""
 
 DOTS = 200
-"""Most dots of a line: a key's parts take the parser the square of their number."""
+"""Most dots of a line: the parser's time grows with the square of the number of a key's parts."""
 
 
 class TomlError(Exception):
-    """Why a file is not read: words that follow its name."""
+    """Why a file is not read; the message follows the file's name."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -26,7 +25,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     OSError
         When the file cannot be read.
     TomlError
-        When it is too large, or no TOML.
+        When it is too large, or not TOML.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST + 1)
@@ -37,5 +36,5 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise TomlError(f"has more than {DOTS} dots in line {number}, the most that is read")
     try:
         return tomllib.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:  # of a number with thousands of digits too
+    except (ValueError, RecursionError) as error:  # also thousands of digits
         raise TomlError(f"is not valid TOML: {str(error)[:200]}") from error

@@ -8,7 +8,7 @@ import pytest
 
 from mfd_bayes.friction.model import UNITS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.netcdf import save_test
+from mfd_bayes.store.netcdf import CalibratedTest, save_test
 
 NAMES = ("Fc_fwd", "k3", "gamma2")
 
@@ -53,7 +53,8 @@ def session(values, tmp_path_factory):
     trace = Trace.from_arrays(time, motion, 0.8, force=np.sign(motion))
     stats = dict.fromkeys(("lp", "log_prior", "log_likelihood"), values["k3"])
     predictive = np.zeros((4, 5, time.size))
-    save_test(folder / "posterior.nc", values, UNITS, stats, trace, predictive, {})
+    test = CalibratedTest(values, UNITS, stats, trace, predictive, {})
+    save_test(folder / "posterior.nc", test)
     words = [sys.executable, "-c", SESSION, str(folder / "posterior.nc"), str(folder / "look")]
     done = subprocess.run(
         [*words, *NAMES], capture_output=True, text=True, check=False, timeout=300

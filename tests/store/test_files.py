@@ -20,6 +20,7 @@ from mfd_bayes.store.files import (
     write_text,
 )
 from mfd_bayes.store.netcdf import (
+    CalibratedTest,
     load_arrays,
     load_test,
     load_trace,
@@ -39,7 +40,7 @@ FACTS = {"model": "three_stage", "r_hat": np.float64(1.01), "steps": np.int64(40
 
 
 def save(path, trace=TRACE):
-    save_test(path, VALUES, UNITS, STATS, trace, PREDICTIVE, FACTS)
+    save_test(path, CalibratedTest(VALUES, UNITS, STATS, trace, PREDICTIVE, FACTS))
     return path
 
 
@@ -110,7 +111,10 @@ def test_arrays_of_any_dimension_come_back(tmp_path):
 def test_saving_again_replaces_the_file(tmp_path):
     path = save(tmp_path / "posterior.nc")
     other = Trace.from_arrays(TIME[:50], MOTION[:50], force=MOTION[:50])
-    save_test(path, VALUES, UNITS, STATS, other, PREDICTIVE[..., :50], {"model": "lugre"})
+    save_test(
+        path,
+        CalibratedTest(VALUES, UNITS, STATS, other, PREDICTIVE[..., :50], {"model": "lugre"}),
+    )
     assert load_test(path).facts == {"model": "lugre"}
     assert load_test(path).trace.samples == 50
     assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]
@@ -170,9 +174,10 @@ def test_a_folder_that_is_a_file_is_a_store_error(tmp_path):
 def test_a_failing_save_leaves_the_old_posterior(tmp_path):
     path = save(tmp_path / "posterior.nc")
     before = path.read_bytes()
-    ragged = STATS | {"lp": np.zeros((4, 31))}
+    ragged = STATS | {"lp": np.zeros((4, 31)), "other": "text"}
+    test = CalibratedTest(VALUES, UNITS, ragged, TRACE, PREDICTIVE, FACTS)
     with pytest.raises(Exception, match=r"draw|31"):
-        save_test(path, VALUES, UNITS, ragged | {"other": "text"}, TRACE, PREDICTIVE, FACTS)
+        save_test(path, test)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

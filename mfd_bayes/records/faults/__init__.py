@@ -1,4 +1,4 @@
-"""What would spoil a fit of a record: faults of the sensors, the clock and the units."""
+"""Faults of a record that would spoil its fit: of the sensors, the clock and the units."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NAMES = (
     "rate",
     "drift",
 )
-"""Every name of a fault, the gravest first."""
+"""Names of the faults, the most serious first."""
 
 _OF_RECORD = (
     signals.no_force,
@@ -42,14 +42,14 @@ _OF_GAP = (clock.stroke, clock.rate)
 
 
 def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
-    """Faults of a record, the gravest first; empty where none was found.
+    """Faults of a record, the most serious first; empty where none was found.
 
     Parameters
     ----------
     trace : Trace
-        From `Record.trace()`, neither decimated nor filtered, which hides faults.
+        From `Record.trace()`; a decimated or filtered one hides faults.
     gap : float, in, optional
-        Typical width of the device's gap; without it, nothing is said of rate and stroke.
+        Median width of the device's gap; without it, rate and stroke are not checked.
     """
     found = [fault for check in _OF_RECORD for fault in check(trace)]
     found += signals.resolution(trace, gap)

@@ -11,36 +11,36 @@ from mfd_bayes.records.resampling import crossing_times
 from mfd_bayes.records.trace import Trace
 
 SLOW_RATE, SLOW_PERIOD = 5.0, 100.0
-"""A record below this rate, Hz, with cycles longer than this, s, has its time in ms, it seems."""
+"""Below this rate, Hz, and with cycles longer than this, s, time is taken to be in ms."""
 
 FAST = 400.0
-"""No damper moves faster than this, in/s."""
+"""A speed, in/s, that no damper reaches."""
 
 CROSSING = 10
-"""Fewest samples, and steps of the sensor, on the way across the gap."""
+"""Fewest samples, and steps of the sensor, across the gap."""
 
 DROPPED = 1.5
-"""A step of time longer than this many median ones has lost samples."""
+"""After a step of time longer than this many median steps, samples are missing."""
 
 REPEATED = 0.01
-"""Share of the samples that repeat the one before, from which on it is no chance."""
+"""Share of samples equal to the one before, above which it is not by chance."""
 
 HELD = 10
-"""A longer run of equal samples is a rest of the actuator."""
+"""In a longer run of equal samples the actuator is at rest."""
 
 SAMPLES, LOOPS = 100, 2
-"""A record shorter than this tells little."""
+"""Fewest samples and cycles of a record."""
 
 
 def seems_milliseconds(time: Array, turns: int) -> bool:
-    """Whether times that were read as s are rather ms, by the rate and the length of cycles."""
+    """Whether times read as s seem to be ms, by the rate and the length of the cycles."""
     duration = float(time[-1] - time[0])
     rate = (time.size - 1) / duration
     return rate <= SLOW_RATE and duration > SLOW_PERIOD * max(turns / 2, 1.0)
 
 
 def time_unit(trace: Trace) -> Iterator[Fault]:
-    """Rates and speeds that no test of a damper has."""
+    """Rate or speed that no test of a damper has."""
     speed = float(np.max(np.abs(np.diff(trace.displacement) / np.diff(trace.time))))
     if seems_milliseconds(trace.time, trace.turning_points.size):
         yield fault(
@@ -56,7 +56,7 @@ def time_unit(trace: Trace) -> Iterator[Fault]:
 
 
 def short_record(trace: Trace) -> Iterator[Fault]:
-    """Too few samples or cycles to tell much."""
+    """Too few samples or cycles."""
     turns = trace.turning_points.size
     if trace.samples < SAMPLES or turns < 2 * LOOPS:
         yield fault(
@@ -78,7 +78,7 @@ def stroke(trace: Trace, gap: float) -> Iterator[Fault]:
 
 
 def rate(trace: Trace, gap: float) -> Iterator[Fault]:
-    """Too few samples on the way across the gap."""
+    """Too few samples across the gap."""
     times = crossing_times(trace.time, trace.displacement, trace.turning_points, gap)
     if not times:
         return
@@ -92,7 +92,7 @@ def rate(trace: Trace, gap: float) -> Iterator[Fault]:
 
 
 def dropped(trace: Trace) -> Iterator[Fault]:
-    """Steps of time that are too long."""
+    """Steps of time that are too long: samples are missing."""
     steps = np.diff(trace.time)
     median = float(np.median(steps))
     at = np.flatnonzero(steps > DROPPED * median)
@@ -107,9 +107,9 @@ def dropped(trace: Trace) -> Iterator[Fault]:
 
 
 def repeated(trace: Trace) -> Iterator[Fault]:
-    """Rows that say again what the row before said, between steps of a moving actuator."""
+    """Samples equal to the one before while the actuator moves."""
     if trace.force is None or np.ptp(trace.force) == 0.0:
-        return  # a slow displacement repeats its last digit; only both together tell
+        return  # a slow displacement alone may repeat its last digit
     steps = np.abs(np.diff(trace.displacement))
     same = (steps == 0.0) & (np.diff(trace.force) == 0.0)
     starts, lengths = runs(np.concatenate([[False], same]))
@@ -117,7 +117,8 @@ def repeated(trace: Trace) -> Iterator[Fault]:
     starts, lengths = starts[inside], lengths[inside]
     smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
     beside = np.minimum(steps[starts - 1], steps[starts + lengths])
-    at = spread(starts[beside > 2 * smallest] + 1, lengths[beside > 2 * smallest] - 1)
+    moving = beside > 2 * smallest
+    at = spread(starts[moving] + 1, lengths[moving] - 1)
     if at.size > REPEATED * trace.samples:
         yield fault(
             "repeated samples",

@@ -1,4 +1,4 @@
-"""A fault of a record, and the runs of samples that faults are made of."""
+"""A fault of a record, and runs of samples."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Samples = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """Something of a record that would spoil a fit.
+    """A fault of a record that would spoil its fit.
 
     Attributes
     ----------
     name : str
         One of `NAMES`.
     sentence : str
-        What was found, with figures and units, and what it may come from.
+        The finding, with figures and units, and its possible cause.
     samples : (K,), int
-        Where it was found; empty where it is everywhere.
+        Samples at which it was found; empty for the whole record.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Fault:
 
 
 def fault(name: str, sentence: str, samples: Samples | None = None) -> Fault:
-    """Fault at some samples, or everywhere."""
+    """Fault at some samples, or of the whole record."""
     return Fault(name, sentence, np.empty(0, dtype=np.intp) if samples is None else samples)
 
 
@@ -43,13 +43,13 @@ def rate_of(trace: Trace) -> float:
 
 
 def runs(flags: NDArray[np.bool_]) -> tuple[Samples, Samples]:
-    """First sample before each run of flags, and the number of flags in it."""
+    """Sample before each run of flags, and the length of the run."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return (edges[::2] - 1).astype(np.intp), (edges[1::2] - edges[::2]).astype(np.intp)
 
 
 def spread(starts: Samples, lengths: Samples) -> Samples:
-    """All samples of runs."""
+    """All samples of runs, with the one before each."""
     pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
     return np.concatenate(pieces or [np.empty(0)]).astype(np.intp)
 

@@ -1,4 +1,4 @@
-"""How far the force of a record comes behind its displacement."""
+"""The lag of the force behind the displacement of a record."""
 
 from __future__ import annotations
 
@@ -12,37 +12,36 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 
 NEAR = 0.05
-"""Share of the peak-to-peak displacement around a reversal that is looked at."""
+"""The fit uses this share of the peak-to-peak displacement around a reversal."""
 
 STROKES = 0.4
 """A reversal between strokes shorter than this share of the peak-to-peak one is left out."""
 
 REVERSALS = 40
-"""More reversals than this say no more."""
+"""Most reversals that are used."""
 
 REACH = 0.06
-"""Largest lag that is looked for, s; eight samples or 3 % of a cycle where that is more."""
+"""Largest lag that is searched for, s; eight samples or 3 % of a cycle where that is more."""
 
 LIKELY = 0.85
-"""A lag counts where it leaves at most this share of the squared misfit at no lag."""
+"""A lag counts if its squared misfit is at most this share of the misfit without a lag."""
 
-_SAMPLES = 120  # of one reversal, whatever the rate
-_LENGTHS = np.geomspace(0.02, 1.5, 10)  # of the release, over the distance looked at
+_SAMPLES = 120  # of one reversal, at any rate
+_LENGTHS = np.geomspace(0.02, 1.5, 10)  # of the release, over the distance that is used
 
 
 def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
-    """Lag of the force behind the displacement, s, and the reversals that tell it.
+    """Lag of the force behind the displacement, s, and the reversals that it was found at.
 
-    Friction lets go when the motion turns, and fastest at the turn itself: the force falls by
-    A (1 − exp(−s/λ)) at a distance s behind it. A and a
-    line in time, for the level before and viscous friction, are fitted to every reversal, λ and
-    the lag to all of them together. A force that is late stays where it was
-    at first; one that is early falls before the turn.
+    After a turn of the motion the friction force falls, fastest at the turn itself: by
+    A (1 − exp(−s/λ)) at the distance s from it. A and a line in time, for the level before the
+    turn and viscous friction, are fitted to each reversal, λ and the lag to all reversals
+    together. A late force begins to fall after the turn, an early one before it.
 
     Returns
     -------
     (lag, (K,) int) or None
-        None without force or reversals, or where no lag fits clearly better than none.
+        None without a force or reversals, or where no lag fits clearly better.
     """
     turns = _clear_reversals(trace)
     if trace.force is None or np.ptp(trace.force) == 0.0 or turns.size < 2:
@@ -70,7 +69,7 @@ def _clear_reversals(trace: Trace) -> NDArray[np.intp]:
 
 
 def _best(trace: Trace, turns: NDArray[np.intp], lags: Array) -> tuple[float, float, float]:
-    """Lag of the least misfit, that misfit, and the one at the lag nearest to none."""
+    """Lag with the smallest misfit, that misfit, and the misfit at the lag nearest to 0."""
     misfit = np.zeros((_LENGTHS.size, lags.size))
     for turn in turns.tolist():
         misfit += _misfit(trace, turn, lags)
@@ -80,7 +79,7 @@ def _best(trace: Trace, turns: NDArray[np.intp], lags: Array) -> tuple[float, fl
 
 
 def _misfit(trace: Trace, turn: int, lags: Array) -> Array:
-    """Squared misfit of a release to the force about one turn, by length and lag."""
+    """Squared misfit of the release to the force around one turn, (lengths, lags)."""
     near = NEAR * float(np.ptp(trace.displacement))
     away = np.abs(trace.displacement - trace.displacement[turn])
     first, last = _window(away, turn, near)
@@ -95,7 +94,7 @@ def _misfit(trace: Trace, turn: int, lags: Array) -> Array:
         time[None, :] - lags[:, None], trace.time[begin : last + 1], behind[begin : last + 1]
     )
     shape = -np.expm1(-distance[None] / (near * _LENGTHS[:, None, None]))
-    # what is linear in time, as a viscous force is at a turn, is left out of account
+    # Parts that are linear in time, as a viscous force is at a turn, are removed from both.
     line = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), 1)
     basis = np.linalg.qr(line)[0]
     shape -= (shape @ basis) @ basis.T
@@ -107,7 +106,7 @@ def _misfit(trace: Trace, turn: int, lags: Array) -> Array:
 
 
 def _window(away: Array, turn: int, near: float) -> tuple[int, int]:
-    """First and last sample about a turn that lie within a distance of it."""
+    """First and last sample around a turn within a distance of it."""
     before = np.flatnonzero(away[:turn] > near)
     behind = np.flatnonzero(away[turn:] > near)
     first = int(before[-1]) + 1 if before.size else 0

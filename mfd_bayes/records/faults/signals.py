@@ -13,10 +13,10 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 
 CLIPPED = 5
-"""Fewest samples in a row at the extreme of the force that look like a load cell's limit."""
+"""Fewest samples in a row at the extreme of the force that show a load cell's limit."""
 
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
-"""A lag is told above all of these: s, samples, and share of a cycle (what can be told)."""
+"""A lag is reported above all three: s, samples, and share of a cycle."""
 
 LEVELS = 200
 """Fewest steps of the sensor in the peak-to-peak displacement."""
@@ -39,7 +39,7 @@ def no_force(trace: Trace) -> Iterator[Fault]:
 
 
 def force_sign(trace: Trace) -> Iterator[Fault]:
-    """Loops that give energy instead of taking it."""
+    """Loops in which the force does negative work."""
     energy = find_loops(trace).energy
     if energy is not None and energy.size and energy.sum() < 0.0:
         yield fault(
@@ -50,7 +50,7 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
 
 
 def clipping(trace: Trace) -> Iterator[Fault]:
-    """Flat at the extreme, longer than anywhere else, while the displacement moves."""
+    """Force constant at its extreme, for longer than anywhere else, while the actuator moves."""
     if trace.force is None or np.ptp(trace.force) == 0.0:
         return
     force = trace.force
@@ -71,8 +71,8 @@ def clipping(trace: Trace) -> Iterator[Fault]:
 
 
 def lag(trace: Trace) -> Iterator[Fault]:
-    """A force that comes late, or early, by more than can be told from none."""
-    coarse = any(resolution(trace, None))  # then a reversal is not known to the sample
+    """A force that comes too late or too early."""
+    coarse = any(resolution(trace, None))  # then the sample of a reversal is not known
     found = None if coarse else estimate_lag(trace)
     if found is None:
         return
@@ -90,7 +90,7 @@ def lag(trace: Trace) -> Iterator[Fault]:
 
 
 def spikes(trace: Trace) -> Iterator[Fault]:
-    """Isolated samples that stand out of the displacement or the force."""
+    """Isolated samples that differ much from both neighbours."""
     measured = {"displacement": (trace.displacement, "in")}
     if trace.force is not None:
         measured["force"] = (trace.force, "kip")
@@ -108,7 +108,7 @@ def spikes(trace: Trace) -> Iterator[Fault]:
 
 
 def _isolated(values: Array) -> Samples:
-    """Samples that stand out from both neighbours, which agree with each other."""
+    """Samples that differ from both neighbours, while the neighbours agree."""
     before, behind = values[1:-1] - values[:-2], values[1:-1] - values[2:]
     height = np.minimum(np.abs(before), np.abs(behind))
     height[before * behind <= 0.0] = 0.0
@@ -119,7 +119,7 @@ def _isolated(values: Array) -> Samples:
 
 
 def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
-    """A displacement in steps that the stroke, or the gap, has few of."""
+    """A displacement in steps that are too large for the stroke or the gap."""
     quantum = _quantum(trace.displacement)
     if quantum is None:
         return
@@ -134,7 +134,7 @@ def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
 
 
 def _quantum(values: Array) -> float | None:
-    """Step of a quantised signal, or None where there is none to be seen."""
+    """Step of a quantised signal; None where the signal is not quantised."""
     levels = np.unique(values)
     steps = np.diff(levels)
     steps = steps[steps > 1e-9 * np.ptp(values)]

@@ -29,11 +29,11 @@ _FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
 )
 
 SUFFIXES = tuple(_FORMATS)
-"""Endings of the files that can be read, in lower case."""
+"""Suffixes of the files that can be read, in lower case."""
 
 
 def read_table(path: Path) -> Table:
-    """Table of a file whose ending is one of `SUFFIXES`.
+    """Table of a file whose suffix is one of `SUFFIXES`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Bounds on what reading a file may take, and checks of text and JSON before they are parsed."""
+"""Limits on the files that are read, and checks of text and JSON before they are parsed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from mfd_bayes.errors import RecordError
 
 TEXT = 256
-"""Most that a text file may hold, MB: an hour and a half of four columns at 1024 Hz."""
+"""Largest text file, MB: an hour and a half of four columns at 1024 Hz."""
 
 LINE = 2**17
 """Most characters of a line."""
@@ -20,13 +20,13 @@ NAME = 300
 """Most characters of a column's name."""
 
 JSON = 64
-"""Most that a JSON file may hold, MB."""
+"""Largest JSON file, MB."""
 
 LISTS = 1_000_000
-"""Most lists and objects of a JSON file: each takes some hundred bytes to hold."""
+"""Most lists and objects of a JSON file: each needs some hundred bytes of memory."""
 
 UNPACKED = 256
-"""Most that a packed file may unpack to, MB."""
+"""Largest size of a packed file after unpacking, MB."""
 
 CELLS = 20_000_000
 """Most cells of a JSON file whose rows are objects."""
@@ -35,18 +35,11 @@ _MB = 2**20
 
 
 def check_text(path: Path) -> None:
-    """Refuse a text file that is too large, or has a line that no test's file has.
-
-    Raises
-    ------
-    RecordError
-    """
+    """Refuse a text file that is larger than `TEXT` or has a line longer than `LINE`."""
     _check_size(path, TEXT)
-    # Every byte is a character of this encoding, and every sign of a line's end is known.
+    # In this encoding every byte is a character, and all line ends are recognised.
     with path.open(encoding="latin-1") as file:
-        number = 0
-        while line := file.readline(LINE + 1):
-            number += 1
+        for number, line in enumerate(iter(lambda: file.readline(LINE + 1), ""), start=1):
             if len(line) > LINE:
                 raise RecordError(
                     f"line {number} of {path} is longer than {LINE:,} characters, the most that is "
@@ -55,12 +48,7 @@ def check_text(path: Path) -> None:
 
 
 def check_columns(path: Path, count: int) -> None:
-    """Refuse a file with more columns than are read.
-
-    Raises
-    ------
-    RecordError
-    """
+    """Refuse a file with more columns than `COLUMNS`."""
     if count > COLUMNS:
         raise RecordError(
             f"{path} has {count:,} columns; at most {COLUMNS:,} are read: expected a line for "
@@ -69,12 +57,7 @@ def check_columns(path: Path, count: int) -> None:
 
 
 def check_names(path: Path, names: Sequence[str]) -> None:
-    """Refuse a file with more columns, or longer names of them, than are read.
-
-    Raises
-    ------
-    RecordError
-    """
+    """Refuse a file with more columns than `COLUMNS`, or a name longer than `NAME`."""
     check_columns(path, len(names))
     for number, name in enumerate(names, start=1):
         if len(name) > NAME:
@@ -85,11 +68,12 @@ def check_names(path: Path, names: Sequence[str]) -> None:
 
 
 def read_json_text(path: Path) -> str:
-    """Text of a JSON file that is not too large and holds no endless lists of lists.
+    """Text of a JSON file within the limits `JSON` and `LISTS`.
 
     Raises
     ------
     RecordError
+        When the file is larger, or holds more lists and objects.
     UnicodeDecodeError
     """
     _check_size(path, JSON)
@@ -103,7 +87,7 @@ def read_json_text(path: Path) -> str:
 
 
 def unpacks_to_too_much(path: Path, way_out: str) -> RecordError:
-    """Error for a packed file that is more than `UNPACKED`, with what to do instead."""
+    """Error for a packed file that is larger than `UNPACKED`, with what to do instead."""
     return RecordError(
         f"{path} unpacks to more than {UNPACKED} MB, the most that is read; {way_out}"
     )

@@ -1,4 +1,4 @@
-"""What one cell of a table holds, and the sentences for cells that hold no number."""
+"""Whether a cell of a table holds a number, and the errors for cells that do not."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([ .,'’\u00a0\u202f])\d{3})+(?:(?!\1)[.
 
 
 def is_number(cell: object, *, decimal: str = ".", finite: bool = False) -> bool:
-    """Whether a cell holds a number: one already, or its text with this sign of decimals."""
+    """Whether a cell is a number, or a text that is one with this decimal sign."""
     if isinstance(cell, str) and decimal != ".":
         cell = cell.replace(".", " ").replace(decimal, ".")
     try:
-        value = float(cell)  # type: ignore[arg-type]  # what is no number is caught
+        value = float(cell)  # type: ignore[arg-type]  # TypeError is caught
     except (TypeError, ValueError, OverflowError):
         return False
     # Python's float accepts 1_000; a table's number has no underscore.
@@ -25,12 +25,12 @@ def is_number(cell: object, *, decimal: str = ".", finite: bool = False) -> bool
 
 
 def bare_unit(text: str) -> str:
-    """Unit out of its brackets: ``"kN"`` of ``"[kN]"``; empty where it is a dash."""
+    """Unit without brackets: ``"kN"`` of ``"[kN]"``; empty for a dash."""
     return text.strip().strip("[](){}<>-–— ")
 
 
 def sample(row: int) -> str:
-    """Place of a row where a file has no lines: ``"sample 17"``."""
+    """Place of a row, from 0, in a file without lines: ``"sample 17"``."""
     return f"sample {row + 1}"
 
 
@@ -44,7 +44,7 @@ def bad_cell(place: str, path: Path, name: str, found: object) -> RecordError:
 
 
 def not_a_number(place: str, path: Path, name: str, shown: str) -> RecordError:
-    """Error for a cell that holds no finite number, with words for what it holds."""
+    """Error for a cell that holds no finite number; `shown` says what it holds."""
     return RecordError(
         f"{place} of {path}, column {name!r}: expected a finite number, found {shown}"
     )
@@ -58,5 +58,5 @@ def missing_library(path: Path, library: str, extra: str) -> RecordError:
 
 
 def unreadable(path: Path, error: Exception) -> RecordError:
-    """Error for a file that the system, or the parser of its format, cannot read."""
+    """Error for a file that the system or a parser cannot read."""
     return RecordError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}")

@@ -1,4 +1,4 @@
-"""Columns out of Excel workbooks (.xlsx). openpyxl is met here alone."""
+"""Columns out of Excel workbooks (.xlsx)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mfd_bayes.records.readers.table import Array, Table
 Cells = tuple[Any, ...]
 
 _OLE = bytes.fromhex("D0CF11E0")
-"""How old .xls workbooks begin, and encrypted ones."""
+"""First bytes of old .xls workbooks and of encrypted ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +33,12 @@ class _Sheet:
     ----------
     path : Path
     number : int
-        Of the sheet, from 0.
+        Number of the sheet, from 0.
     title : str
-        Of the sheet.
     columns : dict
-        Name to number of each column, from 1; a name that is there twice has its last.
+        Name to number of the column, from 1; the last where two have one name.
     rows : list of (int, tuple)
-        Number in the sheet, from 1, and cells, of every row that is not blank.
+        Row number in the sheet, from 1, and cells of every row that is not blank.
     """
 
     path: Path
@@ -77,7 +76,7 @@ class _Sheet:
         return not_a_number(place, self.path, name, shown)
 
     def _has_formula(self, number: int, column: int) -> bool:
-        """Whether a cell without a value has a formula."""
+        """Whether a cell has a formula."""
         with _workbook(self.path, formulas=True) as workbook:
             rows = _filled_rows(self.path, workbook.worksheets[self.number])
             cells = next((cells for at, cells in rows if at == number), ())
@@ -85,10 +84,10 @@ class _Sheet:
 
 
 def read_excel(path: Path) -> Table:
-    """Table of the first sheet of an .xlsx file that holds one, below whatever title.
+    """Table of an .xlsx file: of the first sheet whose table holds numbers alone.
 
-    Formulas count with the values that Excel stored. A sheet of which the table holds more than
-    numbers is taken where no other has one.
+    Where there is no such sheet, of the one with the largest share of numbers. Formulas count
+    with the values that Excel stored.
 
     Raises
     ------
@@ -102,7 +101,7 @@ def read_excel(path: Path) -> Table:
         rows = list(_filled_rows(path, sheet))
     heading = rows[layout.names][1]
     columns = [at for at, cell in enumerate(heading) if cell is not None]
-    # A name that is wrapped in its cell holds line breaks.
+    # A name may hold line breaks.
     names = tuple(" ".join(heading[at].split()) for at in columns)
     numbers = {name: at + 1 for name, at in zip(names, columns, strict=True)}
     held = _Sheet(path, number, sheet.title, numbers, rows[layout.data :])
@@ -113,14 +112,14 @@ def read_excel(path: Path) -> Table:
 
 @contextmanager
 def _workbook(path: Path, *, formulas: bool = False) -> Iterator[Any]:
-    """Workbook, open to be read row by row, after its size was checked."""
+    """Workbook whose size was checked, open to be read row by row."""
     try:
         from openpyxl import load_workbook
     except ImportError as error:
         raise missing_library(path, "openpyxl", "excel") from error
     try:
         with path.open("rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about styles and extensions, which are not read
+            warnings.simplefilter("ignore")  # about styles and extensions
             check_archive(path, file)
             options = {"read_only": True, "keep_links": False}
             with closing(load_workbook(file, data_only=not formulas, **options)) as workbook:
@@ -141,7 +140,7 @@ def _not_a_workbook(path: Path) -> str:
 
 
 def _find(path: Path, workbook: Any) -> tuple[int, Layout]:
-    """Number of the first sheet whose table holds numbers alone, or most of all, and its layout."""
+    """Number of the first sheet with the largest share of numbers, and the layout of its table."""
     heads = [
         [cells for _, cells in islice(_filled_rows(path, sheet), SEARCHED)]
         for sheet in workbook.worksheets
@@ -169,7 +168,7 @@ def _described(head: list[Cells]) -> str:
 
 def _filled_rows(path: Path, sheet: Any) -> Iterator[tuple[int, Cells]]:
     """Number, from 1, and cells of the rows of a sheet that are not blank."""
-    sheet.reset_dimensions()  # a sheet may declare any
+    sheet.reset_dimensions()  # those that the sheet declares may be false
     count = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         count += max(len(row), 1)

@@ -1,4 +1,4 @@
-"""Bounds on what reading an HDF5 file may take, and reach, checked before its data are read."""
+"""Limits on the size and the structure of an HDF5 file, checked before its data are read."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ OBJECTS = 20_000
 """Most groups and data sets of a file."""
 
 _NAMED = 60  # characters of a name that are shown
-# Of the filters that the library knows, those that MATLAB and NetCDF files have: a plugin is code.
+# Only the filters of MATLAB and NetCDF files are allowed: a plugin would be foreign code.
 _DEFLATE, _SHUFFLE, _CHECKSUM = 1, 2, 3
 # Deflated data grow to at most 1032 times their size.
 _MOST_GROWTH = 1032
-_HARMLESS = 16 * 2**20  # bytes that a piece may unpack to whatever it declares
+_HARMLESS = 16 * 2**20  # bytes: a chunk may unpack to this, whatever it declares
 
 
 class UnsafeError(Exception):
-    """Why a file is not read: words that follow its name."""
+    """Why a file is not read; the message follows the file's name."""
 
 
 def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
-    """Refuse a file whose data lie elsewhere, are linked in circles, or are declared without end.
+    """Refuse a file that refers to other files, has circular links or declares too much.
 
-    Its heaps are checked first: the library reads texts from them as soon as it looks at objects.
+    Its heaps are checked first: the library reads texts from them when it looks at objects.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
     most : int
         Bytes that all its numbers together may unpack to.
     plain : bool
-        Whether it may hold nothing but numbers that are not packed, as this program writes them.
+        Whether only unpacked numbers are allowed, as this program writes them.
 
     Raises
     ------
@@ -68,11 +68,11 @@ def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
 
 
 def check_heaps(file: h5py.File) -> None:
-    """Refuse a file whose texts are laid out in a way that its library would never end to read.
+    """Refuse a file with a heap of texts in which the HDF5 library would never stop reading.
 
-    Texts stand in global heaps: after a header of 16 bytes, one object after another, each with
-    its number and size before it. The library goes from one to the next by these sizes alone,
-    and where one is 0 it stays there for good (HDF5 File Format Specification, III.E).
+    A global heap is a header of 16 bytes, then one object after another, each behind its number
+    and size. The library steps from one to the next by these sizes alone, and does not move on
+    where one is 0 (HDF5 File Format Specification, III.E).
 
     Raises
     ------
@@ -89,7 +89,7 @@ def check_heaps(file: h5py.File) -> None:
 
 
 def _check_heap(content: mmap, begin: int) -> None:
-    """Go through a global heap as the library does."""
+    """Step through a global heap as the library does, and refuse one that does not end."""
     end = begin + int.from_bytes(content[begin + 8 : begin + 16], "little")
     if end > len(content):
         raise UnsafeError("has a heap of texts that goes on beyond its end")
@@ -97,16 +97,16 @@ def _check_heap(content: mmap, begin: int) -> None:
     while at + 16 <= end:
         number = int.from_bytes(content[at : at + 2], "little")
         size = int.from_bytes(content[at + 8 : at + 16], "little")
-        step = 16 + (size + 7) // 8 * 8 if number else size  # number 0 is what is free
+        step = 16 + (size + 7) // 8 * 8 if number else size  # number 0 is free space
         if not 0 < step <= end - at:
             raise UnsafeError("has a heap of texts whose sizes do not fit")
         at += step
 
 
 def check_pieces(dataset: h5py.Dataset) -> None:
-    """Refuse a data set of which a piece unpacks to more than it declares.
+    """Refuse a data set with a chunk that unpacks to more than it declares.
 
-    The HDF5 library itself would unpack it whole before it sees that.
+    The HDF5 library would unpack all of it before it sees that.
 
     Raises
     ------
@@ -126,13 +126,13 @@ def check_pieces(dataset: h5py.Dataset) -> None:
         try:
             unpacked = zlib.decompressobj().decompress(raw, most + 1)
         except zlib.error:
-            continue  # the HDF5 library will say so
+            continue  # the HDF5 library refuses it
         if len(unpacked) > most:
             raise UnsafeError(f"holds a piece of {dataset.name!r} larger than it declares")
 
 
 def _datasets(file: h5py.File) -> Iterator[h5py.Dataset]:
-    """Every data set, each object visited once and found in this file."""
+    """Every data set of a file in which no object has two places and no link leads elsewhere."""
     import h5py
 
     seen: set[int] = set()

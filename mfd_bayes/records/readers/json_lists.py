@@ -1,4 +1,4 @@
-"""Columns out of JSON: an object of lists, a list of objects, and what pandas writes."""
+"""Columns out of JSON: an object of lists, a list of objects, or a form that pandas writes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def read_json(path: Path) -> Table:
 
 
 def _columns(path: Path, content: object) -> dict[str, list[Any]]:
-    """Columns of name → list, of a list of rows, or of pandas' "columns" and "split" forms."""
+    """Columns of an object of lists, a list of rows, or pandas' "columns" and "split" forms."""
     match content:
         case {"columns": [*names], "data": [*rows]}:
             return _from_rows(path, [_row(names, row) for row in rows])
@@ -77,7 +77,7 @@ def _from_rows(path: Path, rows: list[Any]) -> dict[str, list[Any]]:
 
 
 def _in_order(column: dict[str, Any] | list[Any]) -> list[Any]:
-    """Cells in row order; sorted by label where the labels count 0, 1, 2 … in some order."""
+    """Cells in row order: by label where the labels are 0, 1, 2 …, else as they stand."""
     if isinstance(column, list):
         return column
     labels = [str(i) for i in range(len(column))]

@@ -1,4 +1,4 @@
-"""Where the names, the units and the numbers of a table stand, below what else a file says."""
+"""Which rows of a file are the names, the units and the numbers of its table."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from mfd_bayes.units import DIMENSIONS, measure
 Row = Sequence[object]
 
 SEARCHED = 200
-"""Filled rows from a file's first in which names are looked for."""
+"""Number of filled rows, from the first, in which the names are looked for."""
 
-# A ratio or a rate is a unit too, but "1" or "cycles" tells no row of units from one of text.
-_TELLING = {kind.measure for kind in DIMENSIONS.values()} - {"ratio", "rate"}
+# Ratios and rates do not show that a row holds units: "1" or "cycles" may be text.
+_TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate"}
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Rows of a table, counted from 0, and how much of it is numbers.
+    """Rows of a table, counted from 0, and how many of its cells hold numbers.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Layout:
     data : int
         First row of numbers.
     share : float
-        Of the filled cells, those that hold numbers.
+        Numbers over filled cells.
     count : int
-        Of numbers, up to the next row without any.
+        Numbers, up to the next row without any.
     """
 
     names: int
@@ -43,10 +43,10 @@ class Layout:
 
 
 def find_layout(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Layout | None:
-    """Layout of the table that has the largest share of numbers, then most of them.
+    """Layout of the table with the largest share of numbers, then with the most numbers.
 
     A table is a row of at least two names, perhaps a row of units, and a row with a number.
-    Titles and settings above it ("Station", "Rate 1024") are no such thing, or a small one.
+    Titles and settings above it ("Station", "Rate 1024") are no table, or a small one.
     """
     found = [_layout_at(rows, i, is_number) for i in range(len(rows))]
     return max(
@@ -57,13 +57,13 @@ def find_layout(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Lay
 
 
 def units_of(names: Sequence[str], cells: Row) -> Mapping[str, str]:
-    """Name to unit, of a row of units; cells that are empty or hold a dash are left out."""
+    """Name to unit, from a row of units, without empty cells and dashes."""
     pairs = zip(names, cells, strict=False)
     return {name: unit for name, cell in pairs if name and (unit := bare_unit(str(cell or "")))}
 
 
 def _layout_at(rows: Sequence[Row], at: int, is_number: Callable[[object], bool]) -> Layout | None:
-    """Layout of a table whose names are row `at`, or None where they are none."""
+    """Layout of the table whose names are in row `at`; None where there is no table."""
     filled = [cell for cell in rows[at] if _is_filled(cell)]
     if len(filled) < 2 or any(not isinstance(c, str) or is_number(c) for c in filled):
         return None
@@ -77,7 +77,7 @@ def _layout_at(rows: Sequence[Row], at: int, is_number: Callable[[object], bool]
 
 
 def _gives_units(row: Row, names: Row) -> bool:
-    """Whether a row holds the units of the names above: two or more, and few other words."""
+    """Whether a row holds two units or more below names, and at least as many units as words."""
     filled = [at for at, cell in enumerate(row) if _is_filled(cell)]
     if any(at >= len(names) or not _is_filled(names[at]) for at in filled):
         return False

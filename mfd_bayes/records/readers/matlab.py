@@ -15,7 +15,7 @@ from mfd_bayes.records.readers.table import Array, Table
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
-"""Bytes of text that MATLAB writes before the HDF5 part of a v7.3 file."""
+"""Bytes of text before the HDF5 part of a v7.3 file."""
 
 
 def read_matlab(path: Path) -> Table:

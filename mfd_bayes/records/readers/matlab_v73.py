@@ -1,4 +1,4 @@
-"""Vectors out of MATLAB files of version 7.3, which are HDF5. h5py reads records here alone."""
+"""Vectors out of MATLAB files of version 7.3, which are HDF5."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Numbers = NDArray[np.generic]
 def open_columns(
     path: Path,
 ) -> tuple[tuple[str, ...], Callable[[Sequence[str]], dict[str, Numbers]]]:
-    """Names of a file's vectors, and what reads their numbers.
+    """Names of a file's vectors, and a function that reads their numbers.
 
     Raises
     ------
     RecordError
-        When the file is no such file, or declares or unpacks to more than `UNPACKED`.
+        When the file is not MATLAB's, or declares or unpacks to more than `UNPACKED`.
     """
     with _opened(path) as file:
         places = dict(_vectors(file))
@@ -44,7 +44,7 @@ def open_columns(
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
-    """File, checked, with its data left where they are."""
+    """File, checked; its data are not read yet."""
     import h5py
 
     try:
@@ -62,7 +62,7 @@ def _vectors(file: h5py.File) -> Iterator[tuple[str, str]]:
     import h5py
 
     for name, item in file.items():
-        if name.startswith("#"):  # what cells and objects refer to
+        if name.startswith("#"):  # the contents of cells and objects
             continue
         if isinstance(item, h5py.Group) and "MATLAB_sparse" not in item.attrs:
             fields = ((f"{name}.{field}", inner) for field, inner in item.items())
@@ -83,6 +83,6 @@ def _is_column(item: object) -> bool:
 
 
 def _class_of(item: h5py.Dataset) -> str:
-    """What MATLAB calls the array: "double", "char", …; empty where it says nothing."""
+    """MATLAB's class of the array, "double", "char", …; empty where the file has none."""
     found = item.attrs.get("MATLAB_class", b"")
     return found.decode("ascii", "replace") if isinstance(found, bytes) else str(found)

@@ -1,4 +1,4 @@
-"""A file's columns, read on demand."""
+"""The columns of a file, each read when it is asked for."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What a file holds, read on demand so that unused columns may hold anything.
+    """Columns of a file; a column that is not used may hold anything.
 
     Attributes
     ----------
     path : Path
     names : tuple of str
-        Columns, in the file's order.
+        Names of the columns, in the file's order.
     load : callable
-        Takes names that exist; gives their numbers, checked cell by cell.
+        Takes names that exist; returns their numbers, checked cell by cell.
     place : callable
-        Takes a row, from 0; says where that is in the file: ``"line 17"``.
+        Takes a row, from 0; returns its place in the file: ``"line 17"``.
     units : mapping
-        Column to unit, as a row of units or the channel's properties spell it; columns of
-        which the file says nothing are left out.
+        Column to unit, as the file's row of units or the channel's properties spell it;
+        without columns that the file gives no unit.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""Columns out of LabVIEW's TDMS files. nptdms is met here alone."""
+"""Columns out of LabVIEW's TDMS files."""
 
 from __future__ import annotations
 
@@ -24,24 +24,27 @@ SAMPLES = 50_000_000
 """Most samples of a channel: thirteen hours at 1024 Hz."""
 
 LISTED = 20_000_000
-"""Most channels that all parts of a file may list together: reading one takes a microsecond."""
+"""Most channels that all parts of a file may list together; reading one takes a microsecond."""
 
 _KINDS = {"O": "text", "M": "dates", "c": "complex numbers"}
 
 
 @dataclass(frozen=True)
 class _Clock:
-    """When the samples of a waveform were taken, in the unit of its axis."""
+    """Sampling times of a waveform, in the unit of its axis."""
 
     increment: float
     start: float
     unit: str
     samples: int
 
+    def times(self) -> Array:
+        return self.start + self.increment * np.arange(self.samples, dtype=np.float64)
+
 
 @dataclass(frozen=True)
 class _Channel:
-    """What a file says of a channel.
+    """Description of a channel.
 
     Attributes
     ----------
@@ -51,7 +54,7 @@ class _Channel:
     unit : str
         Empty where the file gives none.
     clock : _Clock or None
-        None where the channel is no waveform over time.
+        None where the channel is not a waveform over time.
     """
 
     group: str
@@ -72,7 +75,7 @@ class _Channel:
 def read_tdms(path: Path) -> Table:
     """Table of a .tdms file: its channels, called ``group/channel`` where two share a name.
 
-    Where no channel is a time but waveforms have increments, there is a column ``time`` besides;
+    Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
     ``group/time`` where groups were sampled at different times.
 
     Raises
@@ -82,12 +85,7 @@ def read_tdms(path: Path) -> Table:
         early, or declares more samples than it can hold or than are read.
     """
     with _opened(path) as file:
-        found = [
-            _described(path, channel)
-            for group in file.groups()
-            for channel in group.channels()
-            if len(channel)
-        ]
+        found = [_described(channel) for channel in _channels(file) if len(channel)]
     if not found:
         raise RecordError(f"{path} holds no channel with data")
     shared = Counter(channel.name for channel in found)
@@ -98,7 +96,7 @@ def read_tdms(path: Path) -> Table:
     def load(wanted: Sequence[str]) -> dict[str, Array]:
         with _opened(path) as file:
             return {
-                name: _ticks(clocks[name])
+                name: clocks[name].times()
                 if name in clocks
                 else _numbers(path, name, file, channels[name])
                 for name in wanted
@@ -110,7 +108,7 @@ def read_tdms(path: Path) -> Table:
 
 
 class _Stream(BufferedReader):
-    """File of which no more is asked for at once than it has: texts may declare gigabytes."""
+    """File that is never asked for more bytes than it has: a text may declare gigabytes."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         left = os.fstat(self.fileno()).st_size - self.tell()
@@ -119,15 +117,15 @@ class _Stream(BufferedReader):
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """File with its description read, and its data left where they are."""
+    """File whose description was read and checked; its data are not read yet."""
     try:
         from nptdms import TdmsFile
         from nptdms.log import log_manager
     except ImportError as error:
         raise missing_library(path, "npTDMS", "tdms") from error
-    log_manager.set_level(logging.ERROR)  # what it warns of is refused here, in a sentence
+    log_manager.set_level(logging.ERROR)  # its warnings are errors here
     try:
-        # Of a path nptdms would read an index beside the file, which may be another's.
+        # Given a path, nptdms would read an index file beside it, which may belong to another.
         with path.open("rb", buffering=0) as file, _Stream(file) as stream:
             _check_parts(path, stream)
             with TdmsFile.open(stream) as opened:
@@ -142,7 +140,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _check_parts(path: Path, stream: IO[bytes]) -> None:
-    """Refuse a file whose parts repeat so many channels that going through them takes minutes."""
+    """Refuse a file whose parts together list more channels than `LISTED`."""
     size = path.stat().st_size
     at = channels = listed = 0
     while at + 32 <= size:
@@ -152,7 +150,7 @@ def _check_parts(path: Path, stream: IO[bytes]) -> None:
             break  # nptdms stops here too
         flags = int.from_bytes(lead[4:8], "little")
         order: Literal["big", "little"] = "big" if flags & 64 else "little"
-        if flags & 2:  # the part lists channels: besides those of the part before, or anew
+        if flags & 2:  # the part lists channels; with flag 4 those of the parts before end
             channels = int.from_bytes(lead[28:32], order) + (0 if flags & 4 else channels)
         listed += channels
         if listed > LISTED:
@@ -165,7 +163,7 @@ def _check_parts(path: Path, stream: IO[bytes]) -> None:
 
 
 def _check_whole(path: Path, file: Any) -> None:
-    """Refuse a file that declares more samples than it, or this program, can hold."""
+    """Refuse a file that is cut off, or declares more samples than it holds or than are read."""
     for channel, status in (file.file_status.channel_statuses or {}).items():
         if status.read_length < status.expected_length:
             raise RecordError(
@@ -173,17 +171,20 @@ def _check_whole(path: Path, file: Any) -> None:
                 f"channel {channel} and holds {status.read_length:,}"
             )
     size = path.stat().st_size
-    for group in file.groups():
-        for channel in group.channels():
-            if len(channel) > min(size, SAMPLES):
-                limit = f"the {SAMPLES:,} that are read" if size > SAMPLES else "it can hold"
-                raise RecordError(
-                    f"{path} declares {len(channel):,} samples of channel {channel.path}, more "
-                    f"than {limit}"
-                )
+    for channel in _channels(file):
+        if len(channel) > min(size, SAMPLES):
+            limit = f"the {SAMPLES:,} that are read" if size > SAMPLES else "it can hold"
+            raise RecordError(
+                f"{path} declares {len(channel):,} samples of channel {channel.path}, more "
+                f"than {limit}"
+            )
 
 
-def _described(path: Path, channel: Any) -> _Channel:
+def _channels(file: Any) -> Iterator[Any]:
+    return (channel for group in file.groups() for channel in group.channels())
+
+
+def _described(channel: Any) -> _Channel:
     properties = channel.properties
     unit = properties.get("unit_string") or properties.get("NI_UnitDescription") or ""
     return _Channel(
@@ -196,7 +197,7 @@ def _described(path: Path, channel: Any) -> _Channel:
 
 
 def _clock(properties: Mapping[str, Any], samples: int) -> _Clock | None:
-    """Clock of a waveform, or None where the channel has no increment, or not one of time."""
+    """Clock of a waveform; None where the channel has no increment of time."""
     increment = properties.get("wf_increment", math.nan)
     start = properties.get("wf_start_offset", 0.0)
     unit = bare_unit(str(properties.get("wf_xunit_string", ""))) or "s"
@@ -208,20 +209,15 @@ def _clock(properties: Mapping[str, Any], samples: int) -> _Clock | None:
 
 
 def _clocks(channels: Sequence[_Channel]) -> dict[str, _Clock]:
-    """Name to clock: one for all, or one for each group that has one of its own."""
-    waveforms = [c for c in channels if c.numeric and c.clock is not None]
-    ours = {c.clock for c in waveforms if c.clock is not None}
-    if len(ours) == 1:
-        return {"time": ours.pop()}
-    groups = {
-        group: {c.clock for c in waveforms if c.group == group and c.clock is not None}
-        for group in dict.fromkeys(c.group for c in waveforms)
-    }
+    """Name to clock: one for all channels, or one for each group whose channels share one."""
+    groups: dict[str, set[_Clock]] = {}
+    for channel in channels:
+        if channel.numeric and channel.clock is not None:
+            groups.setdefault(channel.group, set()).add(channel.clock)
+    shared = set().union(*groups.values())
+    if len(shared) == 1:
+        return {"time": shared.pop()}
     return {f"{group}/time": own.pop() for group, own in groups.items() if len(own) == 1}
-
-
-def _ticks(clock: _Clock) -> Array:
-    return clock.start + clock.increment * np.arange(clock.samples, dtype=np.float64)
 
 
 def _numbers(path: Path, name: str, file: Any, channel: _Channel) -> Array:

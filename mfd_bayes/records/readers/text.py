@@ -1,4 +1,4 @@
-"""Columns out of text: separated by commas, semicolons, tabs or blanks, under whatever heading.
+"""Columns out of text: separated by commas, semicolons, tabs or blanks, below any heading.
 
 This reads what spreadsheets save as CSV, decimal commas included, and what test controllers
 write: lines about the test, a row of names, perhaps a row of units, and numbers.
@@ -26,14 +26,14 @@ BLANKS = " "
 SEPARATORS = (",", "\t", ";", BLANKS)
 
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
-# 0,5 · ,5 · 1,25 · 1,2345 · 1234,5: no thousands are grouped like that.
+# 0,5 · ,5 · 1,25 · 1,2345 · 1234,5: the comma cannot be a thousands separator.
 _SURELY_DECIMAL = re.compile(r"(?<![\d.])0*,\d|\d,\d{1,2}(?!\d)|,\d{4}|\d{4},\d|,\d{3}[eE]")
 _COMMA_NUMBER = re.compile(r"[+-]?\d+,\d{3}(?!\d)")
 
 
 @dataclass(frozen=True, eq=False)
 class _Text:
-    """Lines of a table of text, and how they are read.
+    """Table of a text file.
 
     Attributes
     ----------
@@ -42,11 +42,11 @@ class _Text:
         One of `SEPARATORS`.
     names : tuple of str
     heading : int
-        Line of the names, from 1.
+        Line number of the names, from 1.
     lines : list of str
-        Those of numbers, without blank ones and comments.
+        The lines of numbers, without blank lines and comments.
     numbers : list of int
-        Of these lines in the file, from 1.
+        Line numbers of `lines` in the file, from 1.
     """
 
     path: Path
@@ -76,33 +76,31 @@ class _Text:
         return (".",) if self.separator == "," else (".", ",")
 
     def _parsed(self, positions: Sequence[int], decimal: str) -> list[Array] | None:
-        """Columns at positions, or None where a cell is no finite number with this decimal sign."""
-        import pandas as pd
-
+        """Columns at positions; None where a cell is not finite with this decimal sign."""
         try:
-            frame = pd.read_csv(
-                self._stream(), dtype=np.float64, decimal=decimal, **self._options(positions)
-            )
-        except (ValueError, OverflowError, pd.errors.ParserError):
+            frame = self._frame(positions, dtype=np.float64, decimal=decimal)
+        except (ValueError, OverflowError):  # pandas' own are a ValueError too
             return None
         columns = [frame[at].to_numpy() for at in positions]
         return columns if all(np.all(np.isfinite(column)) for column in columns) else None
 
-    def _stream(self) -> StringIO:
-        return StringIO("\n".join(self.lines).replace("\N{MINUS SIGN}", "-"))
+    def _frame(self, positions: Sequence[int], **options: Any) -> Any:
+        """Columns at positions as pandas reads them."""
+        import pandas as pd
 
-    def _options(self, positions: Sequence[int]) -> dict[str, Any]:
-        return {
-            "sep": r"\s+" if self.separator == BLANKS else self.separator,
-            "header": None,
-            "names": list(range(len(self.names))),
-            "usecols": sorted(set(positions)),
-            "index_col": False,
-            "skipinitialspace": True,
-        }
+        return pd.read_csv(
+            StringIO("\n".join(self.lines).replace("\N{MINUS SIGN}", "-")),
+            sep=r"\s+" if self.separator == BLANKS else self.separator,
+            header=None,
+            names=list(range(len(self.names))),
+            usecols=sorted(set(positions)),
+            index_col=False,
+            skipinitialspace=True,
+            **options,
+        )
 
     def _check_commas(self) -> None:
-        """Refuse numbers of which none tells whether its comma stands before thousands."""
+        """Refuse numbers whose comma may be a decimal sign or a thousands separator in all."""
         text = "\n".join(self.lines)
         if not _SURELY_DECIMAL.search(text) and (found := _COMMA_NUMBER.search(text)):
             raise RecordError(
@@ -112,13 +110,9 @@ class _Text:
 
     def _fault(self, wanted: Sequence[str], positions: Sequence[int]) -> RecordError:
         """Error for the first cell that cannot be read."""
-        import pandas as pd
-
         try:
-            cells = pd.read_csv(
-                self._stream(), dtype=str, keep_default_na=False, **self._options(positions)
-            )
-        except (ValueError, pd.errors.ParserError) as error:
+            cells = self._frame(positions, dtype=str, keep_default_na=False)
+        except ValueError as error:
             reason = str(error).splitlines()[0]
             return RecordError(f"{self.path} is not a table of separated columns: {reason}")
         columns = {name: list(cells[at]) for name, at in zip(wanted, positions, strict=True)}
@@ -128,7 +122,7 @@ class _Text:
         return self._mixed(columns)
 
     def _first_bad(self, column: Sequence[str]) -> int:
-        """First row whose text is a finite number with no decimal sign, or the number of rows."""
+        """First row that is no finite number with any decimal sign, or the number of rows."""
         bad = (
             row
             for row, cell in enumerate(column)
@@ -156,8 +150,8 @@ class _Text:
 def read_text(path: Path) -> Table:
     """Table of a .csv, .txt, .dat, .tsv or .asc file.
 
-    The table is the row of names, perhaps a row of units, and the rows below that hold the
-    largest share of numbers; lines above it, blank ones and those that begin with # are skipped.
+    A table is a row of names, perhaps a row of units, and rows of numbers; the one with the
+    largest share of numbers is taken. Blank lines and those that begin with # are skipped.
 
     Raises
     ------
@@ -190,7 +184,7 @@ def read_text(path: Path) -> Table:
 
 
 def _decoded(path: Path) -> str:
-    """Text of a file: UTF-8, UTF-16 where it is marked, or Windows' own code."""
+    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or in Windows-1252."""
     with path.open("rb") as file:
         marked = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
@@ -204,7 +198,7 @@ def _decoded(path: Path) -> str:
 
 
 def _best(head: Sequence[str]) -> tuple[str, Layout] | None:
-    """Separator whose table has the largest share of numbers, and that table."""
+    """Separator whose table has the largest share of numbers, and the layout of that table."""
     found = [(s, find_layout([_split(line, s) for line in head], _reads)) for s in SEPARATORS]
     tables = [(separator, layout) for separator, layout in found if layout is not None]
     return max(tables, key=lambda table: (table[1].share, table[1].count), default=None)
@@ -215,7 +209,7 @@ def _reads(cell: object) -> bool:
 
 
 def _written_in(line: str) -> str:
-    """Separator of a header without numbers below it."""
+    """Separator of a line of names without numbers below it."""
     return next((sign for sign in SEPARATORS[:-1] if sign in line), ",")
 
 
@@ -228,7 +222,7 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _names(head: Sequence[str], layout: Layout, separator: str) -> tuple[str, ...]:
-    """Names of the columns, without the empty ones that a separator at the end makes."""
+    """Names of the columns, without empty ones at the end."""
     line = head[layout.names]
     names = _split(line, separator)
     if separator == BLANKS:
@@ -241,9 +235,9 @@ def _names(head: Sequence[str], layout: Layout, separator: str) -> tuple[str, ..
 
 
 def _check_widths(text: _Text) -> None:
-    """Refuse a line with more cells than names, unless the rest are empty.
+    """Refuse a line with more cells than names, unless the others are empty.
 
-    Between blanks there are no empty cells: there a line with fewer is refused too.
+    Where blanks separate cells, a line with fewer cells is refused too: no cell can be empty.
     """
     width = len(text.names)
     for line, number in zip(text.lines, text.numbers, strict=True):
