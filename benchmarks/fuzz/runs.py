@@ -40,7 +40,7 @@ from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.resumption import prepare_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import write_json
-from mfd_bayes.store.netcdf import load_trace, save_test, save_trace
+from mfd_bayes.store.netcdf import CalibratedTest, load_trace, save_test, save_trace
 from mfd_bayes.validation.folds import Fold, read_predictions
 
 LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
@@ -120,7 +120,8 @@ def _write_posterior(path: Path, posterior: Posterior, rng: Rng) -> None:
     facts["autocorrelation"] = dict.fromkeys(posterior.names, 10.0)
     facts["convergence"] = {name: [1.0, 500.0, 500.0] for name in flat}
     values = {name: draws.reshape(2, 12) for name, draws in flat.items()}
-    save_test(path, values, UNITS, stats, posterior.trace, np.zeros((2, 1, 60)), facts)
+    predictive = np.zeros((2, 1, 60))
+    save_test(path, CalibratedTest(values, UNITS, stats, posterior.trace, predictive, facts))
 
 
 def _write_population(

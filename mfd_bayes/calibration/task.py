@@ -20,7 +20,7 @@ from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.netcdf import save_test
+from mfd_bayes.store.netcdf import CalibratedTest, save_test
 
 Array = NDArray[np.float64]
 
@@ -126,19 +126,19 @@ def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
         "convergence": _convergence(values, chains.walkers),
         "wall_time": draws.wall_time,
     }
-    save_test(
-        path,
-        values,
-        UNITS,
-        {
+    stored = CalibratedTest(
+        values=values,
+        units=UNITS,
+        stats={
             "lp": draws.log_prob,
             "log_prior": draws.log_prior,
             "log_likelihood": draws.log_likelihood,
         },
-        task.trace,
-        replicas.observed.reshape(len(draws.q), -1, task.trace.samples),
-        facts,
+        trace=task.trace,
+        predictive=replicas.observed.reshape(len(draws.q), -1, task.trace.samples),
+        facts=facts,
     )
+    save_test(path, stored)
 
 
 def _convergence(values: dict[str, Array], walkers: int) -> dict[str, list[float]]:
