@@ -18,7 +18,7 @@ from mfd_bayes.records.readers.text import read_text
 
 __all__ = ["SUFFIXES", "Table", "read_table"]
 
-_FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
+FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
     {
         **dict.fromkeys((".csv", ".txt", ".dat", ".tsv", ".asc"), read_text),
         ".xlsx": read_excel,
@@ -27,8 +27,9 @@ _FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
         ".mat": read_matlab,
     }
 )
+"""The function that reads a file into a Table, by the file's suffix in lower case."""
 
-SUFFIXES = tuple(_FORMATS)
+SUFFIXES = tuple(FORMATS)
 """Suffixes of the files that can be read, in lower case."""
 
 
@@ -44,14 +45,14 @@ def read_table(path: Path) -> Table:
     suffix = path.suffix.lower()
     if path.is_dir():
         raise RecordError(f"{path} is a folder: give a test file or a campaign.toml")
-    if suffix not in _FORMATS:
+    if suffix not in FORMATS:
         raise RecordError(
             f"{path} has the unknown suffix {suffix!r}; expected {', '.join(SUFFIXES)}"
         )
     try:
         if path.stat().st_size == 0:
             raise RecordError(f"{path} is empty")
-        return _FORMATS[suffix](path)
+        return FORMATS[suffix](path)
     except (OSError, csv.Error) as error:
         raise unreadable(path, error) from error
     except MemoryError as error:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from types import MappingProxyType
 
 from matplotlib.figure import Figure
 
@@ -22,9 +23,6 @@ from mfd_bayes.reporting.figures.posteriors import (
 )
 from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
-
-OF_TEST = ("loops", "history", "residuals", "corner", "trace", "marginals")
-"""Figures of a test."""
 
 _FIGURES_HELD = 8
 
@@ -97,22 +95,60 @@ def _collecting_rarely() -> Iterator[None]:
 
 def figures_of_test(test: TestView, system: System) -> Iterator[tuple[str, Figure]]:
     """Figures of one test in the units of a system, each with its key."""
-    home = f"tests/{test.id}"
-    title = f"{test.id}, {test.actuation}"
-    fans: list[Fan] = [fan for fan in (test.observation, test.device) if fan is not None]
-    yield f"{home}/loops", draw_loops(title, test.trace, fans, system)
-    yield f"{home}/history", draw_history(title, test.trace, fans, test.first, system)
-    if test.role != "validate":
-        yield (
-            f"{home}/residuals",
-            draw_residuals(f"{title}: what the fit leaves over", test, system),
-        )
-    corner = draw_corner(f"{title}: joint posterior", test.marginals, test.corner)
-    if corner is not None:
-        yield f"{home}/corner", corner
-    if test.chains:
-        units = {row.name: row.unit for row in test.rows}
-        units |= {marginal.name: marginal.unit for marginal in test.marginals}
-        yield f"{home}/trace", draw_chains(f"{title}: chains", test.chains, units)
-    if test.marginals:
-        yield f"{home}/marginals", draw_marginals(f"{title}: priors and posteriors", test.marginals)
+    for name, draw in OF_TEST.items():
+        figure = draw(test, system)
+        if figure is not None:
+            yield f"tests/{test.id}/{name}", figure
+
+
+def _title(test: TestView) -> str:
+    return f"{test.id}, {test.actuation}"
+
+
+def _fans(test: TestView) -> list[Fan]:
+    return [fan for fan in (test.observation, test.device) if fan is not None]
+
+
+def _loops(test: TestView, system: System) -> Figure:
+    return draw_loops(_title(test), test.trace, _fans(test), system)
+
+
+def _history(test: TestView, system: System) -> Figure:
+    return draw_history(_title(test), test.trace, _fans(test), test.first, system)
+
+
+def _residuals(test: TestView, system: System) -> Figure | None:
+    if test.role == "validate":
+        return None
+    return draw_residuals(f"{_title(test)}: what the fit leaves over", test, system)
+
+
+def _corner(test: TestView, system: System) -> Figure | None:
+    return draw_corner(f"{_title(test)}: joint posterior", test.marginals, test.corner)
+
+
+def _chains(test: TestView, system: System) -> Figure | None:
+    if not test.chains:
+        return None
+    units = {row.name: row.unit for row in test.rows}
+    units |= {marginal.name: marginal.unit for marginal in test.marginals}
+    return draw_chains(f"{_title(test)}: chains", test.chains, units)
+
+
+def _marginals(test: TestView, system: System) -> Figure | None:
+    if not test.marginals:
+        return None
+    return draw_marginals(f"{_title(test)}: priors and posteriors", test.marginals)
+
+
+OF_TEST: Mapping[str, Callable[[TestView, System], Figure | None]] = MappingProxyType(
+    {
+        "loops": _loops,
+        "history": _history,
+        "residuals": _residuals,
+        "corner": _corner,
+        "trace": _chains,
+        "marginals": _marginals,
+    }
+)
+"""Figures of a test by the names of their files; one with nothing to show is None."""
