@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from mfd_bayes.assessment.views import (
     Row,
 )
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
-from mfd_bayes.calibration.predictive import PredictiveCheck
+from mfd_bayes.calibration.predictive import PredictiveCheck, Replicas, check_predictive
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.runs.verdict import Verdict
 
 INFORMED = 0.5
@@ -129,3 +131,70 @@ def standing_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
         target = f"{name} (95 % interval {low:.2f} to {high:.2f})"
         checks.append(Check("population", STANDING, target, middle, "interval holds 1", verdict))
     return checks
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedTest:
+    """What the checks of a calibrated test are computed from.
+
+    Attributes
+    ----------
+    test : TestResult
+    rows : sequence of Row
+        Its parameters, with their convergence.
+    replicas : Replicas
+        Records that the posterior predicts.
+    known : Identifiability
+        What the data tell of its parameters.
+    effort : mapping
+        Targets of the sampling.
+    """
+
+    test: TestResult
+    rows: Sequence[Row]
+    replicas: Replicas
+    known: Identifiability
+    effort: Mapping[str, Any]
+
+    @property
+    def id(self) -> str:
+        """The test's."""
+        return self.test.id
+
+
+def _convergence(found: CheckedTest) -> list[Check]:
+    return convergence_checks(found.id, found.rows, found.effort)
+
+
+def _length(found: CheckedTest) -> list[Check]:
+    return [length_check(found.id, found.test.stored.facts, found.effort)]
+
+
+def _predictive(found: CheckedTest) -> list[Check]:
+    posterior, values = found.test.posterior, found.test.stored.values()
+    gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
+    checks = check_predictive(posterior, found.replicas, gap)
+    return [predictive_check(found.id, check) for check in checks]
+
+
+def _notes(found: CheckedTest) -> list[Check]:
+    return notes(found.id, found.rows, found.test.stored.facts)
+
+
+def _identifiability(found: CheckedTest) -> list[Check]:
+    return identifiability_checks(found.id, found.known)
+
+
+OF_TEST: tuple[Callable[[CheckedTest], Iterable[Check]], ...] = (
+    _convergence,
+    _length,
+    _predictive,
+    _notes,
+    _identifiability,
+)
+"""The checks of a calibrated test, in the order of the table."""
+
+
+def checks_of_test(found: CheckedTest) -> tuple[Check, ...]:
+    """All checks of a calibrated test."""
+    return tuple(check for make in OF_TEST for check in make(found))

@@ -11,11 +11,8 @@ from mfd_bayes.assessment.bands import fan_of, score_of
 from mfd_bayes.assessment.checks import (
     INFORMED,
     NOT_INFORMED,
-    convergence_checks,
-    identifiability_checks,
-    length_check,
-    notes,
-    predictive_check,
+    CheckedTest,
+    checks_of_test,
 )
 from mfd_bayes.assessment.derived_rows import calibrated_rows, held_out_rows
 from mfd_bayes.assessment.systems import US
@@ -23,7 +20,7 @@ from mfd_bayes.assessment.views import Marginal, Row, TestView
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import check_predictive, replicate
+from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.trace import Trace
@@ -43,18 +40,13 @@ _CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")
 def calibrated_view(run: Run, test: TestResult) -> TestView:
     """A test that was fitted."""
     posterior, stored = test.posterior, test.stored
-    facts, values = stored.facts, stored.values()
+    values = stored.values()
     replicas = replicate(posterior, values, np.random.default_rng(0))
-    gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
     prior = _prior_values(test)
     rows = _rows(test.id, stored, prior)
-    checks = convergence_checks(test.id, rows, run.manifest["effort"])
-    checks.append(length_check(test.id, facts, run.manifest["effort"]))
-    checks += [predictive_check(test.id, c) for c in check_predictive(posterior, replicas, gap)]
-    checks += notes(test.id, rows, facts)
     known = _identifiability(posterior, stored, prior)
+    checked = CheckedTest(test, rows, replicas, known, run.manifest["effort"])
     stage, travel = _stages(test, values)
-    checks += identifiability_checks(test.id, known)
     informed = {row.name: row.contraction >= INFORMED for row in rows}
     return TestView(
         id=test.id,
@@ -68,7 +60,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         marginals=_marginals(test, values, prior, rows),
         chains={name: _by_step(stored, name) for name in posterior.names},
         corner=tuple(name for name in _CORNER if informed.get(name)),
-        checks=tuple(checks),
+        checks=checks_of_test(checked),
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
         identifiability=known,
         derived=calibrated_rows(run, test, replicas),

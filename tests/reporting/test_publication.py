@@ -37,7 +37,7 @@ def test_a_report_holds_every_figure_and_its_table(campaign, images, tmp_path):
 def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(
     campaign, tmp_path, monkeypatch
 ):
-    for module in ("publication", "reporting.html"):
+    for module in ("reporting.publication", "reporting.html"):
         monkeypatch.setattr(f"mfd_bayes.{module}.ONE_PAGE", 2)
     quick = replace(campaign.tests[0], marginals=(), chains={}, corner=(), identifiability=None)
     tests = [
