@@ -16,6 +16,7 @@ def study(benchmark_module) -> ModuleType:
     return benchmark_module("fuzz.run")
 
 
+@pytest.mark.slow
 def test_changed_files_end_in_a_result_or_a_sentence(study):
     targets = study.few()
     counts = study.shares(targets, 800)
@@ -33,6 +34,7 @@ def test_changed_files_end_in_a_result_or_a_sentence(study):
             assert min(tally.kinds["result"], tally.kinds["refused"]) > 0
 
 
+@pytest.mark.slow
 def test_faulty_readers_are_found(study):
     targets = study.controls()
     tallies = study.run(study.controls, [1] * len(targets), seed=1, jobs=2, seconds=3.0)

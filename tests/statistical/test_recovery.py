@@ -12,6 +12,8 @@ from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.trace import Trace
 
+pytestmark = pytest.mark.slow
+
 TESTS = 12
 PROBABILITY = 0.8
 WATCHED = ("Fc_fwd", "Fc_bwd", "k3", "d2", "ell", "noise_sd")

@@ -160,6 +160,7 @@ def test_the_table_has_a_line_for_each_test_and_model(compared):
     assert all(len(line.split(",")) == len(head.split(",")) for line in lines)
 
 
+@pytest.mark.slow
 def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     # Bouc-Wen's force with white noise, which LuGre cannot follow in its spring behind the knee
     time = np.arange(0, 4, 1 / 40)
