@@ -1,31 +1,69 @@
-"""What the tests share."""
+"""What the tests share: the folder of real records, and one finished run for all of them."""
 
-import importlib
-import os
-import sys
-from pathlib import Path
 
-import pytest
+@dataclass(frozen=True)
+class FinishedRun:
+    """A small synthetic campaign that the installed command has calibrated.
+
+    Attributes
+    ----------
+    campaign : Path
+        Campaign file of three tests and one held out.
+    truth : dict
+        The parameters that the records are made with.
+    out : Path
+        Run folder. Tests read it, or change a copy of it.
+    code, stdout, stderr
+        How the command ended, and what it printed.
+    """
+
+    campaign: Path
+    truth: dict[str, Any]
+    out: Path
+    code: int
+    stdout: str
+    stderr: str
 
 
 @pytest.fixture(scope="session")
-def data_folder() -> Path:
-    """Folder of the real records, or a skip that says how to provide them."""
-    root = Path(os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    folder = root / "brfd"
-    if not folder.is_dir():
-        pytest.skip(
-            f"real records not found at {folder}; set MFD_BAYES_DATA to their parent folder"
-        )
-    return folder
+def finished_run(tmp_path_factory) -> FinishedRun:
+    """The finished run, calibrated once for all processes of a test session."""
+    home = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        home = home.parent  # which the processes share
+    home = home / "finished_run"
+    home.mkdir(exist_ok=True)
+    with (home / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # the others wait for the first
+        ended = home / "ended.json"
+        if not ended.is_file():
+            ended.write_text(json.dumps(calibrate_once(home)))
+    return FinishedRun(home / "campaign.toml", out=home / "out", **json.loads(ended.read_text()))
 
 
-@pytest.fixture(scope="session")
-def benchmark_module():
-    """Function that imports a module of benchmarks/, such as "sbc.study"."""
-    root = Path(__file__).parents[1]
-    if not (root / "benchmarks").is_dir():
-        pytest.skip("benchmarks/ is not part of this distribution")
-    sys.path.append(str(root))  # last, so that an installed mfd_bayes is the one that is tested
-    yield lambda name: importlib.import_module(f"benchmarks.{name}")
-    sys.path.remove(str(root))
+def calibrate_once(home: Path) -> dict[str, Any]:
+    """Calibrate the small campaign in two processes; the truth, and how the command ended."""
+    from mfd_bayes.campaign.synthetic import Truth, write_campaign
+
+    pressures = (500.0, 1000.0, 1500.0)
+    truth = Truth(pressures=pressures, frequencies=(0.5,), cycles=(2,), held_out=(1200.0, 0.5))
+    known = write_campaign(home, 1, truth)
+    path = home / "campaign.toml"
+    path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"\narea = 1.5'))
+    command = [Path(sys.executable).parent / "mfd-bayes", "calibrate", path, "-o", home / "out"]
+    # a user has set no thread counts
+    plain = {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    ended = subprocess.run(
+        [*map(str, command), "--effort", "quick", "--jobs", "2"],
+        capture_output=True,
+        text=True,
+        env=plain,
+        timeout=600,
+        check=False,
+    )
+    return {
+        "truth": known,
+        "code": ended.returncode,
+        "stdout": ended.stdout,
+        "stderr": ended.stderr,
+    }

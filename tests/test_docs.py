@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 import traceback
@@ -16,7 +17,6 @@ import mfd_bayes as mb
 from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.campaign import schema
 from mfd_bayes.campaign.file import load_campaign
-from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli.commands import app
 
 ROOT = Path(__file__).parents[1]
@@ -24,7 +24,7 @@ PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages")
 
 # Pages that are read one after the other, and so run in one folder.
 SERIES = (
-    ("lab.md", "arviz.md"),
+    ("lab.md", "arviz.md"),  # calibrates a campaign of its own, and so is slow
     ("demo.md", "README.md"),
     ("files.md",),
     ("python.md",),
@@ -119,21 +119,17 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def make_small_demo(reader):
-    """Run folder `out` of a demo with one test, where the pages have one with eight."""
-    truth = Truth(pressures=(500.0,), frequencies=(0.5,), cycles=(2,))
-    write_campaign(Path("out_campaign"), 1, truth)
-    command = "mfd-bayes calibrate out_campaign/campaign.toml -o out --effort quick --jobs 1"
-    reader.run(Block("demo.md", 1, "bash", "", command))
-
-
 # ArviZ 0.23 calls Matplotlib in a way that 3.11 deprecates.
 @pytest.mark.filterwarnings("ignore:.*alias_mapping:DeprecationWarning")
-@pytest.mark.parametrize("pages", SERIES, ids=lambda pages: pages[0])
-def test_the_blocks_of_a_page_run_in_order(pages, folder):
+@pytest.mark.parametrize(
+    "pages",
+    [pytest.param(SERIES[0], marks=pytest.mark.slow), *SERIES[1:]],
+    ids=lambda pages: pages[0],
+)
+def test_the_blocks_of_a_page_run_in_order(pages, folder, request):
     reader = Reader()
-    if "demo.md" in pages:
-        make_small_demo(reader)
+    if "demo.md" in pages:  # a run of three tests, where the pages have one with eight
+        shutil.copytree(request.getfixturevalue("finished_run").out, "out")
     for page in pages:
         for block in runnable(page):
             reader.run(block)

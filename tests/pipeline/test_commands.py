@@ -19,7 +19,6 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.pipeline import calibration as execution
@@ -63,30 +62,16 @@ def refused(outcome, words):
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory):
+def campaign(finished_run):
     """Campaign file of three tests and one held out, and what is true of them."""
-    folder = tmp_path_factory.mktemp("campaign")
-    truth = Truth(
-        pressures=(500.0, 1000.0, 1500.0), frequencies=(0.5,), cycles=(2,), held_out=(1200.0, 0.5)
-    )
-    known = write_campaign(folder, 1, truth)
-    path = folder / "campaign.toml"
-    path.write_text(path.read_text().replace('"ou"', f'"ou"\nrate = "50 Hz"\narea = {AREA}'))
-    return path, known
+    return finished_run.campaign, finished_run.truth
 
 
 @pytest.fixture(scope="module")
-def finished(campaign, tmp_path_factory):
-    """Run folder of the campaign, calibrated in two processes, and what was printed."""
-    out = tmp_path_factory.mktemp("run") / "out"
-    return out, mfd(*calibrate(campaign[0], out, "--jobs", 2))
-
-
-@pytest.fixture(scope="module")
-def out(finished):
-    folder, outcome = finished
-    assert outcome.returncode == 0, outcome.stderr
-    return folder
+def out(finished_run):
+    """Run folder of the campaign."""
+    assert finished_run.code == 0, finished_run.stderr
+    return finished_run.out
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +96,9 @@ def draws_of(path):
 # --- what comes out
 
 
-def test_calibrate_says_what_it_does_and_nothing_on_stderr(finished):
-    folder, outcome = finished
-    assert outcome.returncode == 0
+def test_calibrate_says_what_it_does_and_nothing_on_stderr(finished_run):
+    folder, outcome = finished_run.out, finished_run
+    assert outcome.code == 0
     assert outcome.stderr == ""
     for test in TESTS:
         assert f"{test}: done" in outcome.stdout
@@ -365,8 +350,8 @@ def test_without_actuation_there_is_no_prediction(run):
 # --- the other commands
 
 
-def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished):
-    folder, outcome = finished
+def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished_run):
+    folder, outcome = finished_run.out, finished_run
     verdicts = json.loads((folder / "manifest.json").read_text())["verdicts"]
     *_, whole, look = outcome.stdout.splitlines()
     for test in TESTS:
@@ -376,22 +361,17 @@ def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished):
     assert look.startswith(f"look next at {folder}/report.html")
 
 
-def test_quiet_commands_say_the_verdict_alone(copied):
+def test_report_remakes_the_report_without_sampling_and_quietly_says_the_verdict_alone(copied):
     sentence = json.loads((copied / "manifest.json").read_text())["verdicts"]["sentence"]
-    outcome = here("report", copied, "--quiet")
-    assert (outcome.exit_code, outcome.stderr) == (0, "")
-    assert outcome.stdout.partition(": ")[2] == f"{sentence}\n"
-    assert here("check", copied, "-q").stdout == f"{sentence}\n"
-
-
-def test_report_remakes_the_report_without_sampling(copied):
     stored = copied / "tests" / TESTS[0] / "posterior.nc"
     before = stored.stat().st_mtime_ns, hashlib.sha256(stored.read_bytes()).hexdigest()
     tables = {n: (copied / n).read_bytes() for n in ("parameters.csv", "laws.csv", "checks.csv")}
     (copied / "report.html").unlink()
     shutil.rmtree(copied / "figures")
-    outcome = here("report", copied)
+    outcome = here("report", copied, "--quiet")
     assert outcome.exit_code == 0, outcome.output
+    assert outcome.stderr == ""
+    assert outcome.stdout.partition(": ")[2] == f"{sentence}\n"
     assert (copied / "report.html").stat().st_size > 10_000
     assert list((copied / "figures").glob("*.png"))
     for name, content in tables.items():
@@ -536,6 +516,7 @@ def test_bands_that_cannot_be_written_are_refused(out, motion, tmp_path):
 
 
 def test_check_exits_by_the_verdicts(out):
+    sentence = json.loads((out / "manifest.json").read_text())["verdicts"]["sentence"]
     failed = (pd.read_csv(out / "checks.csv")["verdict"] == "fail").any()
     outcome = here("check", out)
     assert outcome.exit_code == (1 if failed else 0), outcome.output
@@ -543,15 +524,17 @@ def test_check_exits_by_the_verdicts(out):
     everything = here("check", out, "--all")
     assert everything.exit_code == outcome.exit_code
     assert len(everything.stdout) > 5 * len(outcome.stdout)
+    assert sentence in outcome.stdout
 
 
 def test_check_fails_where_a_limit_is_not_kept(copied):
     manifest = json.loads((copied / "manifest.json").read_text())
     manifest["effort"]["ess"] = 1e9
     (copied / "manifest.json").write_text(json.dumps(manifest))
-    outcome = here("check", copied)
+    outcome = here("check", copied, "-q")
     assert outcome.exit_code == 1
-    assert "do not use these figures" in outcome.stdout
+    (sentence,) = outcome.stdout.splitlines()  # quietly: the verdict alone
+    assert "do not use these figures" in sentence
 
 
 def test_every_law_is_scored_and_friction_is_not_called_constant(out):
@@ -583,6 +566,7 @@ def crossed(campaign, out, tmp_path_factory):
     return copy, mfd(*arguments, "--jobs", 2, "--resume"), arguments
 
 
+@pytest.mark.slow
 def test_every_level_is_predicted_from_the_others_and_nothing_sampled_twice(out, crossed):
     copy, outcome, _ = crossed
     assert outcome.returncode == 0, outcome.stderr
@@ -596,6 +580,7 @@ def test_every_level_is_predicted_from_the_others_and_nothing_sampled_twice(out,
         assert (copy / name).read_bytes() == (out / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_predictions_of_levels_left_out_cover_the_force(crossed):
     table = pd.read_csv(crossed[0] / "crossvalidation.csv").set_index("test")
     assert list(table.index) == [*TESTS, "mean"]
@@ -608,6 +593,7 @@ def test_predictions_of_levels_left_out_cover_the_force(crossed):
     assert (table["rrse"] < 0.6).all()
 
 
+@pytest.mark.slow
 def test_the_report_shows_what_was_left_out_beside_the_test_held_out(crossed):
     page = (crossed[0] / "report.html").read_text()
     section = page[page.index('id="held-out"') : page.index('id="unknown"')]
@@ -616,6 +602,7 @@ def test_the_report_shows_what_was_left_out_beside_the_test_held_out(crossed):
     assert HELD_OUT not in pd.read_csv(crossed[0] / "crossvalidation.csv")["test"].to_numpy()
 
 
+@pytest.mark.slow
 def test_parts_that_were_predicted_are_not_predicted_again(crossed, tmp_path):
     folder, _, arguments = crossed
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
@@ -630,6 +617,7 @@ def test_parts_that_were_predicted_are_not_predicted_again(crossed, tmp_path):
     assert (copy / name).read_bytes() == (folder / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_resuming_keeps_the_cross_validation_and_replacing_removes_it(campaign, crossed, tmp_path):
     copy = Path(shutil.copytree(crossed[0], tmp_path / "copy"))
     execution.calibrate(campaign[0], copy, Options(effort="quick", resume=True), lambda _: None)
@@ -641,6 +629,7 @@ def test_resuming_keeps_the_cross_validation_and_replacing_removes_it(campaign, 
     assert not (copy / "law_scores.csv").exists()
 
 
+@pytest.mark.slow
 def test_an_existing_run_is_not_cross_validated_unasked(crossed):
     before = (crossed[0] / "manifest.json").read_bytes()
     refused(here(*crossed[2]), "--resume")
@@ -709,6 +698,7 @@ def press_until_it_stops(process):
     return process.communicate(timeout=10)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wait", [0.05, 0.12])
 def test_an_interrupt_while_processes_start_is_one_sentence_too(campaign, tmp_path, wait):
     out = tmp_path / "out"
@@ -723,6 +713,7 @@ def test_an_interrupt_while_processes_start_is_one_sentence_too(campaign, tmp_pa
     assert sentence.startswith("mfd-bayes: interrupted")
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
     """Replace a run, interrupt that, give back what could be finished by then, and go on."""
     (copied / "mine.txt").write_text("keep me")

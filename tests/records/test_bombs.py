@@ -51,7 +51,7 @@ MEMORY = 1536 * 2**20
 
 def deflated(size):
     """A zlib stream of so many zeros."""
-    packer = zlib.compressobj(9)
+    packer = zlib.compressobj(1)
     zeros = bytes(2**20)
     return b"".join(packer.compress(zeros) for _ in range(size >> 20)) + packer.flush()
 

@@ -9,6 +9,8 @@ from mfd_bayes.calibration.predictive import PredictiveCheck, check_predictive, 
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.trace import Trace
 
+pytestmark = pytest.mark.slow
+
 EFFORT = Effort(ess=100, limit=600, r_hat=1.05, length=1.0)
 EXTREME = 0.005
 

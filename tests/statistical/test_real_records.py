@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mfd_bayes.calibration.map_fit import find_modes
 from mfd_bayes.calibration.posterior import Posterior
@@ -18,6 +19,7 @@ def misfit(path: Path, model: str) -> float:
     return float(np.std(residual) / np.std(np.asarray(posterior.trace.force)))
 
 
+@pytest.mark.slow
 def test_three_stages_fit_where_lugre_alone_does_not(data_folder: Path) -> None:
     path = data_folder / "2023_30lb_0.25Hz_1.0in.csv"
     assert misfit(path, "three_stage") <= 0.09
