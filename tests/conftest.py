@@ -1,5 +1,40 @@
 """What the tests share: the folder of real records, and one finished run for all of them."""
 
+import fcntl
+import importlib
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Folder of the real records, or a skip that says how to provide them."""
+    root = Path(os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    folder = root / "brfd"
+    if not folder.is_dir():
+        pytest.skip(
+            f"real records not found at {folder}; set MFD_BAYES_DATA to their parent folder"
+        )
+    return folder
+
+
+@pytest.fixture(scope="session")
+def benchmark_module():
+    """Function that imports a module of benchmarks/, such as "sbc.study"."""
+    root = Path(__file__).parents[1]
+    if not (root / "benchmarks").is_dir():
+        pytest.skip("benchmarks/ is not part of this distribution")
+    sys.path.append(str(root))  # last, so that an installed mfd_bayes is the one that is tested
+    yield lambda name: importlib.import_module(f"benchmarks.{name}")
+    sys.path.remove(str(root))
+
 
 @dataclass(frozen=True)
 class FinishedRun:
@@ -38,7 +73,9 @@ def finished_run(tmp_path_factory) -> FinishedRun:
         ended = home / "ended.json"
         if not ended.is_file():
             ended.write_text(json.dumps(calibrate_once(home)))
-    return FinishedRun(home / "campaign.toml", out=home / "out", **json.loads(ended.read_text()))
+    return FinishedRun(
+        home / "campaign" / "campaign.toml", out=home / "out", **json.loads(ended.read_text())
+    )
 
 
 def calibrate_once(home: Path) -> dict[str, Any]:
@@ -47,8 +84,9 @@ def calibrate_once(home: Path) -> dict[str, Any]:
 
     pressures = (500.0, 1000.0, 1500.0)
     truth = Truth(pressures=pressures, frequencies=(0.5,), cycles=(2,), held_out=(1200.0, 0.5))
-    known = write_campaign(home, 1, truth)
-    path = home / "campaign.toml"
+    (home / "campaign").mkdir()
+    known = write_campaign(home / "campaign", 1, truth)
+    path = home / "campaign" / "campaign.toml"
     path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"\narea = 1.5'))
     command = [Path(sys.executable).parent / "mfd-bayes", "calibrate", path, "-o", home / "out"]
     # a user has set no thread counts

@@ -56,3 +56,42 @@ def test_every_quantity_that_varies_is_ranked(
 
 
 @pytest.mark.slow
+def test_truths_are_ranked_evenly(
+    sbc: ModuleType, uniform: ModuleType, ranks: dict[str, dict[str, list[int]]]
+) -> None:
+    """Familywise 1 %, Bonferroni over the quantities."""
+    assert uniform.failures(ranks[sbc.TRUE], uniform.Uniformity(TESTS, DRAWS)) == {}
+
+
+@pytest.mark.slow
+def test_a_wrong_likelihood_ranks_them_unevenly(
+    sbc: ModuleType, uniform: ModuleType, ranks: dict[str, dict[str, list[int]]]
+) -> None:
+    """Negative control: noise that is correlated is taken for noise that is not."""
+    failed = uniform.failures(ranks[sbc.WRONG], uniform.Uniformity(CONTROLS, DRAWS))
+    assert {"offset", sbc.LIKELIHOOD} <= set(failed)
+
+
+def test_uniform_ranks_fail_as_rarely_as_stated(uniform: ModuleType) -> None:
+    uniformity = uniform.Uniformity(60, DRAWS, 20_000)
+    rng = np.random.default_rng(1)
+    found = [uniformity.p_value(rng.integers(0, DRAWS + 1, 60)) for _ in range(2000)]
+    for level in (0.05, 0.2):
+        share = np.mean(np.array(found) < level)
+        assert abs(share - level) < 4.0 * np.sqrt(level * (1 - level) / 2000)
+
+
+def test_a_curve_leaves_the_band_just_when_its_p_value_is_below_the_level(
+    uniform: ModuleType,
+) -> None:
+    uniformity = uniform.Uniformity(60, DRAWS, 20_000)
+    lower, upper = uniformity.band(0.05)
+    rng = np.random.default_rng(2)
+    verdicts = set()
+    for _ in range(300):
+        ranks = np.floor((DRAWS + 1) * rng.beta(1.0, 0.75, 60)).astype(int)
+        curve = uniformity.deviation(ranks)
+        outside = bool(np.any((curve < lower) | (curve > upper)))
+        assert outside == (uniformity.p_value(ranks) < 0.05)
+        verdicts.add(outside)
+    assert verdicts == {True, False}
