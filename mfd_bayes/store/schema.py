@@ -6,14 +6,7 @@ import math
 import reprlib
 from typing import Annotated, Any, TypeVar
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-)
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from mfd_bayes.errors import StoreError
 
@@ -51,13 +44,7 @@ Index = Annotated[int, Field(ge=0)]
 def check(kind: type[Kind], content: Any, where: object) -> Kind:
     """Content of a JSON file as a `Part`.
 
-    Parameters
-    ----------
-    kind : type of Part
-    content : dict
-        As JSON gives it.
-    where : Path or str
-        The file, for the message.
+    `where` is the file, for the message.
 
     Raises
     ------

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mfd_bayes.records.faults.fault import Array, Fault, count, fault, rate_of, runs, spread
+from mfd_bayes.records.faults.fault import Array, Fault, count, rate_of, runs, spread
 from mfd_bayes.records.resampling import crossing_times
 from mfd_bayes.records.trace import Trace
 
@@ -43,13 +43,13 @@ def time_unit(trace: Trace) -> Iterator[Fault]:
     """Rate or speed that no test of a damper has."""
     speed = float(np.max(np.abs(np.diff(trace.displacement) / np.diff(trace.time))))
     if seems_milliseconds(trace.time, trace.turning_points.size):
-        yield fault(
+        yield Fault(
             "time unit",
             f"a rate of {rate_of(trace):.3g} Hz over {np.ptp(trace.time):.4g} s is implausible: "
             "is time in ms rather than in s?",
         )
     elif np.quantile(np.abs(trace.velocity), 0.9) > FAST:
-        yield fault(
+        yield Fault(
             "time unit",
             f"a speed of {speed:.3g} in/s is implausible: check the units of time and displacement",
         )
@@ -59,7 +59,7 @@ def short_record(trace: Trace) -> Iterator[Fault]:
     """Too few samples or cycles."""
     turns = trace.turning_points.size
     if trace.samples < SAMPLES or turns < 2 * LOOPS:
-        yield fault(
+        yield Fault(
             "short record",
             f"the record is very short, {trace.samples} samples and {turns} turning points; "
             f"{SAMPLES} samples and {LOOPS} cycles are little already",
@@ -70,7 +70,7 @@ def stroke(trace: Trace, gap: float) -> Iterator[Fault]:
     """A motion that stays within the gap."""
     travel = float(np.ptp(trace.displacement))
     if travel <= gap:
-        yield fault(
+        yield Fault(
             "stroke",
             f"the stroke of {travel:.3g} in is within the gap of about {gap:.2g} in that the "
             "priors expect: the device may never slip",
@@ -84,7 +84,7 @@ def rate(trace: Trace, gap: float) -> Iterator[Fault]:
         return
     crossing = float(np.median(times)) * rate_of(trace)
     if crossing < CROSSING:
-        yield fault(
+        yield Fault(
             "rate",
             f"{rate_of(trace):.4g} Hz leave {crossing:.2g} samples on the way across a gap of "
             f"about {gap:.2g} in after a reversal; {CROSSING} are needed to resolve it",
@@ -97,7 +97,7 @@ def dropped(trace: Trace) -> Iterator[Fault]:
     median = float(np.median(steps))
     at = np.flatnonzero(steps > DROPPED * median)
     if at.size:
-        yield fault(
+        yield Fault(
             "dropped samples",
             f"{count(at.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
             f"{steps[at].max():.3g} s, median {median:.3g} s), the first at "
@@ -120,7 +120,7 @@ def repeated(trace: Trace) -> Iterator[Fault]:
     moving = beside > 2 * smallest
     at = spread(starts[moving] + 1, lengths[moving] - 1)
     if at.size > REPEATED * trace.samples:
-        yield fault(
+        yield Fault(
             "repeated samples",
             f"{at.size} samples ({at.size / trace.samples:.1%}) repeat the one before while the "
             f"displacement moves, the first at {trace.time[at[0]]:.4g} s: the logger was slower "

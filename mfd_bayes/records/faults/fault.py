@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,7 @@ class Fault:
 
     name: str
     sentence: str
-    samples: Samples
-
-
-def fault(name: str, sentence: str, samples: Samples | None = None) -> Fault:
-    """Fault at some samples, or of the whole record."""
-    return Fault(name, sentence, np.empty(0, dtype=np.intp) if samples is None else samples)
+    samples: Samples = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
 
 def rate_of(trace: Trace) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mfd_bayes.records.faults.clock import CROSSING
-from mfd_bayes.records.faults.fault import Array, Fault, Samples, count, fault, runs, spread
+from mfd_bayes.records.faults.fault import Array, Fault, Samples, count, runs, spread
 from mfd_bayes.records.faults.lag import estimate_lag
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
@@ -31,7 +31,7 @@ DRIFT = 0.25
 def no_force(trace: Trace) -> Iterator[Fault]:
     """A force that never changes."""
     if trace.force is not None and np.ptp(trace.force) == 0.0:
-        yield fault(
+        yield Fault(
             "no force",
             f"the force is {trace.force[0]:g} kip throughout: was the load cell connected, and "
             "is it the right column?",
@@ -42,7 +42,7 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
     """Loops in which the force does negative work."""
     energy = find_loops(trace).energy
     if energy is not None and energy.size and energy.sum() < 0.0:
-        yield fault(
+        yield Fault(
             "force sign",
             f"the force does negative work in the loops ({np.median(energy):.3g} kip·in a loop): "
             "the sign of the force or of the displacement is swapped",
@@ -62,7 +62,7 @@ def clipping(trace: Trace) -> Iterator[Fault]:
         flat = at & moving[starts] & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
         if np.any(flat):
             longest = int(lengths[flat].max()) + 1
-            yield fault(
+            yield Fault(
                 "clipping",
                 f"the force stays at its {name} value, {extreme:.4g} kip, for up to {longest} "
                 "samples in motion: the load cell or its amplifier is at its limit",
@@ -81,7 +81,7 @@ def lag(trace: Trace) -> Iterator[Fault]:
     cycle = 2 * float(np.median(np.diff(trace.time[trace.turning_points])))
     if abs(delay) > max(LAG, LAG_SAMPLES * step, LAG_CYCLE * cycle):
         way = "behind" if delay > 0 else "before"
-        yield fault(
+        yield Fault(
             "lag",
             f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
             f"{way} the displacement at reversals: filters or channels are out of step",
@@ -98,7 +98,7 @@ def spikes(trace: Trace) -> Iterator[Fault]:
         at = _isolated(values)
         if at.size:
             height = float(np.max(np.abs(values[at] - 0.5 * (values[at - 1] + values[at + 1]))))
-            yield fault(
+            yield Fault(
                 "spikes",
                 f"{count(at.size, 'isolated sample')} of the {name} "
                 f"{'stands' if at.size == 1 else 'stand'} out by up to {height:.3g} {unit}, "
@@ -126,7 +126,7 @@ def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
     stroke = float(np.ptp(trace.displacement))
     across = "" if gap is None else f", {gap / quantum:.2g} in the gap"
     if quantum > stroke / LEVELS or (gap is not None and quantum > gap / CROSSING):
-        yield fault(
+        yield Fault(
             "resolution",
             f"the displacement moves in steps of {quantum:.3g} in, {stroke / quantum:.0f} in the "
             f"stroke{across}: the sensor or the file is too coarse",
@@ -152,7 +152,7 @@ def drift(trace: Trace) -> Iterator[Fault]:
         return
     half = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
     if abs(change) > DRIFT * half > 0.0:
-        yield fault(
+        yield Fault(
             "drift",
             f"the force drifts by {change:+.3g} kip from the first loops to the last, "
             f"{abs(change) / half:.0%} of its half range: the load cell's zero, or a device that "

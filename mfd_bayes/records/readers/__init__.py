@@ -39,8 +39,8 @@ def read_table(path: Path) -> Table:
     Raises
     ------
     RecordError
-        When the file cannot be read, is empty, is not what its suffix says, or needs a library
-        that is not installed.
+        When the file cannot be read, is not what its suffix says, holds no names or no numbers,
+        is larger than is read, or needs a library that is not installed.
     """
     suffix = path.suffix.lower()
     if path.is_dir():

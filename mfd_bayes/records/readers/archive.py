@@ -86,15 +86,9 @@ class _Scan:
 
 
 def check_archive(path: Path, file: IO[bytes]) -> None:
-    """Refuse a workbook beyond the limits `UNPACKED` and `CELLS`.
+    """Refuse a workbook beyond the limits `UNPACKED` and `CELLS`, or with an odd part.
 
     Every part is unpacked once, piece by piece, because the sizes in an archive may be false.
-
-    Raises
-    ------
-    RecordError
-        When the parts unpack to too much, a sheet has too many cells, or a part is packed or
-        written as no spreadsheet program does it.
     """
     with ZipFile(file) as archive:
         parts = archive.infolist()

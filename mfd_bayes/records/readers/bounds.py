@@ -68,14 +68,7 @@ def check_names(path: Path, names: Sequence[str]) -> None:
 
 
 def read_json_text(path: Path) -> str:
-    """Text of a JSON file within the limits `JSON` and `LISTS`.
-
-    Raises
-    ------
-    RecordError
-        When the file is larger, or holds more lists and objects.
-    UnicodeDecodeError
-    """
+    """Text of a JSON file; one beyond the limits `JSON` and `LISTS` is refused."""
     _check_size(path, JSON)
     text = path.read_text(encoding="utf-8-sig")
     if text.count("[") + text.count("{") > LISTS:

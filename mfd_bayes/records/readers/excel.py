@@ -27,25 +27,13 @@ _OLE = bytes.fromhex("D0CF11E0")
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """Table of a sheet.
-
-    Attributes
-    ----------
-    path : Path
-    number : int
-        Number of the sheet, from 0.
-    title : str
-    columns : dict
-        Name to number of the column, from 1; the last where two have one name.
-    rows : list of (int, tuple)
-        Row number in the sheet, from 1, and cells of every row that is not blank.
-    """
+    """Table of a sheet."""
 
     path: Path
-    number: int
+    number: int  # of the sheet, from 0
     title: str
-    columns: dict[str, int]
-    rows: list[tuple[int, Cells]]
+    columns: dict[str, int]  # name to number, from 1; the last where two have one name
+    rows: list[tuple[int, Cells]]  # row number in the sheet, from 1, and cells; no blank rows
 
     def place(self, row: int) -> str:
         return f"row {self.rows[row][0]} of sheet {self.title!r}"
@@ -88,12 +76,6 @@ def read_excel(path: Path) -> Table:
 
     Where there is no such sheet, of the one with the largest share of numbers. Formulas count
     with the values that Excel stored.
-
-    Raises
-    ------
-    RecordError
-        When openpyxl is not installed, or the file is no workbook, unpacks to too much, or has
-        no sheet with a row of names above numbers.
     """
     with _workbook(path) as workbook:
         number, layout = _find(path, workbook)

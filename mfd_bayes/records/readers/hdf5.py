@@ -25,25 +25,15 @@ _HARMLESS = 16 * 2**20  # bytes: a chunk may unpack to this, whatever it declare
 
 
 class UnsafeError(Exception):
-    """Why a file is not read; the message follows the file's name."""
+    """Raised for every file that is refused here; the message follows the file's name."""
 
 
 def check_objects(file: h5py.File, most: int, *, plain: bool = False) -> None:
     """Refuse a file that refers to other files, has circular links or declares too much.
 
-    Its heaps are checked first: the library reads texts from them when it looks at objects.
-
-    Parameters
-    ----------
-    file : h5py.File
-    most : int
-        Bytes that all its numbers together may unpack to.
-    plain : bool
-        Whether only unpacked numbers are allowed, as this program writes them.
-
-    Raises
-    ------
-    UnsafeError
+    At most `most` bytes of numbers may be declared; with `plain`, nothing but unpacked numbers,
+    as this program writes them. The heaps are checked first: the library reads texts from them
+    when it looks at objects.
     """
     check_heaps(file)
     declared = 0
@@ -73,10 +63,6 @@ def check_heaps(file: h5py.File) -> None:
     A global heap is a header of 16 bytes, then one object after another, each behind its number
     and size. The library steps from one to the next by these sizes alone, and does not move on
     where one is 0 (HDF5 File Format Specification, III.E).
-
-    Raises
-    ------
-    UnsafeError
     """
     if file.id.get_create_plist().get_sizes() != (8, 8):
         raise UnsafeError("has sizes of other than 8 bytes")
@@ -107,10 +93,6 @@ def check_pieces(dataset: h5py.Dataset) -> None:
     """Refuse a data set with a chunk that unpacks to more than it declares.
 
     The HDF5 library would unpack all of it before it sees that.
-
-    Raises
-    ------
-    UnsafeError
     """
     if dataset.chunks is None or dataset.compression is None:
         return

@@ -16,13 +16,7 @@ from mfd_bayes.records.readers.table import Array, Table
 
 
 def read_json(path: Path) -> Table:
-    """Table of a .json file.
-
-    Raises
-    ------
-    RecordError
-        When the file is not JSON, or holds no columns.
-    """
+    """Table of a .json file."""
     try:
         content = json.loads(read_json_text(path))
     except UnicodeDecodeError as error:

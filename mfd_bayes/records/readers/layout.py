@@ -20,26 +20,13 @@ _TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", 
 
 @dataclass(frozen=True)
 class Layout:
-    """Rows of a table, counted from 0, and how many of its cells hold numbers.
-
-    Attributes
-    ----------
-    names : int
-    units : int or None
-        Right below the names.
-    data : int
-        First row of numbers.
-    share : float
-        Numbers over filled cells.
-    count : int
-        Numbers, up to the next row without any.
-    """
+    """Rows of a table, counted from 0, and how many of its cells hold numbers."""
 
     names: int
-    units: int | None
-    data: int
-    share: float
-    count: int
+    units: int | None  # right below the names
+    data: int  # first row of numbers
+    share: float  # numbers over filled cells
+    count: int  # numbers, up to the next row without any
 
 
 def find_layout(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Layout | None:

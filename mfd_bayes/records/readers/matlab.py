@@ -19,13 +19,7 @@ _USER_BLOCK = 512
 
 
 def read_matlab(path: Path) -> Table:
-    """Table of a .mat file: its vectors, and the fields of structs as ``struct.field``.
-
-    Raises
-    ------
-    RecordError
-        When the file is not MATLAB's, unpacks to too much, or holds no vector of numbers.
-    """
+    """Table of a .mat file: its vectors, and the fields of structs as ``struct.field``."""
     with path.open("rb") as file:
         head = file.read(_USER_BLOCK + len(_HDF5))
     is_v73 = head.startswith(_HDF5) or head.endswith(_HDF5)

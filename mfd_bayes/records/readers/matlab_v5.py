@@ -51,13 +51,7 @@ class _Matrix(NamedTuple):
 def open_columns(
     path: Path,
 ) -> tuple[tuple[str, ...], Callable[[Sequence[str]], dict[str, Numbers]]]:
-    """Names of a file's vectors, and a function that gives their numbers.
-
-    Raises
-    ------
-    RecordError
-        When the file is not MATLAB's, or unpacks to more than `UNPACKED`.
-    """
+    """Names of a file's vectors, and a function that gives their numbers."""
     if path.stat().st_size > UNPACKED * _MB:
         raise _too_much(path)
     data = memoryview(path.read_bytes())

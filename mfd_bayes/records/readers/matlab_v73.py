@@ -23,13 +23,7 @@ Numbers = NDArray[np.generic]
 def open_columns(
     path: Path,
 ) -> tuple[tuple[str, ...], Callable[[Sequence[str]], dict[str, Numbers]]]:
-    """Names of a file's vectors, and a function that reads their numbers.
-
-    Raises
-    ------
-    RecordError
-        When the file is not MATLAB's, or declares or unpacks to more than `UNPACKED`.
-    """
+    """Names of a file's vectors, and a function that reads their numbers."""
     with _opened(path) as file:
         places = dict(_vectors(file))
 

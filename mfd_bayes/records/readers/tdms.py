@@ -44,24 +44,13 @@ class _Clock:
 
 @dataclass(frozen=True)
 class _Channel:
-    """Description of a channel.
-
-    Attributes
-    ----------
-    group, name : str
-    kind : str
-        Of numpy's data type: "f", "i", …
-    unit : str
-        Empty where the file gives none.
-    clock : _Clock or None
-        None where the channel is not a waveform over time.
-    """
+    """Description of a channel."""
 
     group: str
     name: str
-    kind: str
-    unit: str
-    clock: _Clock | None
+    kind: str  # of numpy's data type: "f", "i", …
+    unit: str  # empty where the file gives none
+    clock: _Clock | None  # None where the channel is not a waveform over time
 
     @property
     def numeric(self) -> bool:
@@ -77,12 +66,6 @@ def read_tdms(path: Path) -> Table:
 
     Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
     ``group/time`` where groups were sampled at different times.
-
-    Raises
-    ------
-    RecordError
-        When nptdms is not installed, or the file is not TDMS, holds no channel with data, ends
-        early, or declares more samples than it can hold or than are read.
     """
     with _opened(path) as file:
         found = [_described(channel) for channel in _channels(file) if len(channel)]

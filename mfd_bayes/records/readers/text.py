@@ -33,28 +33,14 @@ _COMMA_NUMBER = re.compile(r"[+-]?\d+,\d{3}(?!\d)")
 
 @dataclass(frozen=True, eq=False)
 class _Text:
-    """Table of a text file.
-
-    Attributes
-    ----------
-    path : Path
-    separator : str
-        One of `SEPARATORS`.
-    names : tuple of str
-    heading : int
-        Line number of the names, from 1.
-    lines : list of str
-        The lines of numbers, without blank lines and comments.
-    numbers : list of int
-        Line numbers of `lines` in the file, from 1.
-    """
+    """Table of a text file: its lines of numbers, without blank lines and comments."""
 
     path: Path
-    separator: str
+    separator: str  # one of `SEPARATORS`
     names: tuple[str, ...]
-    heading: int
+    heading: int  # line number of the names, from 1
     lines: list[str]
-    numbers: list[int]
+    numbers: list[int]  # line numbers of `lines` in the file, from 1
 
     def place(self, row: int) -> str:
         return f"line {self.numbers[row]}"
@@ -152,11 +138,6 @@ def read_text(path: Path) -> Table:
 
     A table is a row of names, perhaps a row of units, and rows of numbers; the one with the
     largest share of numbers is taken. Blank lines and those that begin with # are skipped.
-
-    Raises
-    ------
-    RecordError
-        When the file is not text, is empty, has no names or a line with more cells than names.
     """
     check_text(path)
     lines = _decoded(path).split("\n")
