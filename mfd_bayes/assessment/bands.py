@@ -1,4 +1,4 @@
-"""Bands and scores of force draws."""
+"""Bands, scores and summaries of draws."""
 
 from __future__ import annotations
 
@@ -23,6 +23,13 @@ def fan_of(kind: str, draws: Array) -> Fan:
     n = len(tails)
     intervals = (Interval(p, bounds[i], bounds[n + i]) for i, p in enumerate(PROBABILITIES))
     return Fan(kind, median, tuple(intervals))
+
+
+def spread_of(draws: Array, tail: float = 0.025) -> dict[str, float]:
+    """Mean, sd, median, and the bounds that leave `tail` of the draws (n,) on either side."""
+    lower, median, upper = (float(q) for q in np.quantile(draws, [tail, 0.5, 1.0 - tail]))
+    mean, sd = float(draws.mean()), float(draws.std())
+    return {"mean": mean, "sd": sd, "lower": lower, "median": median, "upper": upper}
 
 
 def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:

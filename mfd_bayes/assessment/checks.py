@@ -1,4 +1,4 @@
-"""Checks of one test or of the population, and their limits."""
+"""Checks of one test or of the population, each with its limit."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ INFORMED = 0.5
 """Share of the prior's variance that the data must remove from a parameter to inform it."""
 
 NOT_INFORMED = "the data do not inform it: the posterior is about the prior"
-"""What is noted of such a parameter."""
+"""Note of a parameter from which the data remove less."""
 
 EXTREME = 0.005
 """A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
@@ -39,11 +39,12 @@ SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 
 
 def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, Any]) -> list[Check]:
-    """R-hat and effective sample sizes against the effort's targets."""
+    """R-hat and effective sample sizes against the effort's targets.
+
+    A quantity that is not sampled has NaN for R-hat, and no check; an infinite R-hat fails.
+    """
     checks = []
-    for row in rows:
-        if np.isnan(row.r_hat):  # what is not sampled has none; an infinite one is a failure
-            continue
+    for row in (row for row in rows if not np.isnan(row.r_hat)):
         for name, value, limit, good in (
             ("R-hat", row.r_hat, f"<= {effort['r_hat']:g}", row.r_hat <= effort["r_hat"]),
             ("bulk ESS", row.ess_bulk, f">= {effort['ess']:g}", row.ess_bulk >= effort["ess"]),
@@ -54,9 +55,9 @@ def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, A
 
 
 def length_check(subject: str, facts: Mapping[str, Any], effort: Mapping[str, Any]) -> Check:
-    """Whether the chains are long against their own memory."""
-    times = facts["autocorrelation"].items()  # None stands for infinity, which JSON has not
-    slowest, time = max(((n, np.inf if t is None else t) for n, t in times), key=lambda it: it[1])
+    """Kept steps over the longest autocorrelation time, against the effort's target."""
+    times = {n: np.inf if t is None else t for n, t in facts["autocorrelation"].items()}  # of JSON
+    slowest, time = max(times.items(), key=lambda item: item[1])
     lengths = (facts["steps"] - facts["discarded"]) / time
     good = Verdict.of(lengths >= effort["length"])
     return Check(subject, LENGTH, slowest, lengths, f">= {effort['length']:g}", good)
@@ -76,19 +77,12 @@ def predictive_check(subject: str, check: PredictiveCheck) -> Check:
 
 
 def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Check]:
-    """What a reader must know that is no failure: parameters not informed, several modes."""
-    found = [
-        _noted(
-            subject,
-            CONTRACTION,
-            r.name,
-            r.contraction,
-            f">= {INFORMED:g}",
-            r.contraction >= INFORMED,
-        )
-        for r in rows
-        if np.isfinite(r.contraction)
-    ]
+    """Checks that cannot fail: how well each parameter is informed, and several modes."""
+    found = []
+    for row in (row for row in rows if np.isfinite(row.contraction)):
+        verdict = Verdict.noted(row.contraction >= INFORMED)
+        limit = f">= {INFORMED:g}"
+        found.append(Check(subject, CONTRACTION, row.name, row.contraction, limit, verdict))
     if facts["modes"] > 1:
         shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
         held = ", ".join(f"{100 * share:.0f} %" for share in sorted(shares)[::-1] if share >= 0.005)
@@ -98,33 +92,37 @@ def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[C
 
 
 def identifiability_checks(subject: str, found: Identifiability) -> list[Check]:
-    """What the data tell of a test: directions, trade-offs, sensitivities; none is a failure."""
+    """Checks that cannot fail: directions informed, trade-offs and sensitivities of a test."""
     directions = found.directions
     total = len(directions.names)
     best, least = (" and ".join(directions.carriers(at)) for at in (0, total - 1))
     target = f"of {total} (best: {best}; least: {least})"
     informed = directions.informed
-    checks = [_noted(subject, DIRECTIONS, target, informed, f">= {total}", informed >= total)]
+    verdict = Verdict.noted(informed >= total)
+    checks = [Check(subject, DIRECTIONS, target, informed, f">= {total}", verdict)]
     for pair in found.pairs:
         target = f"{pair.first} and {pair.second}"
         limit = f"within +-{TRADE_OFF:g}"
         checks.append(Check(subject, TRADE_OFFS, target, pair.correlation, limit, Verdict.NOTE))
     for s in found.sensitivities:
         target = f"{s.name} ({s.diagnosis})" if s.diagnosis else s.name
-        low, high = f"<= {s.prior_limit:.2g}", f"> {s.likelihood_limit:.2g}"
-        led, told = s.prior > s.prior_limit, s.likelihood > s.likelihood_limit
-        checks.append(_noted(subject, PRIOR_SENSITIVITY, target, s.prior, low, not led))
-        checks.append(_noted(subject, LIKELIHOOD_SENSITIVITY, s.name, s.likelihood, high, told))
+        limit, verdict = f"<= {s.prior_limit:.2g}", Verdict.noted(not s.prior > s.prior_limit)
+        checks.append(Check(subject, PRIOR_SENSITIVITY, target, s.prior, limit, verdict))
+        limit = f"> {s.likelihood_limit:.2g}"
+        verdict = Verdict.noted(s.likelihood > s.likelihood_limit)
+        name = LIKELIHOOD_SENSITIVITY
+        checks.append(Check(subject, name, s.name, s.likelihood, limit, verdict))
     return checks
 
 
-def _noted(subject: str, name: str, target: str, value: float, limit: str, good: bool) -> Check:
-    """Check that notes what is beyond its limit, and does not fail."""
-    return Check(subject, name, target, value, limit, Verdict.PASS if good else Verdict.NOTE)
-
-
 def standing_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
-    """Whether each proportional law's exponent, if it were free, may be 1."""
+    """Whether 1 is in the 95 % interval of each proportional law's exponent, set free.
+
+    Parameters
+    ----------
+    exponents : mapping of str to iterable of float
+        2.5 %, 50 % and 97.5 % quantile by quantity.
+    """
     checks = []
     for name, (low, middle, high) in exponents.items():
         verdict = Verdict.of(low <= 1.0 <= high)

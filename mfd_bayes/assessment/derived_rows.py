@@ -1,4 +1,4 @@
-"""Rows of derived quantities: draws of them beside what was measured."""
+"""Derived quantities of tests and predictions, each beside the measured value."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.assessment.bands import spread_of
 from mfd_bayes.assessment.views import DerivedRow
 from mfd_bayes.calibration.derived import (
     UNITS,
@@ -27,20 +28,20 @@ _OF_CYCLES = ("energy_per_cycle", "c_eq")
 
 
 def calibrated_rows(run: Run, test: TestResult, replicas: Replicas) -> tuple[DerivedRow, ...]:
-    """Derived quantities of a test that was fitted; its own offset is taken off the record."""
+    """Derived quantities of a fitted test; the record's are less the posterior median offset."""
     trace, first, values = test.trace, test.posterior.first, replicas.values
     force = replicas.force - values["offset"][:, None]
     drawn = derive_from_force(force, trace, first=first)
     drawn |= derive_from_parameters(values, trace.reference_actuation, _area(run))
-    known = measured(trace, float(np.median(values["offset"])), first)
+    known = _measured(trace, float(np.median(values["offset"])), first)
     cycles = count_cycles(trace, first=first)
-    return derived_rows(test.id, "calibrate", drawn, known, cycles)
+    return _rows((test.id, "calibrate"), drawn, known, cycles)
 
 
 def held_out_rows(run: Run, name: str, trace: Trace, damper: Band) -> tuple[DerivedRow, ...]:
-    """Derived quantities of a test that was predicted.
+    """Derived quantities of a predicted test.
 
-    Its own offset is unknown: the calibrated tests' median is taken off the record.
+    Its own offset is unknown, so the record's are less the median offset of the fitted tests.
 
     Parameters
     ----------
@@ -52,21 +53,22 @@ def held_out_rows(run: Run, name: str, trace: Trace, damper: Band) -> tuple[Deri
         Of kind "new_test": the force without offset and noise.
     """
     offsets = [np.median(test.stored.values()["offset"]) for test in run.tests.values()]
-    known = measured(trace, float(np.median(offsets)))
-    return derived_rows(name, "validate", _drawn(run, trace, damper), known, count_cycles(trace))
+    known = _measured(trace, float(np.median(offsets)))
+    drawn = _drawn(run, trace, damper)
+    return _rows((name, "validate"), drawn, known, count_cycles(trace))
 
 
 def predicted_rows(run: Run, trace: Trace, band: Band) -> tuple[DerivedRow, ...]:
     """Derived quantities of a prediction, with intervals of the band's probability.
 
-    They are the damper's: of a band of kind "observation", those of its kind "new_test".
-    `trace` is the band's, with a force where one was measured.
+    A band of kind "observation" holds offset and noise, which are not the damper's; its
+    derived quantities are those of kind "new_test". `trace` is the band's, with a force
+    where one was measured.
     """
     if band.kind == "observation":
         band = run.predict(trace, "new_test", band.probability)
-    drawn, known = _drawn(run, trace, band), measured(trace)
-    cycles, probability = count_cycles(trace), band.probability
-    return derived_rows("", band.kind, drawn, known, cycles, probability=probability)
+    drawn, known = _drawn(run, trace, band), _measured(trace)
+    return _rows(("", band.kind), drawn, known, count_cycles(trace), band.probability)
 
 
 def _drawn(run: Run, trace: Trace, band: Band) -> dict[str, Array]:
@@ -80,43 +82,48 @@ def _area(run: Run) -> float | None:
     return run.manifest["settings"].get("area") if run.actuation_unit == "ksi" else None
 
 
-def measured(trace: Trace, offset: float = 0.0, first: int = 0) -> dict[str, float]:
-    """What the record itself says, its offset (kip) taken off; empty without a force."""
+def _measured(trace: Trace, offset: float = 0.0, first: int = 0) -> dict[str, float]:
+    """Values of the record itself, less its offset (kip), by name; empty without a force."""
     if trace.force is None:
         return {}
     found = derive_from_force((trace.force - offset)[None, :], trace, first=first)
     return {name: float(value[0]) for name, value in found.items()}
 
 
-def derived_rows(
-    subject: str,
-    role: str,
+def _rows(
+    head: tuple[str, str],
     drawn: Mapping[str, Array],
     known: Mapping[str, float],
     cycles: int,
-    *,
     probability: float = 0.95,
 ) -> tuple[DerivedRow, ...]:
-    """Mean, sd and equal-tailed interval of draws (n,) by name, in the order of `UNITS`."""
+    """Rows of derived quantities, in the order of `UNITS`.
+
+    Parameters
+    ----------
+    head : (str, str)
+        Subject and role of each row.
+    drawn : mapping of str to (n,)
+        Draws by name.
+    known : mapping of str to float
+        Values of the record itself.
+    cycles : int
+        Full cycles of the motion.
+    probability : float
+        Of the equal-tailed interval.
+    """
+    subject, role = head
     basis = f"over {cycles} full cycle{'' if cycles == 1 else 's'}" if cycles else NO_CYCLE
-    tail = 0.5 * (1.0 - probability)
-    rows = []
-    for name in (name for name in UNITS if name in drawn):
-        draws = drawn[name]
-        lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail])
-        rows.append(
-            DerivedRow(
-                subject=subject,
-                role=role,
-                name=name,
-                unit=UNITS[name],
-                mean=float(draws.mean()),
-                sd=float(draws.std()),
-                lower=float(lower),
-                median=float(median),
-                upper=float(upper),
-                measured=known.get(name, float("nan")),
-                note=basis if name in _OF_CYCLES else "",
-            )
+    return tuple(
+        DerivedRow(
+            subject=subject,
+            role=role,
+            name=name,
+            unit=unit,
+            **spread_of(drawn[name], 0.5 * (1.0 - probability)),
+            measured=known.get(name, float("nan")),
+            note=basis if name in _OF_CYCLES else "",
         )
-    return tuple(rows)
+        for name, unit in UNITS.items()
+        if name in drawn
+    )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.assessment.bands import fan_of, score_of
+from mfd_bayes.assessment.bands import fan_of, score_of, spread_of
 from mfd_bayes.assessment.checks import (
     INFORMED,
     NOT_INFORMED,
@@ -47,7 +47,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     known = _identifiability(posterior, stored, prior)
     checked = CheckedTest(test, rows, replicas, known, run.manifest["effort"])
     stage, travel = _stages(test, values)
-    informed = {row.name: row.contraction >= INFORMED for row in rows}
+    informed = {row.name for row in rows if row.contraction >= INFORMED}
     return TestView(
         id=test.id,
         role="calibrate",
@@ -59,7 +59,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         rows=tuple(rows),
         marginals=_marginals(test, values, prior, rows),
         chains={name: _by_step(stored, name) for name in posterior.names},
-        corner=tuple(name for name in _CORNER if informed.get(name)),
+        corner=tuple(name for name in _CORNER if name in informed),
         checks=checks_of_test(checked),
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
         identifiability=known,
@@ -110,7 +110,6 @@ def _stages(
 
 def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row]:
     """Table I of one test: every parameter with its uncertainty and convergence."""
-    facts = stored.facts
     rows = []
     for name, draws in stored.values().items():
         shrunk = float("nan")
@@ -120,24 +119,17 @@ def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row
         note = SCALE_NOTE if name in SCALE_ONLY else ""
         if shrunk < INFORMED:
             note = NOT_INFORMED
-        lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
-        r_hat, bulk, tail = facts["convergence"].get(name, (np.nan, np.nan, np.nan))
-        # JSON has no infinity: walkers that never moved, or too few draws
-        r_hat = np.inf if r_hat is None else r_hat
-        bulk, tail = (0.0 if size is None else size for size in (bulk, tail))
+        r_hat, bulk, tail = stored.facts["convergence"].get(name, (np.nan, np.nan, np.nan))
         rows.append(
             Row(
                 subject=test,
                 name=name,
                 unit=UNITS[name],
-                mean=float(draws.mean()),
-                sd=float(draws.std()),
-                lower=float(lower),
-                median=float(median),
-                upper=float(upper),
-                r_hat=r_hat,
-                ess_bulk=bulk,
-                ess_tail=tail,
+                **spread_of(draws),
+                # None, for JSON has no infinity: walkers that never moved, or too few draws
+                r_hat=np.inf if r_hat is None else r_hat,
+                ess_bulk=0.0 if bulk is None else bulk,
+                ess_tail=0.0 if tail is None else tail,
                 contraction=shrunk,
                 note=note,
             )

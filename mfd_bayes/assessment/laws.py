@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.assessment.bands import fan_of
+from mfd_bayes.assessment.bands import fan_of, spread_of
 from mfd_bayes.assessment.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.assessment.law_choices import weighed
 from mfd_bayes.assessment.views import LawView, Row
@@ -15,6 +15,7 @@ from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.quantities import UNITS
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
 from mfd_bayes.population.layout import Setting
+from mfd_bayes.population.population import Population
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -23,34 +24,21 @@ Array = NDArray[np.float64]
 def law_rows(run: Run) -> tuple[Row, ...]:
     """Table II: slopes and intercepts, the laws' shapes, and the scatter of each quantity."""
     population = run.population
-    unit = run.actuation_unit
-    found = dict(population.slopes)
-    for name, law in population.layout.laws.items():
-        if law == COMPARE:  # a mixture of laws, of which each has its own or none
-            continue
-        for shape, draws in zip(("share", "exponent"), population.shapes(name), strict=True):
-            if shape in shapes_of(law):
-                found[f"{shape}_{name}"] = draws
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
     scales = dict(zip(spreads, population.layout.sd_scale.tolist(), strict=True))
-    found |= spreads
+    found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
     rows = []
     for name, draws in found.items():
         converged = measure_draws(draws, population.walkers)
-        lower, median, upper = np.quantile(draws, [0.025, 0.5, 0.975])
         shrunk = _contraction(draws, scales[name]) if name in scales else float("nan")
         rows.append(
             Row(
                 subject="population",
                 name=name,
-                unit=law_unit(name, unit),
-                mean=float(draws.mean()),
-                sd=float(draws.std()),
-                lower=float(lower),
-                median=float(median),
-                upper=float(upper),
+                unit=law_unit(name, run.actuation_unit),
+                **spread_of(draws),
                 r_hat=converged.worst_r_hat,
                 ess_bulk=float(converged.ess_bulk[0]),
                 ess_tail=float(converged.ess_tail[0]),
@@ -59,6 +47,17 @@ def law_rows(run: Run) -> tuple[Row, ...]:
             )
         )
     return tuple(rows)
+
+
+def _shapes(population: Population) -> dict[str, Array]:
+    """Draws of the shapes of each law by name; a mixture of laws has none of its own."""
+    return {
+        f"{shape}_{name}": draws
+        for name, law in population.layout.laws.items()
+        if law != COMPARE
+        for shape, draws in zip(("share", "exponent"), population.shapes(name), strict=True)
+        if shape in shapes_of(law)
+    }
 
 
 def _contraction(draws: Array, scale: float) -> float:
@@ -70,9 +69,9 @@ def _contraction(draws: Array, scale: float) -> float:
 def law_views(run: Run) -> tuple[LawView, ...]:
     """Every quantity that follows the actuation, with its law's bands and the tests."""
     population = run.population
-    layout = population.layout
-    levels = [test.trace.reference_actuation for test in run.tests.values()]
-    grid = np.linspace(0.0, 1.15 * max(levels), 60)
+    pooling = population.layout
+    highest = max(test.trace.reference_actuation for test in run.tests.values())
+    grid = np.linspace(0.0, 1.15 * highest, 60)
     rng = np.random.default_rng(0)
     typical = dict(layout.covariate_reference)
     tested = _tested(run, list(layout.laws))

@@ -23,3 +23,8 @@ class Verdict(StrEnum):
     def of(cls, good: bool) -> "Verdict":
         """PASS or FAIL."""
         return cls.PASS if good else cls.FAIL
+
+    @classmethod
+    def noted(cls, good: bool) -> "Verdict":
+        """PASS or NOTE, of a check that cannot fail."""
+        return cls.PASS if good else cls.NOTE

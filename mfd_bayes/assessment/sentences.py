@@ -1,0 +1,131 @@
+"""The verdict of a run with its reason, and the remarks, in sentences."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from mfd_bayes.assessment.checks import INFORMED, PREDICTIVE, SAMPLING
+from mfd_bayes.assessment.fits import SCALE_NOTE
+from mfd_bayes.assessment.views import STANDING, Check, TestView
+from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.verdict import Verdict
+
+
+def verdict_sentence(manifest: Mapping[str, Any], checks: list[Check], calibrated: int) -> str:
+    """Why a run with so many calibrated tests passes or fails."""
+    failed = [check for check in checks if check.verdict == Verdict.FAIL]
+    lost = sum(c.name == "calibration" for c in failed)
+    parts = [f"{lost} test(s) could not be calibrated"] if lost else []
+    parts.append(_of_sampling(failed, manifest["effort"], calibrated))
+    parts.append(_of_fit(failed, sum(c.name == PREDICTIVE for c in checks)))
+    bent = [c for c in failed if c.name == STANDING]
+    if bent:
+        what = ", ".join(f"{_subject_of(c)}: exponent {c.value:.2f}" for c in bent)
+        parts.append(
+            f"the proportional law is not supported ({what}, not 1): do not extrapolate with it"
+        )
+    text = "; ".join(parts) + "."
+    return text[0].upper() + text[1:]
+
+
+def _subject_of(check: Check) -> str:
+    """Target of a check without the figures in brackets."""
+    return check.target.split(" (")[0]
+
+
+def _of_sampling(failed: list[Check], effort: Mapping[str, Any], calibrated: int) -> str:
+    limits = f"R-hat <= {effort['r_hat']:g}, bulk and tail ESS >= {effort['ess']:g}"
+    where: dict[str, list[str]] = {}
+    for c in failed:
+        if c.name in SAMPLING:
+            where.setdefault(c.subject, []).append(f"{c.name} of {c.target}")
+    if not where:
+        tests = "the calibrated test" if calibrated == 1 else f"all {calibrated} calibrated tests"
+        return f"{tests} and the laws converged ({limits})"
+    told = (
+        f"{subject} ({names[0]}{f' and {len(names) - 1} more' if names[1:] else ''})"
+        for subject, names in sorted(where.items())
+    )
+    return (
+        f"the sampling did not reach its targets ({limits}, and chains that are long enough) in "
+        f"{', '.join(told)}: do not use these figures, give a larger --effort or look at the test"
+    )
+
+
+def _of_fit(failed: list[Check], total: int) -> str:
+    extreme = [c for c in failed if c.name == PREDICTIVE]
+    if not extreme:
+        return f"none of {total} predictive checks is extreme"
+    what = _counted(_subject_of(c).split(",")[0] for c in extreme)
+    return (
+        f"{len(extreme)} of {total} predictive checks are extreme, so the model does not "
+        f"reproduce everything: {what}"
+    )
+
+
+def _counted(names: Iterable[str], most: int | None = None) -> str:
+    """Names with how often each is there, the most frequent first."""
+    return ", ".join(f"{name} ({times})" for name, times in Counter(names).most_common(most))
+
+
+def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
+    """Sentences that a reader must know besides the verdict."""
+    found = []
+    if run.manifest.get("truth"):
+        found.append(
+            "The tests are synthetic: they were computed from known parameters with known noise. "
+            "Where a record was low-passed for the fit, the true noise of that record is not known."
+        )
+    if not run.hashed:
+        found.append(
+            "An older version of this program wrote the run, without hashes of its files: it is "
+            "not known whether they have changed since."
+        )
+    weak = _counted(r.name for view in tests for r in view.rows if r.contraction < INFORMED)
+    if weak:
+        found.append(f"Not informed by the data (number of tests): {weak}.")
+    found += _of_identifiability(tests)
+    if any(r.name == "gamma1" for view in tests for r in view.rows):
+        found.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
+    found += _of_dependence(run.manifest)
+    if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:
+        found.append(
+            "All calibrated tests are at one actuation: at any other, predictions rest on the "
+            "form of the laws alone."
+        )
+    return tuple(found)
+
+
+def _of_dependence(manifest: Mapping[str, Any]) -> list[str]:
+    """Quantities that predict tests left out better if they follow speed or stroke."""
+    asked = manifest["settings"].get("dependence") or {}
+    found = []
+    for score in manifest.get("dependence_scores", ()):
+        name, covariate, gain = score["quantity"], score["covariate"], score["difference"]
+        if covariate and covariate not in asked.get(name, ()) and gain > max(score["se"], 1.0):
+            found.append(
+                f"Tests that are left out are predicted better if {name} follows the {covariate} "
+                f"(elpd {gain:+.1f} ± {score['se']:.1f} over tests): try it under [dependence]."
+            )
+    return found
+
+
+def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
+    """How many directions the data inform, and which parameters trade off most often."""
+    known = [view.identifiability for view in tests if view.identifiability is not None]
+    if not known:
+        return []
+    informed = sorted({f.directions.informed for f in known})
+    span = f"{informed[0]} to {informed[-1]}" if len(informed) > 1 else f"{informed[0]}"
+    total = len(known[0].directions.names)
+    found = [f"The data of a test inform {span} of {total} directions in parameter space."]
+    pairs = [f"{pair.first} and {pair.second}" for f in known for pair in f.pairs]
+    if pairs:
+        found.append(
+            "Parameters that trade off, so that their combination is known better than each of "
+            f"them (number of tests): {_counted(pairs, 4)}"
+            f"{', and others' if len(set(pairs)) > 4 else ''}."
+        )
+    return found

@@ -1,0 +1,129 @@
+"""The whole report of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mfd_bayes.assessment.views.check import Check
+from mfd_bayes.assessment.views.law import LawChoice, LawView
+from mfd_bayes.assessment.views.test import Row, ScoreRow, TestView
+from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.validation.models import ComparisonRow
+
+
+@dataclass(frozen=True)
+class LeftOutRow:
+    """Scores of one test that was predicted without its part of the campaign; in kip.
+
+    `fitted_width` and `fitted_crps` are those of the same test's own posterior, which has
+    seen its force; the ratios are the prediction's figure over the fitted one.
+    """
+
+    part: str
+    subject: str
+    coverage_50: float
+    coverage_90: float
+    coverage_95: float
+    width_95: float
+    interval_score: float
+    crps: float
+    rrse: float
+    fitted_width: float
+    fitted_crps: float
+    width_ratio: float
+    crps_ratio: float
+
+
+@dataclass(frozen=True)
+class LeftOutView:
+    """Cross-validation of a campaign: each part predicted from all the others.
+
+    Attributes
+    ----------
+    by : {"test", "level", "session"}
+        What a part is.
+    rows : tuple of LeftOutRow
+    mean : LeftOutRow
+        Mean of each column over the tests.
+    sentence : str
+        The result in words.
+    """
+
+    by: str
+    rows: tuple[LeftOutRow, ...]
+    mean: LeftOutRow
+    sentence: str
+
+
+@dataclass(frozen=True)
+class TruthRow:
+    """The true value of a synthetic test's quantity, and its posterior."""
+
+    subject: str
+    name: str
+    unit: str
+    truth: float
+    lower: float
+    median: float
+    upper: float
+    inside: bool
+    informed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignView:
+    """The whole report.
+
+    Attributes
+    ----------
+    title : str
+    verdict : Verdict
+        FAIL where a check failed, else PASS.
+    sentence : str
+        The verdict with its reason.
+    actuation_unit : {"ksi", "kip"}
+    tests : tuple of TestView
+    failures : mapping of str to str
+        Tests without a posterior, and why.
+    laws : tuple of LawView
+    law_rows : tuple of Row
+        Table II: slopes, intercepts, shapes, and the scatter of each quantity.
+    checks : tuple of Check
+    scores : tuple of ScoreRow
+    truth : tuple of TruthRow
+        Empty for real tests.
+    provenance : mapping of str to str
+        Command, seed, versions and hashes of the inputs.
+    remarks : tuple of str
+        Sentences that a reader must know.
+    law_choices : tuple of LawChoice
+        Of each quantity that follows the actuation; empty where levels are too few.
+    left_out : LeftOutView or None
+        None where the campaign was not cross-validated.
+    comparison : tuple of ComparisonRow
+        Models that were compared on this campaign; empty where none were.
+    comparison_sentence : str
+        Result of that comparison.
+    metric : bool
+        Whether the records, and so the report, are in metric units.
+    """
+
+    title: str
+    verdict: Verdict
+    sentence: str
+    actuation_unit: str
+    tests: tuple[TestView, ...]
+    failures: Mapping[str, str]
+    laws: tuple[LawView, ...]
+    law_rows: tuple[Row, ...]
+    checks: tuple[Check, ...]
+    scores: tuple[ScoreRow, ...]
+    truth: tuple[TruthRow, ...]
+    provenance: Mapping[str, str]
+    remarks: tuple[str, ...]
+    law_choices: tuple[LawChoice, ...] = ()
+    left_out: LeftOutView | None = None
+    comparison: tuple[ComparisonRow, ...] = ()
+    comparison_sentence: str = ""
+    metric: bool = False

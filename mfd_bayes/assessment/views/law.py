@@ -1,0 +1,70 @@
+"""A quantity against actuation, and how well each law predicts it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mfd_bayes.assessment.views.test import Array, Fan
+
+
+@dataclass(frozen=True, eq=False)
+class LawView:
+    """A quantity against actuation: its law with bands, and the tests' own posteriors.
+
+    Attributes
+    ----------
+    name, unit : str
+    law : str
+        The law's name, or the weights of several laws.
+    actuation : (m,), ksi or kip
+    median : Fan
+        Of the median over tests.
+    new_test : Fan
+        Of one more test, with the scatter from test to test.
+    tested : tuple of (str, float, float, float, float)
+        Id, actuation, and 2.5 %, 50 % and 97.5 % quantile of each test's posterior.
+    """
+
+    name: str
+    unit: str
+    law: str
+    actuation: Array
+    median: Fan
+    new_test: Fan
+    tested: tuple[tuple[str, float, float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class LawScoreRow:
+    """How well one law predicts a quantity at levels that were left out.
+
+    Attributes
+    ----------
+    quantity, law : str
+    chosen : bool
+        Whether the campaign uses this law.
+    elpd, elpd_se : float
+        Log predictive density, summed over levels, and its standard error.
+    difference, difference_se : float
+        Elpd minus that of the best law, and its standard error, paired over levels.
+    weight : float
+        Stacking weight.
+    """
+
+    quantity: str
+    law: str
+    chosen: bool
+    elpd: float
+    elpd_se: float
+    difference: float
+    difference_se: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class LawChoice:
+    """The laws of one quantity, best first, and a sentence that says which predicts best."""
+
+    quantity: str
+    rows: tuple[LawScoreRow, ...]
+    sentence: str

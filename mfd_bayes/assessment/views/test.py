@@ -1,0 +1,169 @@
+"""One test: its bands, parameters, checks and scores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.assessment.views.check import Check
+from mfd_bayes.calibration.identifiability import Identifiability
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Posterior of one quantity: mean, sd, and 2.5 %, 50 % and 97.5 % quantile, in `unit`.
+
+    `contraction` is the share of the prior's variance that the data removed. `note` is a
+    warning to the reader, such as that the data do not inform the quantity.
+    """
+
+    subject: str
+    name: str
+    unit: str
+    mean: float
+    sd: float
+    lower: float
+    median: float
+    upper: float
+    r_hat: float
+    ess_bulk: float
+    ess_tail: float
+    contraction: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class DerivedRow:
+    """A quantity derived from the damper's force, without offset and noise, in `unit`.
+
+    `role` is the test's, or the kind of a prediction. `lower` and `upper` bound an
+    equal-tailed interval. `measured` is the record's own value, NaN where it has none.
+    `note` gives the number of full cycles; without one, all figures are NaN.
+    """
+
+    subject: str
+    role: str
+    name: str
+    unit: str
+    mean: float
+    sd: float
+    lower: float
+    median: float
+    upper: float
+    measured: float
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """Equal-tailed band of one probability, (T,) each, kip."""
+
+    probability: float
+    lower: Array
+    upper: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """A median and its bands.
+
+    Attributes
+    ----------
+    kind : {"device", "new_test", "observation", "prior"}
+    median : (T,), kip
+    intervals : tuple of Interval
+        Widest last.
+    """
+
+    kind: str
+    median: Array
+    intervals: tuple[Interval, ...]
+
+
+@dataclass(frozen=True)
+class ScoreRow:
+    """Scores of a test's observation bands against its force; width and scores in kip."""
+
+    subject: str
+    role: str
+    coverage_50: float
+    coverage_90: float
+    coverage_95: float
+    width_95: float
+    interval_score: float
+    crps: float
+    rrse: float
+
+
+@dataclass(frozen=True, eq=False)
+class Marginal:
+    """Draws of one quantity from prior (m,) and posterior (n,), in `unit`."""
+
+    name: str
+    unit: str
+    prior: Array
+    posterior: Array
+    contraction: float
+
+
+@dataclass(frozen=True, eq=False)
+class TestView:
+    """One test in the report.
+
+    Attributes
+    ----------
+    id : str
+    role : {"calibrate", "validate"}
+    actuation : str
+        With its unit.
+    trace : Trace
+        With its force.
+    first : int
+        First sample that was fitted.
+    device : Fan or None
+        Model and offset, without noise; None where the test was predicted.
+    observation : Fan
+    rows : tuple of Row
+    marginals : tuple of Marginal
+    chains : mapping of str to (chain, draw)
+        Sampled quantities for trace plots; a draw is the mean over walkers at a step.
+    corner : tuple of str
+        Quantities of the corner plot, in its order: those that the data inform.
+    checks : tuple of Check
+    score : ScoreRow
+    identifiability : Identifiability or None
+        None where the test was predicted.
+    derived : tuple of DerivedRow
+        With 95 % intervals.
+    stage : (T,) int or None
+        Stage at each sample for the posterior medians: 1 slip, 2 stick, 3 build-up;
+        None where the test was predicted or the model has no gap.
+    travel : (T,), in, or None
+        Travel in the gap since the last slip, for the posterior medians.
+    """
+
+    __test__ = False
+
+    id: str
+    role: str
+    actuation: str
+    trace: Trace
+    first: int
+    device: Fan | None
+    observation: Fan
+    rows: tuple[Row, ...]
+    marginals: tuple[Marginal, ...]
+    chains: Mapping[str, Array]
+    corner: tuple[str, ...]
+    checks: tuple[Check, ...]
+    score: ScoreRow
+    identifiability: Identifiability | None = None
+    derived: tuple[DerivedRow, ...] = ()
+    stage: NDArray[np.int8] | None = None
+    travel: Array | None = None
