@@ -3,6 +3,7 @@
 A line of a page that reads
 
     {{ commands }}                                      is replaced by every command's --help,
+    {{ glossary }}                                      by every word of the glossary,
     {{ lines of benchmarks/sbc/sbc.txt with uniform }}  by the lines of a file that match a pattern,
     {{ file priors/mfd.toml }}                          by a whole file.
 
@@ -62,6 +63,8 @@ def _site_name(path: str) -> str:
 def _fill(wish: str, page: str) -> str:
     if wish == "commands":
         return "\n\n".join(_help(command) for command in _commands())
+    if wish == "glossary":
+        return _glossary()
     if lines := re.fullmatch(r"lines of (\S+) with (.+)", wish):
         text = (ROOT / lines[1]).read_text(encoding="utf-8")
         kept = [line for line in text.splitlines() if re.search(lines[2], line)]
@@ -71,6 +74,16 @@ def _fill(wish: str, page: str) -> str:
     if whole := re.fullmatch(r"file (\S+)", wish):
         return _fenced((ROOT / whole[1]).read_text(encoding="utf-8").rstrip(), whole[1])
     raise PluginError(f"{page}: cannot fill in {wish!r}")
+
+
+def _glossary() -> str:
+    """Sections with the words of the project, each with its meaning."""
+    from mfd_bayes.reporting.glossary import read_glossary
+
+    return "\n\n".join(
+        "\n\n".join([f"## {group.title}", *(f"**{t.name}**: {t.text}" for t in group.terms)])
+        for group in read_glossary()
+    )
 
 
 def _fenced(text: str, title: str) -> str:

@@ -42,7 +42,10 @@ HOMES = {
     "PIL": ("mfd_bayes.reporting.figures",),
     "bokeh": ("mfd_bayes.reporting.explorer",),
     "jinja2": ("mfd_bayes.reporting.html",),
-    "markupsafe": ("mfd_bayes.reporting.html", "mfd_bayes.reporting.symbols"),
+    "markupsafe": (
+        *("mfd_bayes.reporting.glossary", "mfd_bayes.reporting.html"),
+        "mfd_bayes.reporting.symbols",
+    ),
     "pint": ("mfd_bayes.units",),
     "pydantic": (
         *("mfd_bayes.campaign.schema", "mfd_bayes.campaign.content"),

@@ -1,4 +1,4 @@
-"""The report as pages without network."""
+"""The report as HTML pages that load nothing from the network."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from typing import Any, BinaryIO
 from urllib.parse import quote
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
 from mfd_bayes.assessment.systems import SI, SYSTEMS
@@ -33,6 +34,7 @@ from mfd_bayes.reporting.digest import (
 )
 from mfd_bayes.reporting.explorer import explore
 from mfd_bayes.reporting.figure_data import table_of
+from mfd_bayes.reporting.glossary import read_glossary
 
 ONE_PAGE = 12
 """A report of more tests has a page for each."""
@@ -43,9 +45,10 @@ _HEAD = 24
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG as a page shows it, embedded or beside it; width and height in pixels.
+    """A PNG as a page shows it; width and height in pixels.
 
-    `png` and `csv` are where the picture and the table behind it lie, seen from the page.
+    `uri` is the embedded PNG, or its path. `png` and `csv` are the paths from the page to the
+    picture and to the table behind it.
     """
 
     uri: str
@@ -58,9 +61,9 @@ class Picture:
 def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
     """HTML of the whole report, by the pages' paths from the run folder.
 
-    A report of few tests is one page, complete in itself. Beyond `ONE_PAGE` tests the first
-    page, complete in itself too, is an index, and every test has a page of its own that shows
-    the PNGs beside it.
+    A report of up to `ONE_PAGE` tests is one page with all pictures embedded. With more tests,
+    the first page has the pictures of all tests together, and each test has a page of its own
+    that shows the PNGs beside it.
 
     Parameters
     ----------
@@ -70,54 +73,53 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
         a picture that is not given is left out.
     """
     whole = len(view.tests) <= ONE_PAGE
-    shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}
-    shared = _shared(view)
+    environment, shared = _environment(), _shared(view)
     explorer = explore(view) if view.tests else None
-    script = _script("report.js")
+    shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}
     pages = {
-        "report.html": _environment()
-        .get_template("report.html.j2")
-        .render(
+        "report.html": environment.get_template("report.html.j2").render(
             **shared,
             whole=whole,
             pictures={key: _picture(key, png, embedded=True) for key, png in shown.items()},
             links=_links(view, whole),
             explorer=explorer,
-            script=script,
-            policy=_policy(script, *([explorer.library] if explorer else [])),
+            policy=_policy(shared["script"], *([explorer.library] if explorer else [])),
+            glossary=read_glossary(),
         )
     }
-    if not whole:
-        template = _environment().get_template("test.html.j2")
-        for test in view.tests:
-            home = f"tests/{test.id}/"
-            pictures = {
-                key: _picture(key, png, embedded=False)
-                for key, png in images.items()
-                if key.startswith(home)
-            }
-            pages[f"{home}report.html"] = template.render(
-                view=view,
-                test=test,
-                pictures=pictures,
-                cells=shared["cells"],
-                verdicts=shared["verdicts"],
-                script=script,
-                policy=_policy(script),
-                fit=grid_of(c for c in test.checks if is_of_fit(c)),
-                sampler=grid_of(c for c in test.checks if is_of_sampler(c)),
-            )
-    return pages
+    if whole:
+        return pages
+    template = environment.get_template("test.html.j2")
+    page_of = partial(_test_page, template, shared, images)
+    return pages | {f"tests/{test.id}/report.html": page_of(test) for test in view.tests}
+
+
+def _test_page(
+    template: Template, shared: Mapping[str, Any], images: Mapping[str, bytes], test: TestView
+) -> str:
+    """Page of one test, which shows the PNGs beside it."""
+    own = {key: png for key, png in images.items() if key.startswith(f"tests/{test.id}/")}
+    return template.render(
+        view=shared["view"],
+        test=test,
+        pictures={key: _picture(key, png, embedded=False) for key, png in own.items()},
+        cells=shared["cells"],
+        verdicts=shared["verdicts"],
+        script=shared["script"],
+        policy=_policy(shared["script"]),
+        fit=grid_of(check for check in test.checks if is_of_fit(check)),
+        sampler=grid_of(check for check in test.checks if is_of_sampler(check)),
+    )
 
 
 def needed(view: CampaignView, key: str, png: BinaryIO) -> bytes:
-    """What of a PNG its page needs: all of it, or its head where it lies beside the page."""
+    """Bytes of a PNG that its page needs: all, or those up to its size if it is not embedded."""
     beside = len(view.tests) > ONE_PAGE and key.startswith("tests/")
     return png.read(_HEAD if beside else -1)
 
 
 def _shared(view: CampaignView) -> dict[str, Any]:
-    """What every page of a report may show."""
+    """Values that the templates of all pages use."""
     return {
         "view": view,
         "calibrated": [test for test in view.tests if test.role != "validate"],
@@ -136,11 +138,12 @@ def _shared(view: CampaignView) -> dict[str, Any]:
         "limit": UNINFORMED,
         "trade_off": TRADE_OFF,
         "sensitive": SENSITIVE,
+        "script": _script("report.js"),
     }
 
 
 def _links(view: CampaignView, whole: bool) -> dict[str, str]:
-    """Where each test is shown, seen from the first page."""
+    """Link from the first page to each test."""
     if whole:
         return {test.id: f"#test-{at}" for at, test in enumerate(view.tests, start=1)}
     return {test.id: f"tests/{quote(test.id)}/report.html" for test in view.tests}
@@ -151,7 +154,7 @@ def _script(name: str) -> str:
 
 
 def _policy(*scripts: str) -> str:
-    """Content security policy: these scripts and embedded pictures, nothing from elsewhere."""
+    """Content security policy that allows these scripts and pictures of the page, nothing else."""
     hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
     return (
@@ -188,13 +191,13 @@ def _environment() -> Environment:
 
 
 def _finalize(value: object) -> object:
-    """Value as a page may show it: what is no character turns no text around and hides nothing."""
+    """Value as a page shows it: without controls, which could hide or reverse text."""
     is_text = isinstance(value, str) and not isinstance(value, Markup)
     return symbols.printable(str(value)) if is_text else value
 
 
 def _picture(key: str, png: bytes, *, embedded: bool) -> Picture:
-    """Picture for a page; its size stands in the PNG's first chunk."""
+    """Picture for a page; its size is in the first chunk of the PNG."""
     width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
     path = f"{key}.png" if key.startswith("tests/") else f"figures/{key}.png"
     table = table_of(key)
@@ -206,7 +209,7 @@ def _picture(key: str, png: bytes, *, embedded: bool) -> Picture:
 
 
 def _both(value: float, unit: str, digits: int = 4) -> Markup:
-    """A number in both systems; the page shows the one that is chosen."""
+    """A number in both systems of units; the page shows the one that the reader chose."""
     if not math.isfinite(value) or SI.factor(unit) == 1.0:
         return escape(symbols.number(value, digits))
     return _either(*(symbols.number(value * s.factor(unit), digits) for s in SYSTEMS))

@@ -9,8 +9,8 @@ class Verdict(StrEnum):
     message: str
 
     PASS = "pass", "The value is within its limit."
-    NOTE = "note", "A reader must know of it; it is no fault of the run."
-    FAIL = "fail", "The value is beyond its limit: do not use the figures that rest on it."
+    NOTE = "note", "The reader must know of it, but it is no fault of the run."
+    FAIL = "fail", "The value is beyond its limit, and figures that rest on it must not be used."
 
     def __new__(cls, value: str, message: str) -> "Verdict":
         """Member whose value is a text, with a message."""
