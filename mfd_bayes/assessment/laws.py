@@ -69,7 +69,7 @@ def _contraction(draws: Array, scale: float) -> float:
 def law_views(run: Run) -> tuple[LawView, ...]:
     """Every quantity that follows the actuation, with its law's bands and the tests."""
     population = run.population
-    pooling = population.layout
+    layout = population.layout
     highest = max(test.trace.reference_actuation for test in run.tests.values())
     grid = np.linspace(0.0, 1.15 * highest, 60)
     rng = np.random.default_rng(0)
