@@ -1,4 +1,4 @@
-"""From a finished run to what its report shows: bands, checks, tables and the verdict."""
+"""Bands, checks, tables and the verdict of a finished run."""
 
 from mfd_bayes.assessment.verdict import assess, fails, verdicts
 

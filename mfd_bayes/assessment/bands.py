@@ -12,7 +12,7 @@ from mfd_bayes.validation.scores import Score, score
 Array = NDArray[np.float64]
 
 PROBABILITIES = (0.5, 0.95)
-"""Equal-tailed bands that are drawn."""
+"""Probabilities of the equal-tailed bands in figures."""
 
 
 def fan_of(kind: str, draws: Array) -> Fan:
@@ -33,13 +33,13 @@ def spread_of(draws: Array, tail: float = 0.025) -> dict[str, float]:
 
 
 def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
-    """Scores of a record against the draws that predict it, from sample `first` on."""
+    """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
     found = score(draws[:, first:], np.asarray(trace.force)[first:])
     return score_row(name, role, found)
 
 
 def score_row(name: str, role: str, found: Score) -> ScoreRow:
-    """A score as it is shown."""
+    """A score as a row of a table."""
     half, most, nearly = found.coverage
     scale = found.width, found.interval_score, found.crps
     return ScoreRow(name, role, half, most, nearly, *scale, found.rrse)

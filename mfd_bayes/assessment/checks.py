@@ -24,10 +24,10 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.runs.verdict import Verdict
 
 INFORMED = 0.5
-"""Share of the prior's variance that the data must remove from a parameter to inform it."""
+"""Least contraction of a parameter that the data inform."""
 
 NOT_INFORMED = "the data do not inform it: the posterior is about the prior"
-"""Note of a parameter from which the data remove less."""
+"""Note of a parameter with less contraction."""
 
 EXTREME = 0.005
 """A posterior predictive p-value nearer than this to 0 or 1 is extreme."""

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 SCALE_ONLY = frozenset({"gamma1", "gamma2"})
 SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
 SHOWN = 2000
-"""Draws of a quantity that figures are drawn from."""
+"""Most draws of a quantity in figures."""
 
 _CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")
 
@@ -95,7 +95,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
 def _stages(
     test: TestResult, values: Mapping[str, Array]
 ) -> tuple[NDArray[np.int8] | None, Array | None]:
-    """Stage and travel in the gap at each sample, of the posterior medians."""
+    """Stage, and travel in the gap, at each sample for the posterior medians."""
     posterior = test.posterior
     if not posterior.model.has_gap:
         return None, None
@@ -138,7 +138,7 @@ def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row
 
 
 def _prior_values(test: TestResult, n: int = 2000) -> dict[str, Array]:
-    """Prior draws of every stored quantity, derived ones too."""
+    """Prior draws of every stored quantity."""
     posterior = test.posterior
     drawn = posterior.draw_prior(np.random.default_rng(0), n)
     theta = posterior.theta(drawn)
@@ -164,7 +164,7 @@ def _marginals(
 
 
 def _some(draws: Array) -> Array:
-    """At most `SHOWN` of the draws, evenly apart; in single precision, for tests may be many."""
+    """At most `SHOWN` of the draws, evenly spaced; single precision saves memory."""
     step = -(-len(draws) // SHOWN)
     return np.asarray(draws[::step], dtype=np.float32)
 

@@ -1,4 +1,4 @@
-"""Which law predicts best, in the report."""
+"""Scores of the laws, and which law predicts best."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mfd_bayes.population.laws import COMPARE
 def law_choices(
     scores: Sequence[Mapping[str, Any]], laws: Mapping[str, str]
 ) -> tuple[LawChoice, ...]:
-    """The laws of each quantity, best first, with the best one named.
+    """The laws of each quantity, best first, with a sentence.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def _rows(scores: Sequence[Mapping[str, Any]], chosen: str) -> tuple[LawScoreRow
 
 
 def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> str:
-    """Which law predicts best, with a caution where others are about as good."""
+    """Which law predicts best, and which others are within the standard error."""
     best, *others = rows
     text = f"the {best.law} law predicts levels that were left out best"
     near = [row.law for row in others if -row.difference <= row.difference_se]

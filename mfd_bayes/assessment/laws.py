@@ -1,4 +1,4 @@
-"""The laws in the report: Table II, and each quantity against actuation."""
+"""The laws of a run: Table II, and each quantity against actuation."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
 def _tested(
     run: Run, names: Sequence[str]
 ) -> dict[str, list[tuple[str, float, float, float, float]]]:
-    """Id, level, and three quantiles of each test's posterior, by quantity; test by test."""
+    """Id, actuation, and three quantiles of each test's posterior, by quantity."""
     found: dict[str, list[tuple[str, float, float, float, float]]] = {name: [] for name in names}
     for test in run.tests.values():
         draws, level = test.draws, test.trace.reference_actuation

@@ -1,4 +1,4 @@
-"""Cross-validation in the report: every test predicted without its part of the campaign."""
+"""Cross-validation: every test predicted without its part of the campaign."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mfd_bayes.validation.scores import Score
 
 
 def left_out_view(stored: Mapping[str, Any] | None) -> LeftOutView | None:
-    """What the manifest holds of a cross-validation; None where there was none.
+    """Scores of a cross-validation that the manifest holds; None without one.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def _ratio(predicted: float, fitted: float) -> float:
 
 
 def _mean(rows: tuple[LeftOutRow, ...]) -> LeftOutRow:
-    """Mean of every column."""
+    """Mean of each column."""
     names = [field.name for field in fields(LeftOutRow)][2:]
     columns = {name: float(np.mean([getattr(row, name) for row in rows])) for name in names}
     return LeftOutRow("", "mean", **columns)

@@ -1,4 +1,4 @@
-"""What the priors allow, beside the data."""
+"""Force that the priors allow, beside the measured force."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
 
 
 def share_inside(fan: Fan, trace: Trace) -> float:
-    """Share of the measured force inside the widest band of a fan."""
+    """Share of the samples whose force is inside the widest band."""
     widest = fan.intervals[-1]
     force = np.asarray(trace.force)
     return float(np.mean((force >= widest.lower) & (force <= widest.upper)))

@@ -12,8 +12,6 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import convert, factor
 
 _METRIC = {"kip": "kN", "in": "mm", "ksi": "MPa"}
-
-
 _TOKEN = re.compile(r"[A-Za-z]+")
 
 
@@ -40,13 +38,13 @@ class System:
         return f"{self.length}/s"
 
     def unit(self, internal: str) -> str:
-        """Unit that stands for an internal one: "kip/in" is "kN/mm" in the metric system."""
+        """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
         if self.name == "us":
             return internal
         return _TOKEN.sub(lambda word: _METRIC.get(word[0], word[0]), internal)
 
     def factor(self, internal: str) -> float:
-        """Factor from an internal unit to the one that stands for it."""
+        """Factor from an internal unit to this system's."""
         return _factor(internal, self.unit(internal))
 
     def actuation(self, trace: Trace, unit: str) -> str:
@@ -60,16 +58,12 @@ class System:
 
 
 US = System("us", "kip and in", "in", "kip", "ksi")
-
-
 SI = System("si", "kN and mm", "mm", "kN", "MPa")
-
-
 SYSTEMS = (US, SI)
 
 
 def system_of(units: Iterable[str]) -> System:
-    """System of the units of length that the records were measured in; most records decide."""
+    """System of units that most records were measured in, by their units of length."""
     metric = sum(1 if _is_metric(unit) else -1 for unit in units)
     return SI if metric > 0 else US
 

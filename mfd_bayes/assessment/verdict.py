@@ -1,4 +1,4 @@
-"""The whole report: every test, the laws, the verdict with its reason, and where it is from."""
+"""The whole report: every test, the laws, the verdict, and the origin of the run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def assess(run: Run) -> CampaignView:
 def put_together(
     run: Run, tests: list[TestView], table: tuple[Row, ...], laws: tuple[LawView, ...]
 ) -> CampaignView:
-    """The report of a run whose tests and laws are known, with what its manifest says."""
+    """The report of a run from the views of its tests and laws, and from its manifest."""
     manifest = run.manifest
     failures = {
         name: entry["error"] for name, entry in manifest["tests"].items() if entry.get("error")

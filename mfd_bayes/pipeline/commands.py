@@ -43,7 +43,7 @@ from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_begun
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.verdict import Verdict
-from mfd_bayes.store.files import write_atomically, write_bytes, write_json, write_text
+from mfd_bayes.store.files import write_bytes, write_json, write_text
 from mfd_bayes.units import parse_actuation
 from mfd_bayes.validation.folds import fold_id, folds_of, parts_of, run_folds
 from mfd_bayes.validation.models import Comparison, check_cycles, check_models, compare_runs
@@ -382,14 +382,14 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
         ]
     else:
         found = [(inspect_record(path.name, read_record(path)), path.stem)]
-    from mfd_bayes.reporting.figures import draw_inspection, save_png
+    from mfd_bayes.reporting.figures import draw_inspection, to_png
 
     pictures = []
     for inspection, name in found:
         picture = folder / f"{name}_inspect.png"
         title = f"{inspection.name}: as read"
         figure = draw_inspection(title, inspection.trace, inspection.loops, inspection.faults)
-        write_atomically(picture, lambda part, f=figure: save_png(f, part))  # type: ignore[misc]
+        write_bytes(picture, to_png(figure))
         pictures.append((inspection, picture))
     return pictures
 

@@ -1,1 +1,1 @@
-"""Figures, tables and the page; draws what it is given."""
+"""Figures, tables and pages of a report, from the views of `assessment`."""

@@ -1,8 +1,8 @@
-"""Colours of every picture, drawn here or in the browser, each with one meaning."""
+"""Colours of figures and of the interactive plot, each with one meaning."""
 
 from __future__ import annotations
 
-# Okabe and Ito's, which the colour-blind tell apart.
+# Palette of Okabe and Ito, which colour-blind readers can tell apart.
 DATA = "#1b1b1b"
 ORANGE = "#E69F00"
 BLUE = "#0072B2"
@@ -16,15 +16,15 @@ TRUTH = VERMILLION
 VALIDATE = "#a3457c"
 CHAINS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, "#555555", "#b8a600")
 
-# Bands of each kind: the wide one, the narrow one, the median. They are opaque, so that
-# branches of a loop that lie over each other do not add up to a darker shade.
+# For each kind of band: wide band, narrow band, median. They are opaque, so that overlapping
+# branches of a loop do not make a darker shade.
 BANDS = {
     "observation": ("#d5e7f4", "#a5cce8", BLUE),
     "new_test": ("#cdeae0", "#93d2bd", GREEN),
     "device": ("#f6c877", "#e08f1f", VERMILLION),
     "prior": ("#e6e6e6", "#c6c6c6", "#6f6f6f"),
 }
-KINDS = {
+BAND_NAMES = {
     "observation": "a new measurement (with noise)",
     "new_test": "another test (with scatter)",
     "device": "the model (parameters only)",

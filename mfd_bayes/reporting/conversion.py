@@ -1,4 +1,4 @@
-"""The two systems of units that a report is written in, and how one becomes the other."""
+"""A report in either system of units."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.records.trace import Trace
 
 _FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth")
 
@@ -24,14 +25,14 @@ AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow)
 
 
 def shown_in(view: CampaignView) -> System:
-    """System whose units the figures of a report are in: the campaign's own."""
+    """System of units of the figures of a report: the campaign's own."""
     return SI if view.metric else US
 
 
 def in_system(view: CampaignView, system: System) -> CampaignView:
-    """Show a report, whose figures are in internal units, in those of a system.
+    """A report in the units of a system, from one in internal units.
 
-    The texts of checks and the scores, which the page gives in both systems, stay as they are.
+    Texts of checks stay as they are, and scores too: the page shows scores in both systems.
     """
     if system is US:
         return view
@@ -47,22 +48,15 @@ def in_system(view: CampaignView, system: System) -> CampaignView:
 
 
 def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:
-    """Show one test, as `in_system` does a report; `actuation_unit` is the internal one."""
+    """A test in the units of a system; `actuation_unit` is the internal one."""
     if system is US:
         return test
     length, force = system.factor("in"), system.factor("kip")
-    trace = test.trace
     units = {marginal.name: marginal.unit for marginal in test.marginals}
     return replace(
         test,
-        actuation=system.actuation(trace, actuation_unit),
-        trace=replace(
-            trace,
-            displacement=trace.displacement * length,
-            velocity=trace.velocity * length,
-            force=None if trace.force is None else trace.force * force,
-            hysteresis=trace.hysteresis * length,
-        ),
+        actuation=system.actuation(test.trace, actuation_unit),
+        trace=_trace(test.trace, length, force),
         travel=None if test.travel is None else test.travel * length,
         device=None if test.device is None else _fan(test.device, force),
         observation=_fan(test.observation, force),
@@ -72,6 +66,16 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
         chains={
             name: draws * system.factor(units.get(name, "1")) for name, draws in test.chains.items()
         },
+    )
+
+
+def _trace(trace: Trace, length: float, force: float) -> Trace:
+    return replace(
+        trace,
+        displacement=trace.displacement * length,
+        velocity=trace.velocity * length,
+        force=None if trace.force is None else trace.force * force,
+        hysteresis=trace.hysteresis * length,
     )
 
 

@@ -1,4 +1,4 @@
-"""What a page tells of many checks and rows at once: the worst of each, and tables by test."""
+"""Summaries for a page: the worst figures of each test, and tables of checks by test."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.views import (
     IDENTIFIABILITY,
     STANDING,
@@ -16,21 +17,18 @@ from mfd_bayes.assessment.views import (
 )
 from mfd_bayes.runs.verdict import Verdict
 
-UNINFORMED = 0.5
-"""Below this contraction the page says that the data do not inform a parameter."""
-
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = (*IDENTIFIABILITY, "calibration", STANDING)  # shown in sections of their own
+_ELSEWHERE = (*IDENTIFIABILITY, "calibration", STANDING)  # have sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 
 Grid = dict[tuple[str, str], dict[str, dict[str, tuple[Check, str]]]]
-"""Checks by (name, limit), in each by target, and in each by subject, with their details."""
+"""Checks by (name, limit), then by target, then by subject; each with its details in words."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """A subject's worst figures, each with the row that has it; None where none is known."""
+    """The rows with the worst figures of a test or the population; None where none is known."""
 
     subject: str
     r_hat: Row | None
@@ -40,12 +38,12 @@ class Convergence:
 
 
 def is_of_sampler(check: Check) -> bool:
-    """Whether a check is about the sampler's convergence, and not about the model's fit."""
+    """Whether a check is about the convergence of the sampler."""
     return check.name.lower().startswith(_SAMPLER)
 
 
 def convergence_of(view: CampaignView) -> list[Convergence]:
-    """Worst figures of every test and of the population."""
+    """Worst figures of each test and of the population."""
     groups = [(test.id, test.rows) for test in view.tests if test.rows]
     if view.law_rows:
         groups.append(("population", view.law_rows))
@@ -53,7 +51,7 @@ def convergence_of(view: CampaignView) -> list[Convergence]:
 
 
 def _worst(subject: str, rows: tuple[Row, ...], checks: Iterable[Check]) -> Convergence:
-    # a NaN stands for what was not sampled
+    # NaN: not sampled
     sampled = [row for row in rows if not math.isnan(row.r_hat)]
     bulk = [row for row in rows if not math.isnan(row.ess_bulk)]
     tail = [row for row in rows if not math.isnan(row.ess_tail)]
@@ -75,9 +73,9 @@ def verdicts_of(view: CampaignView) -> dict[str, Verdict | None]:
 
 
 def is_weak(row: Row) -> bool:
-    """Whether a row must not be read as a measurement; a note says why where contraction cannot."""
+    """Whether the data do not inform a quantity: its contraction is low, or unknown and noted."""
     unknown = math.isnan(row.contraction)
-    return bool(row.note) if unknown else row.contraction < UNINFORMED
+    return bool(row.note) if unknown else row.contraction < INFORMED
 
 
 def is_judged(check: Check) -> bool:
@@ -91,7 +89,7 @@ def is_of_fit(check: Check) -> bool:
 
 
 def grid_of(checks: Iterable[Check]) -> Grid:
-    """Checks as tables, tests against targets."""
+    """Checks as tables of tests against targets."""
     grid: Grid = {}
     for check in checks:
         target, _, detail = check.target.partition(_DETAIL)
@@ -110,10 +108,10 @@ def derived_of(view: CampaignView) -> dict[str, dict[str, DerivedRow]]:
 
 
 def uninformed_of(view: CampaignView) -> dict[str, list[Row]]:
-    """Rows whose contraction is below the limit, by parameter."""
+    """Rows with a contraction below `INFORMED`, by parameter."""
     found: dict[str, list[Row]] = {}
     for test in view.tests:
         for row in test.rows:
-            if row.contraction < UNINFORMED:
+            if row.contraction < INFORMED:
                 found.setdefault(row.name, []).append(row)
     return found

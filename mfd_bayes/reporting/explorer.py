@@ -1,4 +1,4 @@
-"""The interactive view of the tests' loops: what bokeh draws in the browser, and its data."""
+"""The interactive plot of the tests' loops, drawn by bokeh in the browser, and its data."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from mfd_bayes.assessment.views import Array, CampaignView, TestView
 from mfd_bayes.reporting.colours import BANDS, DATA, SKY
 
 SAMPLES = 1500
-"""Samples of each test that are shown: a screen tells no more apart."""
+"""Most samples of a test in the plot: a screen cannot show more."""
 
 FEWEST = 300
-"""Samples of each test that are shown, however many tests there are."""
+"""Fewest samples of a test in the plot, however many tests there are."""
 
 ALL = 250_000
-"""Samples of all tests that are shown, where they are more than `FEWEST` of each: some 8 MB."""
+"""Most samples of all tests together, some 8 MB, unless `FEWEST` of each are more."""
 
 _COLUMNS = ("time", "displacement", "force", "median", "lower", "upper")
 
 
 @dataclass(frozen=True)
 class Explorer:
-    """What the page needs to show it.
+    """The parts of the interactive plot.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Explorer:
 
 
 def explore(view: CampaignView) -> Explorer:
-    """Interactive loop and history of one test at a time, of all tests of a report."""
+    """Interactive loop and history of the tests of a report, one test at a time."""
     from bokeh.embed import json_item
     from bokeh.resources import Resources
 
@@ -63,7 +63,7 @@ def explore(view: CampaignView) -> Explorer:
 
 
 def _json(value: object) -> str:
-    """JSON that cannot end the script element that it stands in."""
+    """JSON that cannot close the script element around it."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c")
 
@@ -73,7 +73,7 @@ def _inline(script: str) -> str:
 
 
 def _renumbered(item: str) -> str:
-    """Bokeh counts its models on from call to call; a page must be the same each time."""
+    """The plot with its models numbered from 1001: bokeh's numbers grow from call to call."""
     number: dict[str, str] = {}
     return re.sub(
         r'"p\d+"', lambda found: number.setdefault(found[0], f'"p{1001 + len(number)}"'), item
@@ -97,7 +97,7 @@ def _packed(test: TestView, actuation_unit: str, most: int) -> dict[str, Any]:
 
 
 def _shown(samples: int, turns: np.ndarray, most: int) -> np.ndarray:
-    """Samples that are shown, evenly, with every turning point while they are few."""
+    """Numbers of the shown samples: evenly spaced, with all turning points unless too many."""
     even = np.linspace(0, samples - 1, min(samples, most)).astype(np.intp)
     return np.union1d(even, turns) if turns.size < most // 4 else even
 
@@ -107,35 +107,39 @@ def _float32(values: Array) -> str:
 
 
 def _layout() -> Any:
-    """A loop and a history of one source, which the page fills."""
+    """A loop and a history of one data source, which the page fills."""
     from bokeh.layouts import column
-    from bokeh.models import ColumnDataSource, HoverTool, Range1d
-    from bokeh.plotting import figure
+    from bokeh.models import ColumnDataSource
 
     names = ("x", "t", "force", "median", "lower", "upper", "stage")
     source = ColumnDataSource({name: [] for name in names}, name="samples")
-    plots = []
-    for along, height in (("x", 420), ("t", 260)):
-        options: dict[str, Any] = {  # bokeh's types know half of them
-            "name": f"plot-{along}",
-            "height": height,
-            "sizing_mode": "stretch_width",
-            "tools": "pan,box_zoom,wheel_zoom,reset",
-            "active_drag": "box_zoom",
-            "x_range": Range1d(start=0, end=1),
-            "y_range": Range1d(start=0, end=1),
-            "toolbar_location": "above",
-            "output_backend": "canvas",
-        }
-        plot = figure(**options)
-        _draw(plot, along, source)
-        dots = plot.scatter(along, "force", source=source, size=7, alpha=0.0, line_alpha=0.0)
-        dots.hover_glyph = None
-        hover = HoverTool(renderers=[dots], name=f"hover-{along}", mode="mouse")
-        plot.add_tools(hover)
-        plot.toolbar.logo = None
-        plots.append(plot)
+    plots = [_plot(along, height, source) for along, height in (("x", 420), ("t", 260))]
     return column(*plots, sizing_mode="stretch_width", name="explorer")
+
+
+def _plot(along: str, height: int, source: Any) -> Any:
+    """Force along the displacement "x" or the time "t", with a text at the pointer."""
+    from bokeh.models import HoverTool, Range1d
+    from bokeh.plotting import figure
+
+    options: dict[str, Any] = {  # half of them are missing from bokeh's types
+        "name": f"plot-{along}",
+        "height": height,
+        "sizing_mode": "stretch_width",
+        "tools": "pan,box_zoom,wheel_zoom,reset",
+        "active_drag": "box_zoom",
+        "x_range": Range1d(start=0, end=1),
+        "y_range": Range1d(start=0, end=1),
+        "toolbar_location": "above",
+        "output_backend": "canvas",
+    }
+    plot = figure(**options)
+    _draw(plot, along, source)
+    dots = plot.scatter(along, "force", source=source, size=7, alpha=0.0, line_alpha=0.0)
+    dots.hover_glyph = None
+    plot.add_tools(HoverTool(renderers=[dots], name=f"hover-{along}", mode="mouse"))
+    plot.toolbar.logo = None
+    return plot
 
 
 def _draw(plot: Any, along: str, source: Any) -> None:

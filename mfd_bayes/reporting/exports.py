@@ -1,4 +1,4 @@
-"""Tables for other programs and for papers: JSON that says what it holds, and LaTeX."""
+"""Tables for other programs and for papers: JSON and LaTeX."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FIGURES = (
 
 
 def export_tables(view: CampaignView) -> dict[str, str]:
-    """Parameters and laws in every form but CSV, by the name of the file."""
+    """Tables of parameters and laws as JSON and LaTeX, by the name of the file."""
     rows = [row for test in view.tests for row in test.rows]
     return {
         "parameters.json": _json(view, "parameters", "test", "parameter", rows),
@@ -29,7 +29,7 @@ def export_tables(view: CampaignView) -> dict[str, str]:
 
 
 def _json(view: CampaignView, what: str, subject: str, name: str, rows: Iterable[Row]) -> str:
-    """Write rows with what their figures mean; null where one is not defined or not finite."""
+    """JSON of rows with the meaning of their figures; null where one is not finite."""
     content = {
         "title": view.title,
         "table": what,

@@ -10,13 +10,13 @@ from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, Truth
 from mfd_bayes.reporting.tables import csv_text
 
 DRAWS = 2000
-"""Draws of a joint posterior that are written."""
+"""Most draws in the table of a joint posterior."""
 
 STEPS = 300
-"""Steps of each chain that are written."""
+"""Most steps of each chain in its table."""
 
 LOOP = 400
-"""Samples of each loop in the overview's table; a test's own table holds all."""
+"""Most samples of each loop in the overview's table; a test's own table holds all."""
 
 _LEVELS = np.array([0.005, 0.025, *np.arange(0.05, 0.96, 0.05), 0.975, 0.995])
 
@@ -31,7 +31,7 @@ _TABLES = {
 
 
 def table_of(key: str) -> str:
-    """Path, from the run folder, of the table behind the figure of a key."""
+    """Path from the run folder of the table behind a figure, by the figure's key."""
     folder, _, name = key.rpartition("/")
     return f"{folder}/{_TABLES[name]}.csv" if folder else f"figures/{key}.csv"
 
@@ -144,7 +144,7 @@ def _draws(test: TestView) -> str:
 
 
 def _marginals(test: TestView) -> str:
-    """Quantiles of prior and posterior of each sampled quantity."""
+    """Quantiles of the prior and the posterior of each sampled quantity."""
     head = ("quantity", "unit", "of", *(f"q{100 * level:g}" for level in _LEVELS))
     lines = [
         (m.name, m.unit, of, *np.quantile(draws, _LEVELS))

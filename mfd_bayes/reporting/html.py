@@ -16,12 +16,12 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
+from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.systems import SI, SYSTEMS
 from mfd_bayes.assessment.views import STANDING, CampaignView, TestView
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.digest import (
-    UNINFORMED,
     convergence_of,
     derived_of,
     grid_of,
@@ -135,7 +135,7 @@ def _shared(view: CampaignView) -> dict[str, Any]:
         "sampler": grid_of(check for check in view.checks if is_of_sampler(check)),
         "uninformed": uninformed_of(view),
         "verdicts": verdicts_of(view),
-        "limit": UNINFORMED,
+        "limit": INFORMED,
         "trade_off": TRADE_OFF,
         "sensitive": SENSITIVE,
         "script": _script("report.js"),

@@ -10,10 +10,10 @@ from mfd_bayes.assessment.views import CampaignView, Row, TestView
 from mfd_bayes.reporting.symbols import maths, meaning, number, of_population, printable, unit_text
 
 TESTS = 3
-"""Columns of tests in one tabular, so that it fits the width of a page of an article."""
+"""Most tests in one tabular, so that it fits the width of an article's page."""
 
 LINES = 14
-"""Rows of one tabular at most, so that it fits the height of a page."""
+"""Most rows of one tabular of laws, so that it fits the height of a page."""
 
 _ESCAPED = {
     **{character: f"\\{character}" for character in "_%&#${}"},
@@ -56,7 +56,7 @@ def laws_tex(view: CampaignView) -> str:
 
 
 def escape(text: str) -> str:
-    """Text as LaTeX must get it to print it as it is; what fonts may lack becomes ``?``."""
+    """Text escaped for LaTeX; a letter that fonts may not have becomes ``?``."""
     return "".join(_ESCAPED.get(c) or _letter(c) for c in text)
 
 
@@ -78,7 +78,7 @@ def figure(value: float) -> str:
 
 
 def _letter(character: str) -> str:
-    """A letter that every font has, with or without an accent, or a question mark."""
+    """A character if every font has it, else a question mark; a space for a control."""
     if not character.isprintable():
         return " "
     base = unicodedata.normalize("NFD", character)[0]
@@ -116,7 +116,7 @@ def _law_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def _median(row: Row | None, marks: Mapping[str, str]) -> str:
-    """Median, with the mark of the note."""
+    """Median with the letter of its note."""
     if row is None:
         return "--"
     mark = f"{{}}^{{{marks[row.note]}}}" if row.note else ""
@@ -128,7 +128,7 @@ def _interval(row: Row | None) -> str:
 
 
 def _marks(rows: Iterable[Row]) -> dict[str, str]:
-    """A letter for every note."""
+    """A letter for each note."""
     notes = dict.fromkeys(row.note for row in rows if row.note)
     return dict(zip(notes, string.ascii_lowercase, strict=False))
 
@@ -154,7 +154,7 @@ def _tabular(
 
 
 def _file(view: CampaignView, name: str, what: str, parts: Sequence[list[str]]) -> str:
-    """All tables of a file, numbered where they are several."""
+    """Text of a file of tables, which are numbered if there are several."""
     lines = [
         f"% {printable(view.title)}: {what.lower()}, {_CAPTION}.",
         r"% \usepackage{booktabs,array} in the preamble, then " + f"\\input{{{name}.tex}} here.",

@@ -1,4 +1,4 @@
-"""The report as a PDF, printed by a Chromium that is there."""
+"""The report as a PDF, printed by an installed Chromium."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 from mfd_bayes.errors import ReportError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
-"""Programs that can print a page, in the order in which they are looked for."""
+"""Programs that can print a page, in order of preference."""
 
 SECONDS = 180.0
-"""Time that one may take; a report takes a few seconds."""
+"""Longest time for printing; a report takes a few seconds."""
 
 
 def find_browser() -> str:
@@ -23,7 +23,7 @@ def find_browser() -> str:
     Raises
     ------
     ReportError
-        When none is there.
+        When none is installed.
     """
     for name in BROWSERS:
         found = shutil.which(name)
@@ -41,7 +41,7 @@ def print_page(page: Path) -> bytes:
     Raises
     ------
     ReportError
-        When no browser is there, or it does not print.
+        When no browser is installed, or it does not print.
     """
     browser = find_browser()
     with tempfile.TemporaryDirectory(prefix="mfd_bayes_pdf_") as folder:

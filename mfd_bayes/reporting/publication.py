@@ -1,4 +1,4 @@
-"""The files of a report: tables, figures and pages, those of many tests in several processes."""
+"""The files of a report: tables, figures and pages, drawn in several processes if many."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mfd_bayes.store.files import write_bytes, write_text
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """The figures of one test and the tables behind them, as work for a process."""
+    """A job that draws the figures of one test and writes the tables behind them."""
 
     test: TestView
     system: System
@@ -32,25 +32,25 @@ class Drawing:
 
     @property
     def id(self) -> str:
-        """The test's."""
+        """Id of the test."""
         return self.test.id
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Keys of the figures that there may be."""
+        """Keys of all figures that a test can have."""
         return tuple(f"tests/{self.id}/{name}" for name in OF_TEST)
 
     @property
     def makes(self) -> tuple[str, ...]:
-        """Its pictures."""
+        """Files of these figures."""
         return tuple(f"{key}.png" for key in self.pictures)
 
     def needs(self, out: Path) -> tuple[str, ...]:
-        """Nothing of the run folder."""
+        """Nothing: the test is in memory."""
         return ()
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Draw and write them; a picture with nothing to show any more is removed."""
+        """Write figures and tables; remove a picture that now has nothing to show."""
         began = time.perf_counter()
         drawn = dict(draw_test(self.test, self.system, self.actuation_unit))
         for key in self.pictures:
@@ -71,7 +71,7 @@ def publish(
     *,
     pdf: bool = False,
 ) -> None:
-    """Write everything that a reader is given of a run, into its folder.
+    """Write tables, figures and pages of a report into the run folder.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def publish(
 
 
 def _draw_tests(view: CampaignView, out: Path, processes: int) -> dict[str, bytes]:
-    """Draw the figures of every test; what the pages need of each, by its key."""
+    """Draw the figures of all tests; the bytes that the pages need, by the figures' keys."""
     system = shown_in(view)
     drawings = [Drawing(test, system, view.actuation_unit) for test in view.tests]
     if len(drawings) > ONE_PAGE and processes > 1:

@@ -1,4 +1,4 @@
-"""How quantities, units and numbers are written: in figures, on the page and in tables."""
+"""How quantities, units and numbers are written in figures, on the page and in tables."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SYMBOLS = {
     "ell": (r"\ell = \gamma_2/\gamma_1", "ℓ = γ<sub>2</sub>/γ<sub>1</sub>", "transition length"),
     "v_s": (r"\dot x_s", "ẋ<sub>s</sub>", "Stribeck velocity"),
     "k": ("k", "k", "stiffness of Bouc-Wen hysteresis"),
-    "alpha": (r"\alpha", "α", "share of the stiffness that is left in slip"),
+    "alpha": (r"\alpha", "α", "share of the stiffness that remains in slip"),
     "Fy_fwd": (r"F_{y,\mathrm{fwd}}", "F<sub>y,fwd</sub>", "yield force, forward"),
     "Fy_bwd": (r"F_{y,\mathrm{bwd}}", "F<sub>y,bwd</sub>", "yield force, backward"),
     "beta": (r"\beta", "β", "shape of the unloading"),
@@ -47,9 +47,9 @@ _SYMBOLS = {
     "noise_sd": ("s", "s", "standard deviation of the noise"),
     "noise_time": (r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise"),
     "noise_dof": (r"\nu", "ν", "degrees of freedom of the noise"),
-    "noise_build": ("s_b", "s<sub>b</sub>", "what the noise gains where the force builds up"),
-    "noise_fade": (r"\lambda", "λ", "slip over which that gain fades"),
-    "noise_build_time": (r"\tau_b", "τ<sub>b</sub>", "correlation time of the noise there"),
+    "noise_build": ("s_b", "s<sub>b</sub>", "added noise where the force builds up"),
+    "noise_fade": (r"\lambda", "λ", "slip over which the added noise fades"),
+    "noise_build_time": (r"\tau_b", "τ<sub>b</sub>", "correlation time of the added noise"),
     "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
     "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
     "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),
@@ -65,7 +65,7 @@ _SYMBOLS = {
 }
 _LONGEST = 60
 
-# Of a population, before the name of a quantity or of a scatter group: a word, and what it is.
+# Prefix of a population's quantity: the words for it, and its meaning.
 _PREFIXES = {
     "scatter": ("scatter of", "scatter from test to test, of the logarithm"),
     "deviation_level": (
@@ -80,7 +80,7 @@ _PREFIXES = {
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
     "dependence": ("dependence of", "change of the logarithm where a covariate grows e-fold"),
 }
-# Pooled in other coordinates than those of the tests, and named after the first of them.
+# Scatter of these is not that of the quantity itself, but of another one that is pooled for it.
 _POOLED = {
     "Fc_fwd": "slip force at a common speed, forward",
     "Fc_bwd": "slip force at a common speed, backward",
@@ -126,7 +126,7 @@ def meaning(name: str) -> str:
 
 
 def of_population(name: str) -> tuple[str, str, str]:
-    """Word, quantity, and what it depends on; empty for a name of another kind."""
+    """Prefix in words, quantity and covariate of a population's quantity; else empty."""
     prefix, of, more = _parts(name)
     if not prefix:
         return "", "", ""
@@ -137,7 +137,7 @@ def of_population(name: str) -> tuple[str, str, str]:
 
 
 def _parts(name: str) -> tuple[str, str, str]:
-    """Prefix of a name, the quantity or group after it, and a covariate."""
+    """Prefix, quantity and covariate of a population's quantity; else empty."""
     for prefix in _PREFIXES:
         of = name.removeprefix(f"{prefix}_")
         if of == name:
@@ -150,14 +150,14 @@ def _parts(name: str) -> tuple[str, str, str]:
 
 
 def printable(text: str) -> str:
-    """Text from a file without what is no character: controls, what turns the direction of text."""
+    """Text from a file without controls and marks that reverse the direction of text."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else " " for c in text)
 
 
 def plain(text: str) -> str:
-    """Text from a file as matplotlib must get it: no mathtext, one line, not too long."""
+    """Text from a file for matplotlib: one line of at most 60 letters, without mathtext."""
     line = printable(text).strip()
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST - 1]}…"
@@ -165,7 +165,7 @@ def plain(text: str) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Unit as it is written, "" for none: ``kip*s/in**2`` becomes ``kip·s/in²``."""
+    """Unit for reading, "" for none: ``kip*s/in**2`` becomes ``kip·s/in²``."""
     if unit in ("", "1", "dimensionless"):
         return ""
     powers = unit.replace("**", "^").replace("^2", "²").replace("^3", "³")
@@ -179,7 +179,7 @@ def label(name: str, unit: str) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number with so many significant digits, for reading; a dash for none."""
+    """A number for reading, with that many significant digits; a dash for NaN."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -194,5 +194,5 @@ def count(value: float) -> str:
 
 
 def percent(value: float, decimals: int = 1) -> str:
-    """A share in percent, with a space that does not break."""
+    """A share in percent; the space before the sign does not break."""
     return "–" if math.isnan(value) else f"{100 * value:.{decimals}f}\u00a0%"

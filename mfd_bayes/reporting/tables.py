@@ -32,7 +32,7 @@ CROSSVALIDATION = "crossvalidation.csv"
 
 
 def report_tables(view: CampaignView) -> dict[str, str]:
-    """Every table that stands beside the report, by the name of its file."""
+    """CSV tables of the report, by the name of the file."""
     found = {
         "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
         "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
@@ -49,8 +49,8 @@ def report_tables(view: CampaignView) -> dict[str, str]:
 def parameters_csv(rows: Iterable[Row]) -> str:
     """Table I of the paper with uncertainty: one line per test and parameter.
 
-    Quantiles are those of the equal-tailed 95 % interval; empty cells are values that are
-    not defined.
+    Quantiles bound the equal-tailed 95 % interval. A cell is empty where the value is not
+    defined.
     """
     return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), map(_cells, rows))
 
@@ -61,7 +61,7 @@ def laws_csv(rows: Iterable[Row]) -> str:
 
 
 def checks_csv(checks: Iterable[Check]) -> str:
-    """Every check: what was found, what it may be, and the verdict."""
+    """Every check: its value, its limit and its verdict."""
     head = ("subject", "check", "target", "value", "limit", "verdict")
     return csv_text(
         head, ((c.subject, c.name, c.target, c.value, c.limit, c.verdict) for c in checks)
@@ -69,7 +69,7 @@ def checks_csv(checks: Iterable[Check]) -> str:
 
 
 def scores_csv(scores: Iterable[ScoreRow]) -> str:
-    """How each record's observation bands met its force."""
+    """Scores of each record's observation bands against its force."""
     head = (
         *("test", "role", "coverage_50", "coverage_90", "coverage_95"),
         *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
@@ -78,7 +78,7 @@ def scores_csv(scores: Iterable[ScoreRow]) -> str:
 
 
 def crossvalidation_csv(found: LeftOutView) -> str:
-    """How each test was predicted without its part, and the mean over the tests."""
+    """Scores of each test, predicted without its part of the campaign, and their mean."""
     head = (
         *("part", "test", "coverage_50", "coverage_90", "coverage_95"),
         *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
@@ -88,7 +88,7 @@ def crossvalidation_csv(found: LeftOutView) -> str:
 
 
 def law_scores_csv(choices: Iterable[LawChoice]) -> str:
-    """How well each law predicts each quantity at levels that were left out, best first."""
+    """Scores of each law of each quantity at levels that were left out, best first."""
     head = ("quantity", "law", "chosen", "elpd", "elpd_se", "elpd_difference")
     lines = (
         (
@@ -104,14 +104,14 @@ def law_scores_csv(choices: Iterable[LawChoice]) -> str:
 def derived_csv(rows: Iterable[DerivedRow]) -> str:
     """Derived quantities of every test, with equal-tailed 95 % intervals.
 
-    Empty cells are values that the record does not say, or does not have.
+    A cell is empty where the record does not have the value.
     """
     head = ("test", "role", "quantity", "unit", *_QUANTILES[:5], "measured", "note")
     return csv_text(head, ((r.subject, r.role, *_derived_cells(r)) for r in rows))
 
 
 def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float) -> str:
-    """Derived quantities of a prediction, with the interval that was asked for."""
+    """Derived quantities of a prediction, with intervals of this probability."""
     head = ("quantity", "unit", "mean", "sd", "lower", "median", "upper", "measured", "note")
     shown = tuple(rows)
     about = (
@@ -142,7 +142,7 @@ def _derived_cells(row: DerivedRow) -> tuple[str | float, ...]:
 
 
 def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
-    """How well each model predicts cycles that it has not seen, per test and in all."""
+    """Scores of each model on unseen cycles, per test and in all."""
     head = (
         *("test", "model", "cycles", "elpd", "elpd_se", "p_loo", "worst_pareto_k", "share_bad_k"),
         *("share_unsettled", "elpd_difference", "elpd_difference_se", "rrse_in_sample"),
@@ -157,7 +157,7 @@ def _cells(row: Row) -> tuple[str | float, ...]:
 
 
 def csv_text(head: Sequence[str], lines: Iterable[Sequence[str | float]]) -> str:
-    """Write a table as CSV: numbers with six digits, no text that a spreadsheet runs."""
+    """A table as CSV: numbers with six digits, and no text that a spreadsheet runs."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)

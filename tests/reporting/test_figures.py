@@ -1,5 +1,4 @@
 import re
-import sys
 from dataclasses import replace
 
 import matplotlib as mpl
@@ -9,11 +8,11 @@ import pytest
 from mfd_bayes.assessment.views import Marginal
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.reporting.conversion import convert_test, shown_in
 from mfd_bayes.reporting.figures import laws
 from mfd_bayes.reporting.figures.campaign import figures_of_test, shared_figures
 from mfd_bayes.reporting.figures.loops import stretches
-from mfd_bayes.reporting.figures.style import BANDS
 
 UNIT = re.compile(r", (in|in/s|s|kip|kip/in|ksi)$")
 
@@ -187,21 +186,6 @@ def test_no_laws_no_figure():
 def test_more_tests_than_panels_are_announced(test_view):
     figure = figures.draw_overview("all", [test_view("a", samples=30)] * 61)
     assert "first 60 of 61" in figure.get_suptitle()
-
-
-def test_a_file_is_whole_or_not_there(test_view, tmp_path, monkeypatch):
-    test = test_view("a")
-    figure = figures.draw_loops("a", test.trace)
-    figures.save_png(figure, tmp_path / "a.png")
-    assert (tmp_path / "a.png").read_bytes() == figures.to_png(figure)
-
-    def fail(_):
-        raise MemoryError
-
-    monkeypatch.setattr(sys.modules["mfd_bayes.reporting.figures.style"], "to_png", fail)
-    with pytest.raises(MemoryError):
-        figures.save_png(figure, tmp_path / "b.png")
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
 
 def test_one_colour_has_one_meaning():

@@ -1,4 +1,4 @@
-"""Every figure; the only place that knows matplotlib and corner. Import it when it is needed."""
+"""Every figure. Only these files import matplotlib and corner, so import them late."""
 
 from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_shared, draw_test
 from mfd_bayes.reporting.figures.inspection import draw_inspection
@@ -11,7 +11,7 @@ from mfd_bayes.reporting.figures.posteriors import (
     draw_truth,
 )
 from mfd_bayes.reporting.figures.residuals import draw_residuals
-from mfd_bayes.reporting.figures.style import save_png, to_png
+from mfd_bayes.reporting.figures.style import to_png
 
 __all__ = [
     "OF_TEST",
@@ -27,6 +27,5 @@ __all__ = [
     "draw_shared",
     "draw_test",
     "draw_truth",
-    "save_png",
     "to_png",
 ]

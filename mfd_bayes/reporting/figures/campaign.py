@@ -28,7 +28,7 @@ _FIGURES_HELD = 8
 
 
 def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
-    """PNGs of the figures of all tests together, one at a time, each with its key.
+    """PNGs of the figures that show all tests together, one at a time, each with its key.
 
     Keys are "overview", "laws" and "truth"; a figure with nothing to show is left out.
     """
@@ -45,7 +45,7 @@ def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[t
     test : TestView
         In internal units.
     system : System
-        In whose units it is shown.
+        Units of the figures.
     actuation_unit : str
         The internal one.
     """
@@ -53,7 +53,7 @@ def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[t
 
 
 def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
-    """Figures of all tests together, each with its key."""
+    """Figures that show all tests together, each with its key."""
     system = shown_in(view)
     if view.tests:
         shown = in_system(view, system).tests
@@ -80,9 +80,9 @@ def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
 
 @contextmanager
 def _collecting_rarely() -> Iterator[None]:
-    """No garbage collection on its own: matplotlib's many small objects set it off all the time.
+    """Switch automatic garbage collection off.
 
-    It would take a quarter of the time that the figures take.
+    Matplotlib's many small objects trigger it so often that it takes a quarter of the time.
     """
     enabled = gc.isenabled()
     gc.disable()
@@ -120,7 +120,7 @@ def _history(test: TestView, system: System) -> Figure:
 def _residuals(test: TestView, system: System) -> Figure | None:
     if test.role == "validate":
         return None
-    return draw_residuals(f"{_title(test)}: what the fit leaves over", test, system)
+    return draw_residuals(f"{_title(test)}: residuals of the fit", test, system)
 
 
 def _corner(test: TestView, system: System) -> Figure | None:

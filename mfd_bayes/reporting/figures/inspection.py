@@ -1,4 +1,4 @@
-"""A record as it was read, with its loops and the places of its faults."""
+"""A record as it was read, with its loops and its faults."""
 
 from __future__ import annotations
 
@@ -14,13 +14,21 @@ from numpy.typing import NDArray
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.loops import Loops
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import POINTS, thinned
 from mfd_bayes.reporting.symbols import plain
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
-_COLOURS = (look.VERMILLION, look.BLUE, look.GREEN, look.PURPLE, look.ORANGE, look.SKY)
-_MARKS = 60  # more of one kind hide what they mark
+_COLOURS = (
+    colours.VERMILLION,
+    colours.BLUE,
+    colours.GREEN,
+    colours.PURPLE,
+    colours.ORANGE,
+    colours.SKY,
+)
+_MARKS = 60  # more of one kind would hide the curve
 
 
 @look.style()
@@ -35,7 +43,7 @@ def draw_inspection(title: str, trace: Trace, loops: Loops, faults: Sequence[Fau
     loops : Loops
         Of the trace.
     faults : sequence of Fault
-        Those with samples are marked there; all are named below.
+        Marked at their samples, if they have any; all are named below the panels.
     """
     marked = [fault for fault in faults if fault.samples.size]
     figure = look.new_figure(10, 5.6)
@@ -60,7 +68,7 @@ def draw_inspection(title: str, trace: Trace, loops: Loops, faults: Sequence[Fau
 def _draw_loop(axes: Axes, trace: Trace, force: NDArray[np.float64], marked: list[Fault]) -> None:
     step = max(1, trace.samples // (2 * POINTS))
     x = trace.displacement
-    axes.plot(x[::step], force[::step], color=look.DATA, linewidth=0.5)
+    axes.plot(x[::step], force[::step], color=colours.DATA, linewidth=0.5)
     axes.set(xlabel="displacement, in", ylabel="force, kip")
     axes.set_title("Force–displacement", fontsize=9, fontweight="normal")
     _mark(axes, x, force, marked)
@@ -72,19 +80,19 @@ def _draw_displacement(axes: Axes, trace: Trace, marked: list[Fault]) -> None:
     axes.plot(trace.time[turns], trace.displacement[turns], ".", color="#999999", markersize=3)
     axes.set(ylabel="displacement, in", xlabel="time, s")
     axes.set_title(f"Displacement, {turns.size} turning points", fontsize=9, fontweight="normal")
-    axes.margins(x=0.01, y=0.12)  # room for the marks at the turns
+    axes.margins(x=0.01, y=0.12)  # space for the marks at the turns
     _mark(axes, trace.time, trace.displacement, marked)
 
 
 def _draw_force(axes: Axes, trace: Trace, force: NDArray[np.float64], marked: list[Fault]) -> None:
-    axes.plot(*thinned(trace.time, force), color=look.DATA, linewidth=0.6)
+    axes.plot(*thinned(trace.time, force), color=colours.DATA, linewidth=0.6)
     axes.set(xlabel="time, s", ylabel="force, kip")
     axes.set_title("Force", fontsize=9, fontweight="normal")
     _mark(axes, trace.time, force, marked)
 
 
 def _draw_energy(axes: Axes, loops: Loops) -> None:
-    """Energy of each loop; ramps, whose strokes are shorter, are hollow."""
+    """Energy of each loop; loops of a ramp, with a shorter stroke, are hollow."""
     axes.set(xlabel="loop", ylabel="energy, kip·in")
     axes.set_title("Energy per full loop (hollow: shorter stroke)", fontsize=9, fontweight="normal")
     axes.axhline(0.0, color="#999999", linewidth=0.7)
@@ -93,8 +101,8 @@ def _draw_energy(axes: Axes, loops: Loops) -> None:
         return
     number = np.arange(1, loops.energy.size + 1)
     axes.plot(number, loops.energy, color="#bbbbbb", linewidth=0.7)
-    faces = [look.BLUE if strong else "white" for strong in loops.strong]
-    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=look.BLUE, linewidths=0.8)
+    faces = [colours.BLUE if strong else "white" for strong in loops.strong]
+    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=colours.BLUE, linewidths=0.8)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
 
 
@@ -114,10 +122,10 @@ def _mark(
 
 
 def _legend(figure: Figure, faults: Sequence[Fault]) -> None:
-    """Every fault by name; those that are nowhere in particular without a mark."""
+    """Every fault by name; one without samples has no mark."""
     handles, number = [], 0
     for fault in faults:
-        sign, colour = "", look.DATA
+        sign, colour = "", colours.DATA
         if fault.samples.size:
             sign, colour = _look_of(number)
             number += 1

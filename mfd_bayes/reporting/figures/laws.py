@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mfd_bayes.assessment.views import Fan, LawView
+from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
 
@@ -45,7 +46,7 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figur
 
 
 def _draw_law(axes: Axes, law: LawView) -> None:
-    wide, _, dark = look.BANDS["new_test"]
+    wide, _, dark = colours.BANDS["new_test"]
     _fill(axes, law, law.new_test, wide, "another test")
     _fill(axes, law, law.median, _MEDIAN, "median over tests")
     axes.plot(law.actuation, law.median.median, color=dark, label="best estimate")
@@ -56,7 +57,7 @@ def _draw_law(axes: Axes, law: LawView) -> None:
         axes.errorbar(
             *(_apart(np.asarray(at)), middle, arms),
             fmt="o",
-            color=look.DATA,
+            color=colours.DATA,
             markersize=3,
             linewidth=0.9,
             label="tests, 95 %",
@@ -77,9 +78,9 @@ def _fill(axes: Axes, law: LawView, fan: Fan, colour: str, name: str) -> None:
 
 
 def _apart(actuation: np.ndarray) -> np.ndarray:
-    """Tests at one level side by side, so that their bars do not hide each other.
+    """Actuations of the tests, moved apart at each level so that no bar hides another.
 
-    However many they are, they stay nearer to their level than to the next one.
+    All of them stay nearer to their own level than to the next one.
     """
     span = max(float(np.ptp(actuation)), 1e-3 * float(np.max(np.abs(actuation))))
     levels = np.unique(actuation)
@@ -93,7 +94,7 @@ def _apart(actuation: np.ndarray) -> np.ndarray:
 
 
 def _limits(law: LawView) -> tuple[float, float]:
-    """Vertical limits that show tests and median; the wide band may leave the panel."""
+    """Vertical limits that hold tests and median; the wide band may go beyond them."""
     tops = [float(np.max(law.median.median)), *(t[4] for t in law.tested)]
     bottoms = [float(np.min(law.median.median)), *(t[2] for t in law.tested)]
     for interval in law.new_test.intervals:

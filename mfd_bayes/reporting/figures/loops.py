@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,17 +18,18 @@ from numpy.typing import NDArray
 from mfd_bayes.assessment.systems import US, System
 from mfd_bayes.assessment.views import Array, Fan, Interval, TestView
 from mfd_bayes.records.trace import Trace, turning_points
+from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
 
 POINTS = 4000
-"""More points than this are not drawn: a screen cannot show them."""
+"""Most points of a line: a screen cannot show more."""
 TURNS = 24
-"""Records with more turning points get a second column that shows the strongest motion."""
+"""Most turning points of a record that is shown in one column, without the strongest motion."""
 PANELS = 60
 FEW = 12
-"""Up to so many panels are four to a row, more of them six."""
-_VELOCITY_TURN = 0.02  # of its peak-to-peak: less is noise
+"""Most panels that are drawn four to a row; more are drawn six to a row."""
+_VELOCITY_TURN = 0.02  # share of its peak-to-peak: smaller turns are noise
 
 
 @look.style()
@@ -38,9 +40,9 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: Syste
     ----------
     title : str
     trace : Trace
-        Its force is drawn where it has one.
+        Its force is drawn if it has one.
     fans : sequence of Fan
-        Drawn one over the other, so the widest kind first.
+        Drawn one over the other, so the widest first.
     system : System
         Units that all of them are in.
     """
@@ -79,32 +81,31 @@ def draw_history(
     system : System
         Units that all of them are in.
     """
-    rows = 3 if fans and trace.force is not None else 2
     windows = _windows(trace)
+    rows = 3 if fans and trace.force is not None else 2
     figure = look.new_figure(10, 2.6 + 0.9 * rows)
     figure.suptitle(plain(title), x=0.01, ha="left")
-    grid = figure.subplots(
-        *(rows, len(windows)),
-        sharex="col",
-        sharey="row",
-        squeeze=False,
-        height_ratios=(1.0, 2.6, 1.5)[:rows],
-        width_ratios=(1.0, 1.0)[: len(windows)],
-    )
+    heights = (1.0, 2.6, 1.5)[:rows]
+    shared: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False}
+    grid = figure.subplots(rows, len(windows), height_ratios=heights, **shared)
     for column, window in zip(grid.T, windows, strict=True):
         _draw_column(column, trace, fans, window)
         if window.start < first:
             for axes in column:
                 axes.axvspan(trace.time[window][0], trace.time[first], color="#eeeeee", zorder=0)
+    _label_history(grid, system)
+    _legend(figure, trace, fans, masked=first > 0)
+    return figure
+
+
+def _label_history(grid: NDArray[np.object_], system: System) -> None:
     force = system.force
     texts = (f"displ., {system.length}", f"force, {force}", f"residual, {force}")
     for axes, text in zip(grid[:, 0], texts, strict=False):
         axes.set_ylabel(text)
-    if len(windows) > 1:
+    if grid.shape[1] > 1:
         grid[0, 1].set_title("Strongest motion", fontsize=9, fontweight="normal")
         grid[0, 0].set_title("Whole record", fontsize=9, fontweight="normal")
-    _legend(figure, trace, fans, masked=first > 0)
-    return figure
 
 
 @look.style()
@@ -131,7 +132,7 @@ def draw_overview(title: str, tests: Sequence[TestView], system: System = US) ->
 
 
 def stretches(turns: NDArray[np.intp], samples: int) -> list[slice]:
-    """Stretches of monotone motion between turning points, ends shared."""
+    """Stretches of motion from one turning point to the next, both included."""
     ends = [0, *turns.tolist(), samples - 1]
     return [slice(a, b + 1) for a, b in pairwise(ends) if b > a]
 
@@ -144,13 +145,13 @@ def _draw_panel(axes: Axes, test: TestView) -> None:
     if trace.force is not None:
         _line(axes, trace.displacement, trace.force)
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    colour = look.VALIDATE if held_out else look.DATA
+    colour = colours.VALIDATE if held_out else colours.DATA
     name = f"{plain(test.id)}\n{plain(test.actuation)}, "
     name += "predicted, not fitted" if held_out else "fitted"
     axes.set_title(name, fontsize=8, color=colour, fontweight="normal")
     if held_out:
         for spine in axes.spines.values():
-            spine.set(edgecolor=look.VALIDATE, linewidth=1.3, visible=True)
+            spine.set(edgecolor=colours.VALIDATE, linewidth=1.3, visible=True)
 
 
 def _draw_loop(
@@ -162,13 +163,13 @@ def _draw_loop(
     if trace.force is not None:
         _line(axes, abscissa, trace.force)
     elif fans:
-        _line(axes, abscissa, fans[0].median, look.BANDS[fans[0].kind][2])
+        _line(axes, abscissa, fans[0].median, colours.BANDS[fans[0].kind][2])
 
 
 def _fill(
     axes: Axes, abscissa: Array, interval: Interval, turns: NDArray[np.intp], colour: str
 ) -> None:
-    """Fill a band stretch by stretch, so that branches of the loop do not close each other."""
+    """Fill a band for each stretch of motion; one outline of a whole loop would fill its inside."""
     step = max(1, abscissa.size // POINTS)
     outlines = []
     for part in stretches(turns, abscissa.size):
@@ -176,19 +177,19 @@ def _fill(
         lower = np.column_stack([abscissa[pick], interval.lower[pick]])
         upper = np.column_stack([abscissa[pick], interval.upper[pick]])
         outlines.append(np.concatenate([lower, upper[::-1]]))
-    # the thin edge keeps a narrow band visible where the force is steep
+    # the thin edge shows a narrow band where the force is steep
     bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
     axes.add_collection(bands)
     axes.autoscale_view()
 
 
-def _line(axes: Axes, abscissa: Array, force: Array, colour: str = look.DATA) -> None:
+def _line(axes: Axes, abscissa: Array, force: Array, colour: str = colours.DATA) -> None:
     step = max(1, abscissa.size // POINTS)
     axes.plot(abscissa[::step], force[::step], color=colour, linewidth=0.6)
 
 
 def _windows(trace: Trace) -> list[slice]:
-    """The whole record and, where it is long, six strokes around its largest displacement."""
+    """The whole record and, if it is long, six strokes around its largest displacement."""
     whole = slice(0, trace.samples)
     turns = trace.turning_points
     if turns.size <= TURNS:
@@ -206,12 +207,12 @@ def _draw_column(column: NDArray[np.object_], trace: Trace, fans: Sequence[Fan],
     for fan in fans:
         _draw_bands(column[1], time, fan, at, zero)
     if trace.force is not None:
-        column[1].plot(*thinned(time, trace.force[at]), color=look.DATA, linewidth=0.6)
+        column[1].plot(*thinned(time, trace.force[at]), color=colours.DATA, linewidth=0.6)
     if len(column) > 2 and trace.force is not None:
         _draw_bands(column[2], time, fans[0], at, fans[0].median)
         residual = (trace.force - fans[0].median)[at]
-        column[2].plot(*thinned(time, residual), color=look.DATA, linewidth=0.6)
-        column[2].axhline(0.0, color=look.BANDS[fans[0].kind][2], linewidth=0.8)
+        column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
+        column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
     column[-1].set_xlabel("time, s")
     column[-1].margins(x=0.005)
 
@@ -226,7 +227,7 @@ def _draw_bands(axes: Axes, time: Array, fan: Fan, at: slice, base: Array) -> No
 
 
 def thinned(time: Array, values: Array) -> tuple[Array, Array]:
-    """A line with so many points that a screen shows them all, extremes kept."""
+    """A line with at most `POINTS` points, with every extreme."""
     step = time.size // (POINTS // 2)
     if step < 2:
         return time, values
@@ -238,10 +239,10 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
 def _legend(figure: Figure, trace: Trace, fans: Sequence[Fan], *, masked: bool = False) -> None:
     handles: list[Line2D | Patch] = []
     if trace.force is not None:
-        handles.append(Line2D([], [], color=look.DATA, linewidth=0.9, label="measured"))
+        handles.append(Line2D([], [], color=colours.DATA, linewidth=0.9, label="measured"))
     for fan in fans:
-        wide, narrow, _ = look.BANDS[fan.kind]
-        text = f"{look.KINDS[fan.kind]}, {look.percents(fan)}"
+        wide, narrow, _ = colours.BANDS[fan.kind]
+        text = f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}"
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
     if masked:
         handles.append(Patch(facecolor="#eeeeee", label="not fitted"))

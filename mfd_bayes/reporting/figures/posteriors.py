@@ -1,4 +1,4 @@
-"""Draws of parameters: chains, priors against posteriors, pairs, and the truth."""
+"""Draws of parameters: chains, priors and posteriors, pairs, and the truth."""
 
 from __future__ import annotations
 
@@ -13,32 +13,46 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.views import Array, Marginal, TruthRow
+from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
 
-UNINFORMED = 0.5
-"""Below this contraction the data are said not to inform a quantity."""
 CORNER_DRAWS = 2000
 CORNER_QUANTITIES = 8
-_STEPS = 300  # of a chain: more are not seen
+_STEPS = 300  # of a chain: a screen cannot show more
 _COLUMNS = 4  # of small panels
 _LOG_RANGE = 20.0
 _PLAIN = "{x:.4g}"  # of tick labels
-_CLIP = 8.0  # the truth's plot ends at this multiple
+_CORNER = {
+    "bins": 16,
+    "smooth": 0.8,
+    "color": colours.POSTERIOR,
+    "quantiles": (0.025, 0.975),
+    "levels": (0.393, 0.865, 0.95),
+    "plot_datapoints": False,
+    "plot_density": False,
+    "fill_contours": True,
+    "no_fill_contours": True,  # no white background
+    "max_n_ticks": 0,
+    "labelpad": 0.18,
+    "label_kwargs": {"fontsize": 8},
+}
+_CLIP = 8.0  # largest ratio to the truth on the axis
 
 
 @look.style()
 def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str]) -> Figure | None:
-    """Pairs of quantities: 39, 86 and 95 % contours of the draws, 95 % interval dashed.
+    """Pairs of quantities: contours of 39, 86 and 95 % of the draws, 95 % intervals dashed.
 
     Parameters
     ----------
     title : str
     marginals : sequence of Marginal
-        Their posterior draws belong together, row by row.
+        Draws of the same number belong together.
     names : sequence of str
-        Quantities wanted, the most important first; eight at most are drawn.
+        Quantities to draw, the most important first; at most eight are drawn.
 
     Returns
     -------
@@ -56,19 +70,8 @@ def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str])
     corner(
         np.column_stack([m.posterior[::stride] for m in chosen]),
         labels=[label(m.name, m.unit) for m in chosen],
-        bins=16,
-        smooth=0.8,
-        color=look.POSTERIOR,
-        quantiles=[0.025, 0.975],
-        levels=(0.393, 0.865, 0.95),
-        plot_datapoints=False,
-        plot_density=False,
-        fill_contours=True,
-        no_fill_contours=True,  # no white ground beneath the filled ones
-        max_n_ticks=0,
-        labelpad=0.18,
-        label_kwargs={"fontsize": 8},
         fig=figure,
+        **_CORNER,
     )
     _outer_ticks(figure, len(chosen))
     figure.subplots_adjust(left=0.12, bottom=0.11, right=0.985, top=0.945)
@@ -99,13 +102,17 @@ def draw_chains(title: str, chains: Mapping[str, Array], units: Mapping[str, str
 
 @look.style()
 def draw_marginals(title: str, marginals: Sequence[Marginal]) -> Figure:
-    """Priors against posteriors; logarithmic where the range is wide, each scaled to its peak."""
+    """Densities of priors and posteriors, each scaled to its peak; wide ranges logarithmic."""
     figure, panels = _panels(title, len(marginals), row=1.4)
     for axes, marginal in zip(panels, marginals, strict=True):
         _draw_marginal(axes, marginal)
     handles = [
-        Patch(facecolor="#dddddd", edgecolor=look.PRIOR, label="prior"),
-        Patch(facecolor=look.BANDS["observation"][1], edgecolor=look.POSTERIOR, label="posterior"),
+        Patch(facecolor="#dddddd", edgecolor=colours.PRIOR, label="prior"),
+        Patch(
+            facecolor=colours.BANDS["observation"][1],
+            edgecolor=colours.POSTERIOR,
+            label="posterior",
+        ),
     ]
     figure.legend(handles=handles, loc="upper right", ncols=2)
     return figure
@@ -115,8 +122,8 @@ def draw_marginals(title: str, marginals: Sequence[Marginal]) -> Figure:
 def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
     """Posterior median and 95 % interval over the truth, one line per quantity and test.
 
-    Rows whose truth is not positive cannot be divided by it and are left out; None where no
-    row is left.
+    Rows without a positive truth are left out, for nothing can be divided by it; None if no
+    row remains.
     """
     kept = [row for row in rows if row.truth > 0]
     if not kept:
@@ -133,7 +140,7 @@ def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
             _draw_ratio(axes, row, end - height + 0.725 + 0.45 * at)
     for end, height in zip(ends[1::2], heights[1::2], strict=True):
         axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
-    axes.axvline(1.0, color=look.DATA, linewidth=1.2, zorder=1)
+    axes.axvline(1.0, color=colours.DATA, linewidth=1.2, zorder=1)
     symbols = [in_figure(name) for name in names]
     axes.set_yticks(ends - 0.5 * heights, symbols, fontsize=9)
     axes.set_ylim(ends[-1], 0.0)
@@ -144,7 +151,7 @@ def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
 
 
 def _corner() -> Callable[..., Figure]:
-    """Return the corner package's function, without the announcements of what it imports."""
+    """The corner package's function, without the warnings of what it imports."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         from corner import corner
@@ -153,7 +160,7 @@ def _corner() -> Callable[..., Figure]:
 
 
 def _outer_ticks(figure: Figure, number: int) -> None:
-    """Ticks at the left and the bottom alone; they are what takes the time."""
+    """Ticks at the left and the bottom only: drawing ticks takes most of the time."""
     for at, axes in enumerate(figure.axes):
         row, column = divmod(at, number)
         if row == number - 1:
@@ -173,7 +180,7 @@ def _varying(marginals: Sequence[Marginal], names: Sequence[str]) -> list[Margin
 
 
 def _panels(title: str, number: int, row: float) -> tuple[Figure, list[Axes]]:
-    """Panels in four columns; laid out by hand, which is much faster than by solving for it."""
+    """Panels in four columns; fixed margins are much faster than constrained layout."""
     columns = min(_COLUMNS, max(1, number))
     rows = max(1, -(-number // columns))
     height = row * rows + 0.75
@@ -186,7 +193,7 @@ def _panels(title: str, number: int, row: float) -> tuple[Figure, list[Axes]]:
 
 
 def _cycle(number: int) -> list[str]:
-    return [look.CHAINS[i % len(look.CHAINS)] for i in range(number)]
+    return [colours.CHAINS[i % len(colours.CHAINS)] for i in range(number)]
 
 
 def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
@@ -194,14 +201,14 @@ def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
     low, high = np.quantile(marginal.prior, [0.005, 0.995])
     low = min(low, marginal.posterior.min())
     high = max(high, marginal.posterior.max())
-    # a uniform prior is wide too, but belongs on a linear axis: the lower arm must be the short one
+    # a uniform prior is wide too, but belongs on a linear axis: only skewed ones are logarithmic
     skewed = np.median(marginal.prior) - low < 0.5 * (high - np.median(marginal.prior))
     logarithmic = bool(both.min() > 0 and high > _LOG_RANGE * low and skewed)
     if logarithmic:
         axes.set_xscale("log")
-    _draw_density(axes, marginal.prior, logarithmic, "#dddddd", look.PRIOR)
-    blue = look.BANDS["observation"][1]
-    _draw_density(axes, marginal.posterior, logarithmic, blue, look.POSTERIOR)
+    _draw_density(axes, marginal.prior, logarithmic, "#dddddd", colours.PRIOR)
+    blue = colours.BANDS["observation"][1]
+    _draw_density(axes, marginal.posterior, logarithmic, blue, colours.POSTERIOR)
     if high > low:
         axes.set_xlim(low, high)
     axes.set_ylim(0, 1.08)
@@ -209,8 +216,8 @@ def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
     axes.tick_params(labelsize=7)
     look.no_ticks(axes)
     _few_ticks(axes, logarithmic)
-    if marginal.contraction < UNINFORMED:
-        axes.set_title("not informed by the data", fontsize=7.5, color=look.VERMILLION)
+    if marginal.contraction < INFORMED:
+        axes.set_title("not informed by the data", fontsize=7.5, color=colours.VERMILLION)
 
 
 def _few_ticks(axes: Axes, logarithmic: bool) -> None:
@@ -235,7 +242,9 @@ def _draw_density(axes: Axes, draws: Array, logarithmic: bool, face: str, edge: 
 
 
 def _draw_ratio(axes: Axes, row: TruthRow, at: float) -> None:
-    colour = look.PRIOR if not row.informed else look.POSTERIOR if row.inside else look.TRUTH
+    colour = (
+        colours.PRIOR if not row.informed else colours.POSTERIOR if row.inside else colours.TRUTH
+    )
     axes.plot([row.lower / row.truth, row.upper / row.truth], [at, at], color=colour, lw=1.2)
     marker = "o" if row.inside else "X"
     axes.plot([row.median / row.truth], [at], marker, color=colour, ms=3 if row.inside else 6)
@@ -259,9 +268,9 @@ def _ratio_axis(axes: Axes, rows: Sequence[TruthRow]) -> None:
 
 def _truth_legend(figure: Figure) -> None:
     kinds = (
-        (look.POSTERIOR, "o", "interval holds the truth"),
-        (look.TRUTH, "X", "interval misses the truth"),
-        (look.PRIOR, "o", "not informed by the data"),
+        (colours.POSTERIOR, "o", "interval holds the truth"),
+        (colours.TRUTH, "X", "interval misses the truth"),
+        (colours.PRIOR, "o", "not informed by the data"),
     )
     handles = [Line2D([], [], color=c, marker=m, ms=5, label=text) for c, m, text in kinds]
     figure.legend(handles=handles, loc="outside lower left", ncols=3)

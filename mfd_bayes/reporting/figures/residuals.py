@@ -1,4 +1,4 @@
-"""What a fit leaves over: by stage, along the gap, and from one sample to the next."""
+"""Residuals of a fit: by stage, along the gap, and their autocorrelation."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from mfd_bayes.assessment.systems import US, System
 from mfd_bayes.assessment.views import Array, TestView
+from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
 
 STAGES = {2: "stick", 3: "build-up", 1: "slip"}
-"""Stages in the order in which a stroke goes through them."""
+"""Stages in their order within a stroke."""
 
 _POINTS = 3000
 _LAGS = 60
@@ -52,7 +53,7 @@ def _half_width(test: TestView) -> Array:
 
 
 def _by_stage(axes: Axes, residual: Array, half: Array, stage: NDArray[np.generic]) -> None:
-    """Boxes of the residual in each stage, beside the 95 % band's mean half width there."""
+    """Boxes of the residual in each stage, with the mean half width of the 95 % band there."""
     known = [(name, stage == number) for number, name in STAGES.items() if np.any(stage == number)]
     boxes = axes.boxplot(
         [residual[at] for _, at in known],
@@ -60,13 +61,13 @@ def _by_stage(axes: Axes, residual: Array, half: Array, stage: NDArray[np.generi
         showfliers=False,
         patch_artist=True,
         widths=0.5,
-        medianprops={"color": look.DATA},
+        medianprops={"color": colours.DATA},
     )
     for box in boxes["boxes"]:
-        box.set(facecolor=look.BANDS["observation"][1], edgecolor=look.BLUE)
+        box.set(facecolor=colours.BANDS["observation"][1], edgecolor=colours.BLUE)
     for at, (_, there) in enumerate(known, start=1):
         width = float(half[there].mean())
-        axes.hlines([-width, width], at - 0.4, at + 0.4, color=look.VERMILLION, linestyle="--")
+        axes.hlines([-width, width], at - 0.4, at + 0.4, color=colours.VERMILLION, linestyle="--")
     axes.set_xticks(
         range(1, len(known) + 1), [f"{name}\n{np.mean(there):.0%}" for name, there in known]
     )
@@ -75,7 +76,7 @@ def _by_stage(axes: Axes, residual: Array, half: Array, stage: NDArray[np.generi
 
 
 def _along(test: TestView, system: System) -> tuple[Array, str]:
-    """What residuals are drawn along: the travel since the last slip, or the displacement."""
+    """Abscissa of the residuals: travel since the last slip, or displacement; with its label."""
     if test.travel is None:
         return test.trace.displacement, f"displacement, {system.length}"
     return test.travel, f"travel since the last slip, {system.length}"
@@ -83,27 +84,29 @@ def _along(test: TestView, system: System) -> tuple[Array, str]:
 
 def _along_gap(axes: Axes, where: Array, residual: Array, half: Array) -> None:
     step = max(1, len(where) // _POINTS)
-    axes.plot(where[::step], residual[::step], ".", color=look.DATA, markersize=1.6, alpha=0.6)
+    axes.plot(where[::step], residual[::step], ".", color=colours.DATA, markersize=1.6, alpha=0.6)
     edges = np.unique(np.quantile(where, np.linspace(0, 1, 41)))
     at = np.clip(np.digitize(where, edges) - 1, 0, len(edges) - 2)
     count = np.bincount(at, minlength=len(edges) - 1)
     mean = np.bincount(at, half, minlength=len(edges) - 1) / np.maximum(count, 1)
     centre = 0.5 * (edges[1:] + edges[:-1])
     for sign in (-1, 1):
-        axes.plot(centre[count > 0], sign * mean[count > 0], color=look.VERMILLION, linestyle="--")
+        axes.plot(
+            centre[count > 0], sign * mean[count > 0], color=colours.VERMILLION, linestyle="--"
+        )
     axes.axhline(0.0, color="#888888", linewidth=0.7)
     _head(axes, "Along the gap")
 
 
 def _autocorrelation(axes: Axes, residual: Array) -> None:
-    """Autocorrelation of the residual; within the band it would be independent noise."""
+    """Autocorrelation of the residual, with the 95 % band of independent noise."""
     centred = residual - residual.mean()
     lags = min(_LAGS, len(centred) // 4)
     power = float(centred @ centred) or 1.0
     known = [float(centred[lag:] @ centred[: len(centred) - lag]) / power for lag in range(lags)]
     bound = 1.96 / np.sqrt(len(centred))
     axes.axhspan(-bound, bound, color="#e6e6e6")
-    axes.vlines(range(lags), 0.0, known, color=look.BLUE, linewidth=1.0)
+    axes.vlines(range(lags), 0.0, known, color=colours.BLUE, linewidth=1.0)
     axes.axhline(0.0, color="#888888", linewidth=0.7)
     axes.set(xlabel="lag, samples", ylim=(min(-0.3, *known, -bound), 1.05))
     _head(axes, "Autocorrelation\n(grey: independent noise, 95 %)")

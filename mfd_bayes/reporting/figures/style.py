@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -17,51 +14,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from mfd_bayes.assessment.views import Fan, Interval
-from mfd_bayes.reporting.colours import (
-    BANDS,
-    BLUE,
-    CHAINS,
-    DATA,
-    GREEN,
-    KINDS,
-    ORANGE,
-    POSTERIOR,
-    PRIOR,
-    PURPLE,
-    SKY,
-    TRUTH,
-    VALIDATE,
-    VERMILLION,
-)
-
-__all__ = [
-    "BANDS",
-    "BLUE",
-    "CHAINS",
-    "DATA",
-    "DPI",
-    "GREEN",
-    "KINDS",
-    "ORANGE",
-    "POSTERIOR",
-    "PRIOR",
-    "PURPLE",
-    "SKY",
-    "TRUTH",
-    "VALIDATE",
-    "VERMILLION",
-    "new_figure",
-    "no_ticks",
-    "percents",
-    "save_png",
-    "shades",
-    "style",
-    "to_png",
-]
+from mfd_bayes.reporting.colours import BANDS
 
 DPI = 105
 FEW = 160
-"""Colours of a PNG: enough for the shades at the edges of lines and letters."""
+"""Colours of a PNG: enough for smooth edges of lines and letters."""
 
 _STYLE: dict[str, object] = {
     "font.family": "sans-serif",
@@ -91,9 +48,9 @@ _STYLE: dict[str, object] = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Settings that figures are drawn under, whatever the user's own are."""
+    """Draw with the report's settings of matplotlib, not with the user's."""
     with matplotlib.rc_context(), warnings.catch_warnings():
-        # a name from a file may hold letters that DejaVu does not have
+        # a name from a file may have letters that DejaVu does not have
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)  # type: ignore[arg-type]
@@ -101,7 +58,7 @@ def style() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Empty figure of a size in inches, laid out so that nothing is cut."""
+    """Empty figure of a size in inches, with a layout that cuts nothing off."""
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -109,7 +66,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 @style()
 def to_png(figure: Figure) -> bytes:
-    """PNG of a figure, the same bytes each time; few colours make it a third as large."""
+    """PNG of a figure, the same bytes each time; with few colours it has a third of the size."""
     stream = io.BytesIO()
     figure.savefig(stream, format="rgba", dpi=DPI)
     width, height = figure.canvas.get_width_height()
@@ -118,19 +75,6 @@ def to_png(figure: Figure) -> bytes:
     packed = io.BytesIO()
     few.save(packed, "png", optimize=True)
     return packed.getvalue()
-
-
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure's PNG, complete or not at all."""
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(to_png(figure))
-        Path(beside).chmod(0o644)
-        Path(beside).replace(path)
-    except BaseException:
-        Path(beside).unlink(missing_ok=True)
-        raise
 
 
 def shades(fan: Fan) -> Iterator[tuple[Interval, str]]:
@@ -148,7 +92,7 @@ def percents(fan: Fan) -> str:
 
 
 def no_ticks(axes: Axes) -> None:
-    """Hide the vertical axis, where heights mean nothing but themselves."""
+    """Hide the vertical axis, where only relative heights matter."""
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False, axis="y")
