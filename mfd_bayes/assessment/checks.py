@@ -11,9 +11,9 @@ import numpy as np
 from mfd_bayes.assessment.views import (
     CONTRACTION,
     DIRECTIONS,
+    FREE_EXPONENT,
     LIKELIHOOD_SENSITIVITY,
     PRIOR_SENSITIVITY,
-    STANDING,
     TRADE_OFFS,
     Check,
     Row,
@@ -115,7 +115,7 @@ def identifiability_checks(subject: str, found: Identifiability) -> list[Check]:
     return checks
 
 
-def standing_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
+def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     """Whether 1 is in the 95 % interval of each proportional law's exponent, set free.
 
     Parameters
@@ -127,7 +127,9 @@ def standing_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     for name, (low, middle, high) in exponents.items():
         verdict = Verdict.of(low <= 1.0 <= high)
         target = f"{name} (95 % interval {low:.2f} to {high:.2f})"
-        checks.append(Check("population", STANDING, target, middle, "interval holds 1", verdict))
+        checks.append(
+            Check("population", FREE_EXPONENT, target, middle, "interval holds 1", verdict)
+        )
     return checks
 
 

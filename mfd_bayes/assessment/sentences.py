@@ -8,7 +8,7 @@ from typing import Any
 
 from mfd_bayes.assessment.checks import INFORMED, PREDICTIVE, SAMPLING
 from mfd_bayes.assessment.fits import SCALE_NOTE
-from mfd_bayes.assessment.views import STANDING, Check, TestView
+from mfd_bayes.assessment.views import FREE_EXPONENT, Check, TestView
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
 
@@ -20,7 +20,7 @@ def verdict_sentence(manifest: Mapping[str, Any], checks: list[Check], calibrate
     parts = [f"{lost} test(s) could not be calibrated"] if lost else []
     parts.append(_of_sampling(failed, manifest["effort"], calibrated))
     parts.append(_of_fit(failed, sum(c.name == PREDICTIVE for c in checks)))
-    bent = [c for c in failed if c.name == STANDING]
+    bent = [c for c in failed if c.name == FREE_EXPONENT]
     if bent:
         what = ", ".join(f"{_subject_of(c)}: exponent {c.value:.2f}" for c in bent)
         parts.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mfd_bayes.assessment.checks import convergence_checks, standing_checks
+from mfd_bayes.assessment.checks import convergence_checks, exponent_checks
 from mfd_bayes.assessment.fits import calibrated_view, held_out_view
 from mfd_bayes.assessment.law_choices import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
@@ -44,7 +44,7 @@ def put_together(
     }
     checks = [check for view in tests for check in view.checks]
     checks += convergence_checks("population", table, manifest["effort"])
-    checks += standing_checks(manifest.get("free_exponents", {}))
+    checks += exponent_checks(manifest.get("free_exponents", {}))
     checks += [Check(n, "calibration", "finished", 0.0, "finished", Verdict.FAIL) for n in failures]
     compared = manifest.get("comparison", {})
     return CampaignView(

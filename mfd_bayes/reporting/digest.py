@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.views import (
+    FREE_EXPONENT,
     IDENTIFIABILITY,
-    STANDING,
     CampaignView,
     Check,
     DerivedRow,
@@ -18,7 +18,7 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.runs.verdict import Verdict
 
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = (*IDENTIFIABILITY, "calibration", STANDING)  # have sections of their own
+_ELSEWHERE = (*IDENTIFIABILITY, "calibration", FREE_EXPONENT)  # have sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 

@@ -18,7 +18,7 @@ from markupsafe import Markup, escape
 
 from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.systems import SI, SYSTEMS
-from mfd_bayes.assessment.views import STANDING, CampaignView, TestView
+from mfd_bayes.assessment.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.digest import (
@@ -131,7 +131,7 @@ def _shared(view: CampaignView) -> dict[str, Any]:
         "convergence": convergence_of(view),
         "judged": [check for check in view.checks if is_judged(check)],
         "fit": grid_of(check for check in view.checks if is_of_fit(check)),
-        "standing": [check for check in view.checks if check.name == STANDING],
+        "exponents": [check for check in view.checks if check.name == FREE_EXPONENT],
         "sampler": grid_of(check for check in view.checks if is_of_sampler(check)),
         "uninformed": uninformed_of(view),
         "verdicts": verdicts_of(view),

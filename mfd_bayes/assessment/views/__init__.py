@@ -4,10 +4,10 @@ from mfd_bayes.assessment.views.campaign import CampaignView, LeftOutRow, LeftOu
 from mfd_bayes.assessment.views.check import (
     CONTRACTION,
     DIRECTIONS,
+    FREE_EXPONENT,
     IDENTIFIABILITY,
     LIKELIHOOD_SENSITIVITY,
     PRIOR_SENSITIVITY,
-    STANDING,
     TRADE_OFFS,
     Check,
 )
@@ -26,10 +26,10 @@ from mfd_bayes.assessment.views.test import (
 __all__ = [
     "CONTRACTION",
     "DIRECTIONS",
+    "FREE_EXPONENT",
     "IDENTIFIABILITY",
     "LIKELIHOOD_SENSITIVITY",
     "PRIOR_SENSITIVITY",
-    "STANDING",
     "TRADE_OFFS",
     "Array",
     "CampaignView",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mfd_bayes.runs.verdict import Verdict
 
-STANDING = "exponent if the law were a power law"
+FREE_EXPONENT = "exponent if the law were a power law"
 """Name of the check that the tests do not contradict a proportional law."""
 
 CONTRACTION = "prior variance removed"

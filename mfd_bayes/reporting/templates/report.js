@@ -1,10 +1,10 @@
-// What the page does besides being read: sorted tables, pictures to save, the explorer of loops.
+// Sorts tables, saves pictures, and draws the interactive plot of loops.
 "use strict";
 
 const STAGES = ["–", "1, slip", "2, stick", "3, build-up"];
 
 for (const link of document.querySelectorAll("a[data-picture]")) {
-  // the picture is in the page already: saved from there, it is there wherever the page is
+  // saved from the page itself, which may be without the run folder
   link.href = document.getElementById(link.dataset.picture).src;
 }
 
@@ -18,7 +18,7 @@ for (const button of document.querySelectorAll("th button.sort")) {
     const key = (row) => row.children[head.cellIndex].dataset.value ?? "";
     const rows = [...body.rows].sort((a, b) => {
       const [x, y] = [key(a), key(b)];
-      if (x === "" || y === "") return (x === "") - (y === "");  // what is not known comes last
+      if (x === "" || y === "") return (x === "") - (y === "");  // unknown values last
       const order = isNaN(x) || isNaN(y) ? x.localeCompare(y, undefined, {numeric: true}) : x - y;
       return up ? order : -order;
     });
