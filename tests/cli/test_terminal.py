@@ -15,15 +15,17 @@ termios = pytest.importorskip("termios")
 pty = pytest.importorskip("pty")
 fcntl = pytest.importorskip("fcntl")
 
-# The command as installed, but for the work: what it would be told of as it goes on.
+# The command as installed, but for the work: only its news comes, as it would in a calibration.
+# In place of the module that works is one that takes no seconds to import.
 DRIVER = """\
+import sys
 import time
-from types import SimpleNamespace
+from dataclasses import dataclass
+from types import ModuleType, SimpleNamespace
 
-from mfd_bayes.pipeline import commands as pipeline
-from mfd_bayes.calibration.sampling import Progress
+import mfd_bayes.pipeline
 from mfd_bayes.cli.commands import main
-from mfd_bayes.pipeline.commands import Step
+from mfd_bayes.jobs.job import Progress, Step
 
 TESTS, PAUSE, LAST = {tests}, {pause}, {last}
 
@@ -44,7 +46,22 @@ def work(campaign, out, options, observe):
     )
 
 
-pipeline.calibrate_campaign = work
+@dataclass(frozen=True)
+class Options:
+    seed: int
+    jobs: int | None
+    scheduler: str | None
+    resume: bool
+    force: bool
+    effort: str = ""
+    command: str = ""
+
+
+commands = ModuleType("mfd_bayes.pipeline.commands")
+commands.Options = Options
+commands.effort_of = lambda out, effort, *, resume: "quick"
+commands.calibrate_campaign = work
+sys.modules[commands.__name__] = mfd_bayes.pipeline.commands = commands
 main()
 """
 
