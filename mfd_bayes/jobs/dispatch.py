@@ -47,7 +47,7 @@ def run_jobs(
     """
     if not workplace.scheduler:
         return run_tasks(jobs, out, workplace.processes, observe)
-    return _crew().run_on_cluster(jobs, out, workplace.scheduler, observe)  # type: ignore[no-any-return]
+    return _client().run_on_cluster(jobs, out, workplace.scheduler, observe)  # type: ignore[no-any-return]
 
 
 def check_workers(workplace: Workplace) -> None:
@@ -61,15 +61,15 @@ def check_workers(workplace: Workplace) -> None:
         return
     if workplace.jobs:
         raise FitError("give either --jobs, for this machine, or --scheduler, for a cluster")
-    _crew().check_cluster(workplace.scheduler)
+    _client().check_cluster(workplace.scheduler)
 
 
-def _crew() -> ModuleType:
+def _client() -> ModuleType:
     """The module that needs dask.distributed, which not everybody has."""
     try:
-        from mfd_bayes.jobs.cluster import crew
+        from mfd_bayes.jobs.cluster import client
     except ModuleNotFoundError as error:
         raise FitError(
             f'--scheduler needs {error.name}: pip install "mfd_bayes[cluster]"'
         ) from error
-    return crew
+    return client

@@ -179,7 +179,7 @@ def refused(outcome, *words):
 
 
 def on_cluster(*arguments):
-    from mfd_bayes.jobs.cluster.crew import run_on_cluster
+    from mfd_bayes.jobs.cluster.client import run_on_cluster
 
     return run_on_cluster(*arguments)
 
@@ -297,7 +297,7 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
 
 
 def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
-    from mfd_bayes.jobs.cluster.crew import _Crew
+    from mfd_bayes.jobs.cluster.client import _Crew
 
     alone, seen = {"tcp://w:1": 1}, []
     client = SimpleNamespace(status="running", nthreads=lambda: alone)
@@ -318,15 +318,15 @@ def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
 def test_a_worker_that_is_lost_while_it_is_asked_is_not_refused(monkeypatch):
     from distributed.comm import CommClosedError
 
-    from mfd_bayes.jobs.cluster import crew
+    from mfd_bayes.jobs.cluster import client as cluster
 
     answers = {"tcp://w:1": "", "tcp://w:2": CommClosedError("in <TCP>: Stream is closed")}
     client = SimpleNamespace(run=lambda *_, **__: answers)
-    monkeypatch.setattr(crew, "connected", lambda address: nullcontext(client))
-    crew.check_cluster("tcp://host:1")
+    monkeypatch.setattr(cluster, "connected", lambda address: nullcontext(client))
+    cluster.check_cluster("tcp://host:1")
     answers["tcp://w:1"] = ModuleNotFoundError("No module named 'mfd_bayes'")
     with pytest.raises(FitError, match=r"tcp://w:1 cannot run mfd_bayes: .*No module named"):
-        crew.check_cluster("tcp://host:1")
+        cluster.check_cluster("tcp://host:1")
 
 
 def test_ctrl_c_cancels_what_is_outstanding(address, campaign, tmp_path):
@@ -383,13 +383,13 @@ def test_a_run_is_on_a_cluster_or_here(campaign, tmp_path):
 
 @pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "scipy", "emcee", "Python"])
 def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeypatch, name):
-    from mfd_bayes.jobs.cluster import crew
+    from mfd_bayes.jobs.cluster import client as cluster
 
-    ours = crew.versions()
-    monkeypatch.setattr(crew, "versions", lambda: ours | {name: "0.0.1"})
+    ours = cluster.versions()
+    monkeypatch.setattr(cluster, "versions", lambda: ours | {name: "0.0.1"})
     words = f"^the worker tcp://127.* has {name} {ours[name]} and not 0.0.1"
     with pytest.raises(FitError, match=words):
-        crew.check_cluster(address)
+        cluster.check_cluster(address)
     with (
         pytest.raises(FitError, match=words),
         closing(on_cluster(tasks, tmp_path, address, lambda _: None)) as outcomes,
@@ -399,27 +399,27 @@ def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeyp
 
 
 def test_a_cluster_of_the_same_versions_is_accepted(address):
-    from mfd_bayes.jobs.cluster.crew import check_cluster
+    from mfd_bayes.jobs.cluster.client import check_cluster
 
     check_cluster(address)
 
 
 def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
-    from mfd_bayes.jobs.cluster import work
+    from mfd_bayes.jobs.cluster import worker
 
     pools = [{"num_threads": 1, "filepath": "libone.so"}]
-    monkeypatch.setattr(work, "threadpool_limits", lambda limits: None)
-    monkeypatch.setattr(work, "threadpool_info", lambda: pools)
-    monkeypatch.setattr(work, "get_worker", lambda: SimpleNamespace(address="tcp://w:1"))
-    assert work._limit_threads() == ""
+    monkeypatch.setattr(worker, "threadpool_limits", lambda limits: None)
+    monkeypatch.setattr(worker, "threadpool_info", lambda: pools)
+    monkeypatch.setattr(worker, "get_worker", lambda: SimpleNamespace(address="tcp://w:1"))
+    assert worker._limit_threads() == ""
     pools.append({"num_threads": 4, "filepath": "libmany.so"})
-    assert "tcp://w:1" in work._limit_threads()
-    assert "libmany.so cannot be told" in work._limit_threads()
-    assert "OPENBLAS_NUM_THREADS=1" in work._limit_threads()
+    assert "tcp://w:1" in worker._limit_threads()
+    assert "libmany.so cannot be told" in worker._limit_threads()
+    assert "OPENBLAS_NUM_THREADS=1" in worker._limit_threads()
 
 
 def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
-    from mfd_bayes.jobs.cluster.crew import _Crew, _Place
+    from mfd_bayes.jobs.cluster.client import _Crew, _Place
 
     answer = {"refused": "", "status": "done", "seconds": 1.0, "error": "", "steps": []}
     future = SimpleNamespace(

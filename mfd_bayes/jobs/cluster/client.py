@@ -14,7 +14,7 @@ from distributed import Future, KilledWorker
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.cluster.connection import FAULTS, connected, in_a_line, losses, lost
-from mfd_bayes.jobs.cluster.work import differences, other_versions, versions, work
+from mfd_bayes.jobs.cluster.worker import differences, other_versions, versions, work
 from mfd_bayes.jobs.job import Job, Outcome, Progress, State, Step
 from mfd_bayes.store.files import write_bytes
 
