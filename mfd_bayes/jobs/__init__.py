@@ -1,1 +1,1 @@
-"""Work in other processes or on a cluster, and its news."""
+"""Work in other processes or on a cluster, and the news of its progress."""

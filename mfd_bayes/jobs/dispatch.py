@@ -1,4 +1,4 @@
-"""Where the tests of a run are worked on: in processes of this machine, or on a cluster."""
+"""Where the jobs of a run are done: in processes of this machine, or on a cluster."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import ModuleType
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Job, Outcome, Step
-from mfd_bayes.jobs.workers import run_tasks
+from mfd_bayes.jobs.workers import run_in_processes
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Workplace:
     Attributes
     ----------
     jobs : int
-        Processes of this machine; 0 for as many as there are processors.
+        Number of processes of this machine; 0 for one per processor.
     scheduler : str
         Address of a dask.distributed scheduler whose workers do the jobs, such as
         "tcp://host:8786"; "" for processes of this machine.
@@ -31,27 +31,27 @@ class Workplace:
 
     @property
     def processes(self) -> int:
-        """Processes that are used on this machine."""
+        """Number of processes of this machine."""
         return self.jobs or os.cpu_count() or 1
 
 
 def run_jobs(
     jobs: Sequence[Job], out: Path, workplace: Workplace, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
-    """Outcomes of tests as they come; which machine does them does not reach the draws.
+    """Outcomes of jobs in the order in which they end; the draws are the same on every machine.
 
     Raises
     ------
     MfdError
-        When what comes of a test cannot be written, or its processes or the cluster are lost.
+        When the result of a job cannot be written, or its processes or the cluster are lost.
     """
     if not workplace.scheduler:
-        return run_tasks(jobs, out, workplace.processes, observe)
+        return run_in_processes(jobs, out, workplace.processes, observe)
     return _client().run_on_cluster(jobs, out, workplace.scheduler, observe)  # type: ignore[no-any-return]
 
 
 def check_workers(workplace: Workplace) -> None:
-    """Refuse a cluster that is not there or not the same, before anything is written.
+    """Refuse a cluster that does not answer or has other versions, before anything is written.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def check_workers(workplace: Workplace) -> None:
 
 
 def _client() -> ModuleType:
-    """The module that needs dask.distributed, which not everybody has."""
+    """Module that needs dask.distributed, an optional dependency."""
     try:
         from mfd_bayes.jobs.cluster import client
     except ModuleNotFoundError as error:

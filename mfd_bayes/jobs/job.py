@@ -1,4 +1,4 @@
-"""A piece of work that is done elsewhere: what it must offer, and the news of it."""
+"""A job for another process: what it must offer, and the news of its progress and end."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a sampling stands: steps done, the limit, and the worst figures so far.
+    """Progress of a sampling: steps done, the limit, and the worst diagnostics so far.
 
-    `share` is that of the steps it will take, about; NaN where that is not known.
+    `share` estimates the fraction of the needed steps that is done; NaN where it is unknown.
     """
 
     steps: int
@@ -69,18 +69,18 @@ class Progress:
 
 
 class Job(Protocol):
-    """Work for a process, which must be small enough to send."""
+    """Work for another process; it is pickled and sent there."""
 
     @property
     def id(self) -> str:
-        """What it is called."""
+        """Name of the test, or of the other work."""
 
     @property
     def makes(self) -> tuple[str, ...]:
-        """Files of a run folder that it stores, by their names in it."""
+        """Files that it stores, relative to the run folder."""
 
     def needs(self, out: Path) -> tuple[str, ...]:
-        """Files of a run folder that it reads, by their names in it."""
+        """Files that it reads, relative to the run folder."""
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Do it, and store what comes of it in a run folder."""
+        """Do the work and store its files in a run folder."""

@@ -1,4 +1,4 @@
-"""Likelihoods of many tests at once, computed by several processes."""
+"""Likelihoods of many tests, computed by several processes."""
 
 from __future__ import annotations
 
@@ -9,32 +9,34 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.jobs.workers import deaf, end_with_parent, one_thread
+from mfd_bayes.jobs.workers import end_with_parent, interrupts_blocked, one_thread
 
 Array = NDArray[np.float64]
 Likelihood = Callable[[Array], Array]
 Points = list[tuple[int, Array]]
 
 Evaluate = Callable[[Iterable[tuple[int, Array]]], Iterator[Array]]
-"""Log likelihoods of points of tests, given by the tests' numbers, in their order."""
+"""Log likelihoods, (n,) each, of pairs of a test's number and its points, in their order."""
 
 FEWEST = 4
-"""Tests below which a process more is not worth its start."""
+"""With fewer tests, one process is faster than several."""
 
 MOST = 16
-"""Tests whose points are sent at once."""
+"""Largest number of tests whose points are sent together."""
 
-_held: Sequence[Likelihood] = ()
+_LIKELIHOODS: ContextVar[Sequence[Likelihood]] = ContextVar("_LIKELIHOODS")
+"""In a worker process: the likelihoods that it was started with."""
 
 
 @contextmanager
 def several_processes(likelihoods: Sequence[Likelihood], jobs: int) -> Iterator[Evaluate | None]:
-    """What computes likelihoods in so many processes; None where this one had better do it.
+    """Function that computes likelihoods in several processes; None where one would be faster.
 
     The figures are those of this process, bit for bit. Where a process is lost, this one goes on
     alone.
@@ -42,25 +44,26 @@ def several_processes(likelihoods: Sequence[Likelihood], jobs: int) -> Iterator[
     Parameters
     ----------
     likelihoods : sequence of callable
-        Log likelihood of each test, of (n, D) coordinates, (n,); they are sent.
+        Log likelihood of each test: (n, D) coordinates to (n,); each process gets a copy.
     jobs : int
+        Number of processes.
     """
     if jobs < 2 or len(likelihoods) < FEWEST:
         yield None
         return
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=_hold, initargs=(likelihoods,))
+    pool = ProcessPoolExecutor(jobs, context, initializer=_start, initargs=(likelihoods,))
     try:
-        with one_thread(), deaf():
+        with one_thread(), interrupts_blocked():
             for _ in range(jobs):
                 pool.submit(_compute, [])
-        yield _Crew(pool, likelihoods, jobs).evaluate
+        yield _Pool(pool, likelihoods, jobs).evaluate
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-class _Crew:
-    """The processes, and what to do without them."""
+class _Pool:
+    """The processes; once one is lost, this process computes instead."""
 
     def __init__(
         self, pool: ProcessPoolExecutor, likelihoods: Sequence[Likelihood], jobs: int
@@ -70,10 +73,10 @@ class _Crew:
         self.lost = False
 
     def evaluate(self, points: Iterable[tuple[int, Array]]) -> Iterator[Array]:
-        """Log likelihoods of points, in their order; some are computed ahead."""
+        """Log likelihoods of points, in their order; a few are computed ahead."""
         source, sent = iter(points), deque[tuple[Points, Future[list[Array]] | None]]()
-        while some := list(islice(source, self.size)):
-            sent.append((some, self._send(some)))
+        while batch := list(islice(source, self.size)):
+            sent.append((batch, self._send(batch)))
             if len(sent) > 2 * self.jobs:
                 yield from self._receive(*sent.popleft())
         while sent:
@@ -96,11 +99,11 @@ class _Crew:
         return [self.likelihoods[j](x) for j, x in points]
 
 
-def _hold(likelihoods: Sequence[Likelihood]) -> None:
-    global _held
-    _held = likelihoods
+def _start(likelihoods: Sequence[Likelihood]) -> None:
+    _LIKELIHOODS.set(likelihoods)
     threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def _compute(points: Points) -> list[Array]:
-    return [_held[j](x) for j, x in points]
+    likelihoods = _LIKELIHOODS.get()
+    return [likelihoods[j](x) for j, x in points]

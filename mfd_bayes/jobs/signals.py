@@ -1,4 +1,4 @@
-"""What a command does when it is interrupted or told to end: one sentence, at once."""
+"""How a command ends on Ctrl-C and other signals: at once, with one sentence."""
 
 from __future__ import annotations
 
@@ -19,20 +19,23 @@ _SIGNALS = [
 
 @contextmanager
 def end_on_signals() -> Iterator[None]:
-    """End the process on Ctrl-C and its like, with exit code 128 + signal; not after the block."""
+    """End the process on Ctrl-C, SIGTERM and SIGHUP, with exit code 128 + signal.
+
+    After the block these signals are ignored.
+    """
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
             signal.signal(number, _end)
     try:
         yield
-    finally:  # all is done and said: Python's own end is not to be disturbed
+    finally:  # the command has ended: Python must exit with its exit code
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def hinting(hint: str) -> Iterator[None]:
-    """Say how to go on, too, where this process ends on signals."""
+    """Add a hint to the sentence, such as how to resume, where this process ends on a signal."""
 
     def end(number: int, _frame: FrameType | None) -> NoReturn:
         _end(number, hint=hint)
@@ -49,8 +52,8 @@ def hinting(hint: str) -> Iterator[None]:
 
 @contextmanager
 def before_end(prepare: Callable[[], object]) -> Iterator[None]:
-    """Do something first where this process ends on signals, such as to clear the terminal."""
-    main = threading.current_thread() is threading.main_thread()  # no other gets signals
+    """Call a function before this process ends on a signal, such as to remove a file."""
+    main = threading.current_thread() is threading.main_thread()  # others get no signals
     handlers = {number: signal.getsignal(number) for number in _SIGNALS if main}
     ours = {number: handler for number, handler in handlers.items() if callable(handler)}
 
@@ -68,7 +71,7 @@ def before_end(prepare: Callable[[], object]) -> Iterator[None]:
 
 
 def end_children() -> None:
-    """End every process that this one has started, at once; what they have stored is whole."""
+    """Kill every process that this one has started; files that they have stored are whole."""
     children = multiprocessing.active_children()
     for child in children:
         child.kill()
@@ -77,10 +80,10 @@ def end_children() -> None:
 
 
 def _end(number: int, _frame: FrameType | None = None, *, hint: str = "") -> NoReturn:
-    """End without unwinding.
+    """End the process without an exception.
 
-    An exception could arise in the middle of an import or of a destructor, where it is lost or
-    turned into another. Nothing needs to be unwound, for files are whole at every moment.
+    An exception in the middle of an import or a destructor would be lost or turned into another.
+    Nothing needs to be cleaned up: files are whole at every moment.
     """
     for each in _SIGNALS:
         signal.signal(each, signal.SIG_IGN)
@@ -88,6 +91,6 @@ def _end(number: int, _frame: FrameType | None = None, *, hint: str = "") -> NoR
     by = "" if number == signal.SIGINT else f" by {signal.Signals(number).name}"
     with suppress(OSError, AttributeError):
         if sys.stdout.isatty():
-            os.write(1, b"\x1b[0m\x1b[?25h\n")  # the table of what goes on hides the cursor
+            os.write(1, b"\x1b[0m\x1b[?25h\n")  # progress.py hides the cursor
         os.write(2, f"mfd-bayes: interrupted{by}{hint}\n".encode(errors="backslashreplace"))
     os._exit(128 + number)

@@ -1,4 +1,9 @@
-"""Processes that work on tests: none outlives its parent, and none is lost unnoticed."""
+"""Processes that do jobs: none outlives its parent, and the loss of one is noticed.
+
+`concurrent.futures` gives up all jobs when one process is killed. A queue that all processes share,
+for the news of their progress, would stay locked when one is killed while it writes. So each
+process has a pipe of its own.
+"""
 
 from __future__ import annotations
 
@@ -21,102 +26,103 @@ from mfd_bayes.jobs.job import Job, Outcome, State, Step
 from mfd_bayes.jobs.signals import end_children
 
 ATTEMPTS = 3
-"""Processes that a test may lose, as where memory is short, before the run gives up."""
+"""The run gives up when this many processes of one job were killed, as where memory is short."""
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def run_tasks(
-    tasks: Sequence[Job], out: Path, jobs: int, observe: Callable[[Step], None]
+def run_in_processes(
+    jobs: Sequence[Job], out: Path, processes: int, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
-    """Outcomes of tests as they come, so many at a time, each in a process of its own.
+    """Outcomes of jobs in the order in which they end.
 
-    All are first said to be waiting. A test whose process is killed begins again from its
-    seed, in another.
+    All are first said to be waiting. A job whose process is killed begins again in another one,
+    from the same seed.
 
     Raises
     ------
     StoreError
-        When a posterior cannot be written.
+        When a result cannot be written.
     FitError
-        When the processes of a test are killed again and again.
+        When the processes of one job are killed `ATTEMPTS` times.
     """
-    for task in tasks:
-        observe(Step(task.id, State.WAITING))
-    crew = _Crew(out, deque(tasks))
+    for job in jobs:
+        observe(Step(job.id, State.WAITING))
+    pool = _Pool(out, deque(jobs))
     try:
-        while crew.waiting or crew.members:
-            while len(crew.members) < min(jobs, len(crew.waiting) + crew.busy):
-                crew.enlist()
-            for line in wait(list(crew.members)):
-                news = crew.hear(line)
-                if isinstance(news, Step):
-                    observe(news)
-                elif isinstance(news, StoreError):
-                    raise news
-                elif isinstance(news, Outcome):
-                    yield news
+        while pool.waiting or pool.workers:
+            while len(pool.workers) < min(processes, len(pool.waiting) + pool.busy):
+                pool.start_worker()
+            for connection in wait(list(pool.workers)):
+                message = pool.receive(connection)
+                if isinstance(message, Step):
+                    observe(message)
+                elif isinstance(message, StoreError):
+                    raise message
+                elif isinstance(message, Outcome):
+                    yield message
     finally:
         end_children()
 
 
 @dataclass(eq=False)
-class _Member:
-    """A process and the test it is at."""
+class _Worker:
+    """A process and the job that it does."""
 
     process: SpawnProcess
-    task: Job | None = None
+    job: Job | None = None
 
 
 @dataclass(eq=False)
-class _Crew:
-    """The processes by the line to each, the tests that wait, and how often each was lost."""
+class _Pool:
+    """The workers by the connection to each, the jobs that wait, and losses by job."""
 
     out: Path
     waiting: deque[Job]
-    members: dict[Any, _Member] = field(default_factory=dict)
+    workers: dict[Any, _Worker] = field(default_factory=dict)
     lost: Counter[str] = field(default_factory=Counter)
 
     @property
     def busy(self) -> int:
-        """Processes that are at a test."""
-        return sum(member.task is not None for member in self.members.values())
+        """Number of workers that do a job."""
+        return sum(worker.job is not None for worker in self.workers.values())
 
-    def enlist(self) -> None:
-        """Start one more process; it asks for a test when it is ready."""
+    def start_worker(self) -> None:
+        """Start one more process; it asks for a job when it is ready."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs, self.out), daemon=True)
-        with one_thread(), deaf():
+        with one_thread(), interrupts_blocked():
             process.start()
-        theirs.close()  # so that the line ends when the process does
-        self.members[ours] = _Member(process)
+        theirs.close()  # so that the connection ends when the process does
+        self.workers[ours] = _Worker(process)
 
-    def hear(self, line: Any) -> Step | Outcome | StoreError | None:
-        """What a process says; one that asks or is done is given the next test, or let go."""
+    def receive(self, connection: Any) -> Step | Outcome | StoreError | None:
+        """Next message of a worker; one that has no job, or has ended one, gets the next."""
         try:
-            news: Step | Outcome | StoreError | None = line.recv()
-            if news is None or isinstance(news, Outcome):
-                self.members[line].task = None
-                self._give(line)
+            message: Step | Outcome | StoreError | None = connection.recv()
+            if message is None or isinstance(message, Outcome):
+                self.workers[connection].job = None
+                self._send_job(connection)
         except (EOFError, OSError):
-            return self._replace(self.members.pop(line))
-        return news
+            return self._put_back(self.workers.pop(connection))
+        return message
 
-    def _give(self, line: Any) -> None:
+    def _send_job(self, connection: Any) -> None:
+        """Give a worker the next job, or let it end where none is left."""
         if not self.waiting:
-            del self.members[line]
-            line.close()
+            del self.workers[connection]
+            connection.close()
             return
-        task = self.members[line].task = self.waiting.popleft()
-        with suppress(OSError):  # where it has ended, the line will say so
-            line.send(task)
+        job = self.workers[connection].job = self.waiting.popleft()
+        with suppress(OSError):  # the worker was killed: the next `receive` notices
+            connection.send(job)
 
-    def _replace(self, member: _Member) -> Step:
-        """Put back the test of a process that has ended."""
-        member.process.join()
-        code = member.process.exitcode or 0
-        name = member.task.id if member.task else "the start"
+    def _put_back(self, worker: _Worker) -> Step:
+        """Let the job of a lost worker wait again; a step that says so."""
+        worker.process.join()
+        code = worker.process.exitcode or 0
+        name = worker.job.id if worker.job else "the start"
         how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
         if code > 0:
             raise RuntimeError(f"the process of {name} failed: see above")
@@ -126,33 +132,33 @@ class _Crew:
                 f"the process of {name} was {how}, {ATTEMPTS} times in all: if memory is short, "
                 "give fewer --jobs; go on with --resume"
             )
-        if member.task:
-            self.waiting.appendleft(member.task)
+        if worker.job:
+            self.waiting.appendleft(worker.job)
         return Step(name, State.RESTARTED, message=f"its process was {how}")
 
 
-def _work(line: Connection, out: Path) -> None:
-    """Do what comes down the line, until nothing more does."""
+def _work(connection: Connection, out: Path) -> None:
+    """In a worker process: do the jobs that come, until the connection ends."""
     threading.Thread(target=end_with_parent, daemon=True).start()
 
-    def tell(news: Step | Outcome | StoreError | None) -> None:
+    def send(message: Step | Outcome | StoreError | None) -> None:
         try:
-            line.send(news)
-        except OSError:  # nobody listens any more
+            connection.send(message)
+        except OSError:  # the parent has ended
             os._exit(1)
 
-    tell(None)
+    send(None)
     with suppress(EOFError, ConnectionError):
         while True:
-            task = line.recv()
+            job = connection.recv()
             try:
-                tell(task.run(out, tell))
+                send(job.run(out, send))
             except StoreError as error:
-                tell(error)
+                send(error)
 
 
 def end_with_parent() -> None:
-    """Wait for the parent to end, however it does, and end too: another run may follow it."""
+    """Wait for the parent process to end, however it does, and end this one: a run may follow."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -161,7 +167,7 @@ def end_with_parent() -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let numpy in a new process use one thread: how many there are must not reach the draws."""
+    """Let numpy use one thread in a process that is started: the number could change the draws."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ |= dict.fromkeys(_THREADS, "1")
     try:
@@ -175,12 +181,12 @@ def one_thread() -> Iterator[None]:
 
 
 @contextmanager
-def deaf() -> Iterator[None]:
-    """Hold back Ctrl-C while a process starts, which inherits that: this one is to stop it."""
+def interrupts_blocked() -> Iterator[None]:
+    """Let a process that is started ignore Ctrl-C; this one gets it and ends the other."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # it would let Ctrl-C through when it starts
+    resource_tracker.ensure_running()  # its start would unblock Ctrl-C again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

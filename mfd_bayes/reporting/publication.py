@@ -11,7 +11,7 @@ from typing import Any
 from mfd_bayes.assessment.systems import System
 from mfd_bayes.assessment.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.workers import run_tasks
+from mfd_bayes.jobs.workers import run_in_processes
 from mfd_bayes.reporting.conversion import shown_in
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
@@ -102,7 +102,7 @@ def _draw_tests(view: CampaignView, out: Path, processes: int) -> dict[str, byte
     system = shown_in(view)
     drawings = [Drawing(test, system, view.actuation_unit) for test in view.tests]
     if len(drawings) > ONE_PAGE and processes > 1:
-        for _ in run_tasks(drawings, out, processes, lambda _: None):
+        for _ in run_in_processes(drawings, out, processes, lambda _: None):
             pass
     else:
         for drawing in drawings:

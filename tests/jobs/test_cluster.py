@@ -22,7 +22,7 @@ from mfd_bayes.campaign.synthetic import Truth, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Outcome, Progress
-from mfd_bayes.jobs.workers import run_tasks
+from mfd_bayes.jobs.workers import run_in_processes
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.validation.folds import folds_of, run_folds
@@ -137,7 +137,7 @@ def tasks(campaign):
 def reference(tasks, tmp_path_factory):
     """Posteriors of the tests by one process of this machine."""
     out = tmp_path_factory.mktemp("reference")
-    assert [o.status for o in run_tasks(tasks, out, 1, lambda _: None)] == ["done", "done"]
+    assert [o.status for o in run_in_processes(tasks, out, 1, lambda _: None)] == ["done", "done"]
     return out
 
 
@@ -297,21 +297,21 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
 
 
 def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
-    from mfd_bayes.jobs.cluster.client import _Crew
+    from mfd_bayes.jobs.cluster.client import _Cluster
 
     alone, seen = {"tcp://w:1": 1}, []
     client = SimpleNamespace(status="running", nthreads=lambda: alone)
-    crew = _Crew(client, "tcp://host:1", tmp_path, seen.append)
-    assert crew.hear() is None
+    cluster = _Cluster(client, "tcp://host:1", tmp_path, seen.append)
+    assert cluster.receive() is None
     assert seen == []
     for times in (1, 2):
         alone.clear()
-        assert crew.hear() is crew.hear() is None
+        assert cluster.receive() is cluster.receive() is None
         assert [step.stage for step in seen].count("waits for a worker:") == times
         assert seen[-1].message == "start one with: dask worker tcp://host:1"
         alone["tcp://w:2"] = 1
-        crew.news.put({"key": "of a test that is done"})
-        assert crew.hear() is None
+        cluster.messages.put({"key": "of a test that is done"})
+        assert cluster.receive() is None
         assert seen[-1].stage == "done"
 
 
@@ -419,7 +419,7 @@ def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
 
 
 def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
-    from mfd_bayes.jobs.cluster.client import _Crew, _Place
+    from mfd_bayes.jobs.cluster.client import _Cluster, _Submitted
 
     answer = {"refused": "", "status": "done", "seconds": 1.0, "error": "", "steps": []}
     future = SimpleNamespace(
@@ -428,8 +428,8 @@ def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
         result=lambda: answer | {"files": {"../beyond": b""}},
         release=lambda: None,
     )
-    crew = _Crew(None, "tcp://host:1", tmp_path / "out", lambda _: None)
-    outcome = crew._take(_Place(tasks[1], future))
+    cluster = _Cluster(None, "tcp://host:1", tmp_path / "out", lambda _: None)
+    outcome = cluster._store(_Submitted(tasks[1], future))
     sentence = "its worker sent files that are not this test's"
     assert outcome == Outcome(tasks[1].id, "failed", 0.0, sentence)
     assert not list(tmp_path.rglob("*"))

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs import workers
-from mfd_bayes.jobs.workers import run_tasks
+from mfd_bayes.jobs.workers import run_in_processes
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import discard
@@ -159,7 +159,7 @@ def test_a_test_whose_processes_are_always_killed_is_given_up(campaign, tmp_path
                 os.kill(child.pid, signal.SIGKILL)
 
     with pytest.raises(FitError, match=f"{task.id} was killed by SIGKILL, 3 times.*--resume"):
-        list(run_tasks([task], tmp_path, 1, kill))
+        list(run_in_processes([task], tmp_path, 1, kill))
     assert seen.count("finding modes") == workers.ATTEMPTS
     assert not workers.multiprocessing.active_children()
     assert not list(tmp_path.rglob("posterior.nc"))

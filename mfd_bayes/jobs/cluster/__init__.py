@@ -1,6 +1,6 @@
-"""Tests on the workers of a dask.distributed cluster, which share no files with this machine.
+"""Jobs on the workers of a dask.distributed cluster, which share no files with this machine.
 
-What goes to a worker is a test's trace and settings; what comes back are the bytes of the files
-that it made, and on the way there small messages of where it stands. Both ends must trust each
-other: dask.distributed unpickles what they send.
+A worker gets a test's trace and settings; it sends small messages of its progress, and at the end
+the bytes of the files that it made. Both ends must trust each other: dask.distributed unpickles
+what they send.
 """

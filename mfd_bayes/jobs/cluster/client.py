@@ -1,4 +1,4 @@
-"""The tests that are out on a cluster, followed and gathered by this machine."""
+"""The client's side of a cluster: it submits jobs, follows them and stores their files."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from mfd_bayes.store.files import write_bytes
 
 Observe = Callable[[Step], None]
 
-LOOK = 0.5
-"""Seconds after which the scheduler is looked for where nothing is heard."""
+SILENCE = 0.5
+"""Seconds without a message after which the scheduler and its workers are looked for."""
 
 
 def check_cluster(address: str) -> None:
@@ -33,7 +33,7 @@ def check_cluster(address: str) -> None:
     """
     with connected(address) as client, losses(address):
         for worker, answer in client.run(differences, versions(), on_error="return").items():
-            if isinstance(answer, OSError):  # it was lost while it was asked; `work` asks again
+            if isinstance(answer, OSError):  # the worker was lost meanwhile; `work` checks again
                 continue
             if isinstance(answer, BaseException):
                 raise FitError(
@@ -47,16 +47,16 @@ def check_cluster(address: str) -> None:
 def run_on_cluster(
     jobs: Sequence[Job], out: Path, address: str, observe: Observe
 ) -> Generator[Outcome, None, None]:
-    """Outcomes of tests as they come from the workers of a scheduler.
+    """Outcomes of jobs in the order in which the workers of a scheduler end them.
 
-    What is outstanding at the end, however it comes, is cancelled. A test whose worker is lost
-    begins again from its seed on another, as often as the scheduler allows.
+    Jobs that have not ended when this ends, in whatever way, are cancelled. A job whose worker is
+    lost begins again on another one from the same seed, as often as the scheduler allows.
 
     Parameters
     ----------
     jobs : sequence of Job
     out : Path
-        Run folder, of this machine.
+        Run folder, on this machine.
     address : str
         Such as "tcp://host:8786".
     observe : callable
@@ -64,7 +64,7 @@ def run_on_cluster(
     Raises
     ------
     StoreError
-        When what came of a test cannot be written.
+        When the files of a job cannot be written.
     FitError
         When the scheduler is lost, or a worker is not the same as this machine.
     """
@@ -73,20 +73,20 @@ def run_on_cluster(
     if not jobs:
         return
     with connected(address) as client:
-        crew = _Crew(client, address, out, observe)
+        cluster = _Cluster(client, address, out, observe)
         try:
-            crew.submit(jobs)
-            while crew.places:
-                outcome = crew.hear()
+            cluster.submit(jobs)
+            while cluster.submitted:
+                outcome = cluster.receive()
                 if outcome is not None:
                     yield outcome
         finally:
-            crew.dismiss()
+            cluster.cancel()
 
 
 @dataclass(eq=False)
-class _Place:
-    """A test on the cluster, and which of the attempts at it was heard of last."""
+class _Submitted:
+    """A job on the cluster, and its attempts; only messages of the last attempt count."""
 
     job: Job
     future: Any
@@ -95,29 +95,23 @@ class _Place:
 
 
 @dataclass(eq=False)
-class _Crew:
-    """The tests that are outstanding, by their keys, and what comes in of them."""
+class _Cluster:
+    """The submitted jobs that have not ended, by key, and the messages about them."""
 
     client: Any
     address: str
     out: Path
     observe: Observe
-    places: dict[str, _Place] = field(default_factory=dict)
-    news: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
+    submitted: dict[str, _Submitted] = field(default_factory=dict)
+    messages: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     topic: str = field(default_factory=lambda: f"mfd_bayes-{uuid.uuid4().hex}")
-    lonely: bool = False
+    without_workers: bool = False
 
     def submit(self, jobs: Sequence[Job]) -> None:
-        """Send out all tests, with the files of the run folder that they need, each file once."""
+        """Submit all jobs, with the files that they need; each file is sent once."""
         with losses(self.address):
-            self.client.subscribe_topic(self.topic, lambda event: self.news.put(event[1]))
-            names = list(dict.fromkeys(name for job in jobs for name in job.needs(self.out)))
-            files = {  # as tasks, and not scattered: what a lost worker had can be had again
-                name: self.client.submit(
-                    _same, (self.out / name).read_bytes(), key=f"{self.topic}-file-{i}"
-                )
-                for i, name in enumerate(names)
-            }
+            self.client.subscribe_topic(self.topic, lambda event: self.messages.put(event[1]))
+            files = self._submit_files(jobs)
             for i, job in enumerate(jobs):
                 given = {name: files[name] for name in job.needs(self.out)}
                 key = f"{self.topic}-{i}"
@@ -127,58 +121,68 @@ class _Crew:
                     raise FitError(
                         f"cannot send {job.id} to the workers: {error.args[0]}"
                     ) from error
-                future.add_done_callback(self.news.put)
-                self.places[key] = _Place(job, future)
+                future.add_done_callback(self.messages.put)
+                self.submitted[key] = _Submitted(job, future)
         self._look_for_workers()
 
-    def hear(self) -> Outcome | None:
-        """Take in what is said next; how a test ended, if it did."""
+    def _submit_files(self, jobs: Sequence[Job]) -> dict[str, Any]:
+        """Future of each file that a job needs: a task, which dask repeats if its worker is lost."""
+        names = dict.fromkeys(name for job in jobs for name in job.needs(self.out))
+        return {
+            name: self.client.submit(
+                _same, (self.out / name).read_bytes(), key=f"{self.topic}-file-{i}"
+            )
+            for i, name in enumerate(names)
+        }
+
+    def receive(self) -> Outcome | None:
+        """Take in the next message; the outcome of a job where it ended one."""
         try:
-            news = self.news.get(timeout=LOOK)
+            message = self.messages.get(timeout=SILENCE)
         except queue.Empty:
             if self.client.status != "running":
                 raise lost(self.address) from None
             self._look_for_workers()
             return None
-        if self.lonely:
-            self.lonely = False
+        if self.without_workers:
+            self.without_workers = False
             self.observe(Step("cluster", State.DONE))
-        if isinstance(news, Future):
-            return self._take(self.places.pop(news.key))
-        self._follow(news)
+        if isinstance(message, Future):
+            return self._store(self.submitted.pop(message.key))
+        self._follow(message)
         return None
 
-    def dismiss(self) -> None:
-        """Cancel what is outstanding."""
+    def cancel(self) -> None:
+        """Cancel the jobs that have not ended."""
         with suppress(*FAULTS):
-            self.client.cancel([place.future for place in self.places.values()])
+            self.client.cancel([job.future for job in self.submitted.values()])
 
     def _look_for_workers(self) -> None:
-        """Say, once, that there is no worker, or none any longer."""
+        """Say, once, that the scheduler has no worker."""
         with losses(self.address):
-            lonely = not self.client.nthreads()
-        if lonely and not self.lonely:
-            self.lonely = True
+            missing = not self.client.nthreads()
+        if missing and not self.without_workers:
+            self.without_workers = True
             start = f"start one with: dask worker {self.address}"
             self.observe(Step("cluster", "waits for a worker:", message=start))
 
-    def _follow(self, news: Mapping[str, Any]) -> None:
-        """Pass on where a test stands, as its last attempt says."""
-        place = self.places.get(news["key"])
-        if place is None or news["attempt"] in place.attempts[:-1]:
+    def _follow(self, message: Mapping[str, Any]) -> None:
+        """Pass on a step of a job, unless it is of an attempt that was lost."""
+        submitted = self.submitted.get(message["key"])
+        if submitted is None or message["attempt"] in submitted.attempts[:-1]:
             return
-        if news["attempt"] not in place.attempts:
-            if place.attempts:
-                lost = f"its worker {place.worker} was lost"
-                self.observe(Step(place.job.id, State.RESTARTED, message=lost))
-            place.attempts.append(news["attempt"])
-            place.worker = news["worker"]
-        self.observe(_step(place.job.id, news["step"]))
+        if message["attempt"] not in submitted.attempts:
+            if submitted.attempts:
+                lost = f"its worker {submitted.worker} was lost"
+                self.observe(Step(submitted.job.id, State.RESTARTED, message=lost))
+            submitted.attempts.append(message["attempt"])
+            submitted.worker = message["worker"]
+        self.observe(_step(submitted.job.id, message["step"]))
 
-    def _take(self, place: _Place) -> Outcome:
-        """Store what came of a test."""
-        job, future = place.job, place.future
-        if future.status == "cancelled":  # none of ours is, as long as this is listened to
+    def _store(self, submitted: _Submitted) -> Outcome:
+        """Store the files of a job that has ended; its outcome."""
+        job, future = submitted.job, submitted.future
+        if future.status == "cancelled":  # not by us, or it would not be waited for
             raise lost(self.address)
         with losses(self.address):
             error = future.exception()
@@ -202,7 +206,7 @@ class _Crew:
 
 
 def _reason(error: BaseException) -> str:
-    """Why a test has come to nothing."""
+    """Why a job failed."""
     if isinstance(error, KilledWorker):
         return (
             f"its workers were lost {error.allowed_failures + 1} times, the last one "
@@ -216,6 +220,7 @@ def _same(content: bytes) -> bytes:
 
 
 def _step(name: str, sent: Sequence[Any]) -> Step:
+    """Step from the plain values that a worker sends."""
     stage, message, figures = sent
     if figures is None:
         return Step(name, stage, None, message)

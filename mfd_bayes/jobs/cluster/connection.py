@@ -1,4 +1,4 @@
-"""The connection to a scheduler, and what to say where there is none or it is lost."""
+"""The connection to a scheduler, and the errors where there is none or it is lost."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ PATIENCE = 5.0
 """Seconds in which a scheduler must answer."""
 
 FAULTS = (OSError, TimeoutError, CancelledError, RuntimeError)
-"""What dask.distributed raises when the scheduler is lost, by the moment."""
+"""Errors that dask.distributed raises when the scheduler is lost, depending on the moment."""
 
 _LOGS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
 
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """Connection to a scheduler, whose library keeps its words to itself."""
+    """Connection to a scheduler; the library's own log messages are suppressed."""
     if not re.fullmatch(r"(tcp|tls)://.+:\d+", address):
         raise FitError(f"--scheduler must be like tcp://host:8786, got {address!r}")
     before = {name: logging.getLogger(name).level for name in _LOGS}
@@ -34,7 +34,7 @@ def connected(address: str) -> Iterator[Any]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", VersionMismatchWarning)  # `differences` says it
+            warnings.simplefilter("ignore", VersionMismatchWarning)  # `differences` reports it
             client = Client(address, timeout=PATIENCE, name="mfd-bayes", set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise FitError(
@@ -53,7 +53,7 @@ def connected(address: str) -> Iterator[Any]:
 
 @contextmanager
 def losses(address: str) -> Iterator[None]:
-    """Say in a sentence that the scheduler is lost, whatever its library makes of it."""
+    """Turn every error of a lost scheduler into a FitError."""
     try:
         yield
     except FAULTS as error:
@@ -61,7 +61,7 @@ def losses(address: str) -> Iterator[None]:
 
 
 def lost(address: str) -> FitError:
-    """What ends a run whose scheduler is gone."""
+    """Error that ends a run whose scheduler is lost."""
     return FitError(
         f"the scheduler at {address} was lost: what is finished is kept; go on with --resume, "
         "with a scheduler or without"
@@ -69,6 +69,6 @@ def lost(address: str) -> FitError:
 
 
 def in_a_line(error: BaseException) -> str:
-    """What an error says, and its kind where it may say little."""
+    """Message of an error in one line, with the kind of the error unless it is an OSError."""
     text = " ".join(str(error).split()) or "no reason given"
     return text if isinstance(error, OSError) else f"{type(error).__name__}: {text}"

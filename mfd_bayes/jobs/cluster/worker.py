@@ -1,4 +1,4 @@
-"""A test on a worker of a cluster: what the worker is asked to do, and what it hands back."""
+"""The worker's side of a cluster: it does a job and returns the files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import platform
 import tempfile
 import uuid
 from collections.abc import Mapping
-from dataclasses import astuple
+from dataclasses import astuple, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,48 +24,36 @@ _SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")
 def work(
     job: Job, given: Mapping[str, bytes], expected: Mapping[str, str], topic: str
 ) -> dict[str, Any]:
-    """Do a test in a folder of its own, and hand back the files that it made.
+    """Do a job in a temporary folder, and return the files that it made.
 
     Parameters
     ----------
     job : Job
     given : mapping of str to bytes
-        Files of the run folder that it needs, by their names in it.
+        Files that the job needs, by their paths in the run folder.
     expected : mapping of str to str
         Versions that this worker must have.
     topic : str
-        Under which it says where it stands.
+        Dask's name for the messages of progress.
 
     Returns
     -------
     dict
-        "refused": why it was not done, or ""; "status", "seconds", "error": as of an `Outcome`;
-        "files": content by name; "steps": the last that there is to say.
+        "refused": why the job was not done, or ""; "status", "seconds", "error": as of an
+        `Outcome`; "files": content by name; "steps": the last steps.
     """
-    worker, last = get_worker(), []
+    news = _News(get_worker(), topic)
     found = differences(expected)
-    refused = other_versions(worker.address, found) if found else _limit_threads()
+    refused = other_versions(news.worker.address, found) if found else _limit_threads()
     if refused:
         return {"refused": refused}
-    key = worker.get_current_task()
-    about = {"key": key, "attempt": uuid.uuid4().hex, "worker": worker.address}
-
-    def tell(step: Step) -> None:
-        if step.stage in _ENDED:  # comes with the files, so that nothing overtakes it
-            last.append(_sent(step))
-            return
-        task = worker.state.tasks.get(key)
-        if task is None or task.state == "cancelled":
-            raise _UnwantedError
-        worker.log_event(topic, about | {"step": _sent(step)})
-
-    with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as home:
-        out = Path(home)
+    with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder:
+        out = Path(folder)
         for name, content in given.items():
             write_bytes(out / name, content)
         try:
-            outcome = job.run(out, tell)
-        except _UnwantedError:
+            outcome = job.run(out, news.send)
+        except _CancelledError:
             return {"refused": "cancelled"}
         made = [name for name in job.makes if (out / name).is_file()]
         return {
@@ -74,22 +62,45 @@ def work(
             "seconds": outcome.seconds,
             "error": outcome.error,
             "files": {name: (out / name).read_bytes() for name in made},
-            "steps": last,
+            "steps": news.last,
         }
 
 
-class _UnwantedError(Exception):
-    """Nobody waits for this test any longer."""
+class _CancelledError(Exception):
+    """The client has cancelled this job."""
+
+
+@dataclass
+class _News:
+    """Messages of progress from one attempt at a job, and the last steps, which are not sent."""
+
+    worker: Any
+    topic: str
+    last: list[list[Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.key = self.worker.get_current_task()
+        self.attempt = uuid.uuid4().hex
+
+    def send(self, step: Step) -> None:
+        if step.stage in _ENDED:  # returned with the files, so that it comes after all messages
+            self.last.append(_plain(step))
+            return
+        task = self.worker.state.tasks.get(self.key)
+        if task is None or task.state == "cancelled":
+            raise _CancelledError
+        about = {"key": self.key, "attempt": self.attempt, "worker": self.worker.address}
+        self.worker.log_event(self.topic, about | {"step": _plain(step)})
 
 
 def versions() -> dict[str, str]:
-    """What must be the same on both sides for the draws to be the same."""
+    """Versions that must be the same on both sides for the draws to be the same."""
     python = ".".join(platform.python_version_tuple()[:2])
     return {"Python": python} | {name: version(name) for name in _SAME}
 
 
 def differences(expected: Mapping[str, str]) -> str:
-    """The versions in which this process differs, in words; "" where it does not."""
+    """Versions of this process that are not the expected ones, in words; "" where all are."""
     found = versions()
     return ", ".join(
         f"{name} {found.get(name, 'of no version')} and not {wanted}"
@@ -99,15 +110,15 @@ def differences(expected: Mapping[str, str]) -> str:
 
 
 def other_versions(worker: str, found: str) -> str:
-    """Why a worker with differences is not used."""
+    """Sentence that refuses a worker with other versions."""
     return f"the worker {worker} has {found} as here: install the same versions there"
 
 
 def _limit_threads() -> str:
-    """Let numpy use one thread in this process from now on; why it cannot be done, or "".
+    """Let numpy use one thread in this process from now on; "", or why that is not possible.
 
-    How many there are reaches the last bits of its sums. They are not set back: other tests may be
-    at work in other threads of the process.
+    The number of threads changes the last bits of numpy's sums. It is not set back: other jobs may
+    run in other threads of this process.
     """
     threadpool_limits(limits=1)
     many = [pool for pool in threadpool_info() if pool["num_threads"] != 1]
@@ -120,7 +131,7 @@ def _limit_threads() -> str:
     )
 
 
-def _sent(step: Step) -> list[Any]:
-    """A step as plain values, which need no unpickling."""
+def _plain(step: Step) -> list[Any]:
+    """A step as plain values, which need not be unpickled."""
     figures = [float(figure) for figure in astuple(step.progress)] if step.progress else None
     return [str(step.stage), step.message, figures]
