@@ -1,8 +1,12 @@
-"""The lock on a run folder: one process at a time works in it, and a second is told whose it is.
+"""The lock on a run folder: one process at a time works in it; a second one is refused.
 
-The lock itself is the system's, so that no way to end leaves it behind. Beside it the owner leaves
-its name in the folder, for whom it refuses, and for a folder that machines share, where the
-system's lock may not reach from one to another.
+The lock is the operating system's, on the folder itself: however the owner ends, the lock ends with
+it, and no lock file is left. The owner also writes a file with its name into the folder. A process
+that is refused reports that name; and where machines share the folder, the system's lock may not
+reach from one machine to another, but the name does.
+
+`filelock.FileLock` would leave a lock file in the folder, and raise where the file system has no
+locks.
 """
 
 from __future__ import annotations
@@ -28,22 +32,22 @@ except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
 OWNER = ".owner.json"
-"""Name of the owner in a run folder, as long as it is at work."""
+"""File in a run folder that names the owner of the lock."""
 
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 @dataclass(frozen=True)
 class Owner:
-    """A process that works in a run folder.
+    """The owner of a lock: a process that works in a run folder.
 
     Attributes
     ----------
     host : str
         Name of its machine.
     boot : str
-        What tells this machine, since it was started, from all others; the same in each of its
-        containers. "" where the system has no such name.
+        Linux's id of the running system, the same in each container of a machine; "" where the
+        system has none.
     pid : int
     command : str
     since : str
@@ -57,12 +61,12 @@ class Owner:
     since: str
 
     def __str__(self) -> str:
-        """Whom a second process is told of."""
+        """Sentence part that a process is shown when it is refused."""
         return f"{self.command!r}, process {self.pid} on {self.host} since {self.since}"
 
     @classmethod
     def here(cls) -> Owner:
-        """Name of this process."""
+        """Owner that this process is."""
         return cls(
             host=socket.gethostname(),
             boot=_BOOT.read_text(encoding="ascii").strip() if _BOOT.is_file() else "",
@@ -72,19 +76,19 @@ class Owner:
         )
 
     @property
-    def near(self) -> bool:
-        """Whether it is, or was, a process of this machine."""
-        us = Owner.here()
-        return self.host == us.host or (self.boot != "" and self.boot == us.boot)
+    def on_this_machine(self) -> bool:
+        """Whether it is, or was, a process of this machine, in whatever container."""
+        here = Owner.here()
+        return self.host == here.host or (self.boot != "" and self.boot == here.boot)
 
     @property
     def alive(self) -> bool:
-        """Whether there is a process of its number, on this machine."""
+        """Whether this machine has a process with its number."""
         try:
             os.kill(self.pid, 0)
         except ProcessLookupError:
             return False
-        except PermissionError:  # it is another user's
+        except PermissionError:  # another user's process
             return True
         return True
 
@@ -96,42 +100,42 @@ def alone_in(out: Path) -> Iterator[None]:
     Raises
     ------
     StoreError
-        When the folder cannot be made, or another process works in it, or may.
+        When the folder cannot be made, or another process works in it, or may do so.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(f"cannot make the run folder {out}: {error.strerror}") from error
     handle = _lock(out)
-    named = out / OWNER
+    name = out / OWNER
     try:
-        with suppress(StoreError):  # a full disk: what is worth saying of it will be said
-            write_json(named, asdict(Owner.here()))
-        with before_end(lambda: _remove(named)):
+        with suppress(StoreError):  # a full disk: the first result reports it
+            write_json(name, asdict(Owner.here()))
+        with before_end(lambda: _remove(name)):
             yield
     finally:
-        _remove(named)
+        _remove(name)
         if handle is not None:
             os.close(handle)
 
 
-def _remove(named: Path) -> None:
-    with suppress(OSError):  # read-only by now: a name that is left is no lock
-        named.unlink(missing_ok=True)
+def _remove(name: Path) -> None:
+    with suppress(OSError):  # the disk is read-only: a name that is left behind is no lock
+        name.unlink(missing_ok=True)
 
 
 def _lock(out: Path) -> int | None:
-    """Take the system's lock, where it has one, and say what holds it; its handle."""
+    """Handle of the locked folder; None where the system has no such locks."""
     owner = _owner_of(out)
     handle = None if fcntl is None else os.open(out, os.O_RDONLY)
     try:
-        sure = handle is not None and _locked(handle, out, owner)
-        if owner is not None and not owner.near:
+        locked = handle is not None and _locked(handle, out, owner)
+        if owner is not None and not owner.on_this_machine:
             raise StoreError(
-                f"{out} may be in use: it bears the name of {owner}, and this machine cannot see "
-                f"whether that still runs; let it end, or, where it is dead, remove {out / OWNER}"
+                f"{out} may be in use: its owner is {owner}, and this machine cannot see whether "
+                f"that still runs; let it end, or, if it has ended, remove {out / OWNER}"
             )
-        if owner is not None and not sure and owner.pid != os.getpid() and owner.alive:
+        if owner is not None and not locked and owner.pid != os.getpid() and owner.alive:
             raise StoreError(_refusal(out, owner))
     except StoreError:
         if handle is not None:
@@ -141,9 +145,12 @@ def _lock(out: Path) -> int | None:
 
 
 def _locked(handle: int, out: Path, owner: Owner | None) -> bool:
-    """Whether the system has locked the folder for this process.
+    """Whether this process got the system's lock; False where the file system has no locks.
 
-    It has not where its file system knows no locks; then the owner's name is all there is.
+    Raises
+    ------
+    StoreError
+        When another process has the lock.
     """
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -155,18 +162,18 @@ def _locked(handle: int, out: Path, owner: Owner | None) -> bool:
 
 
 def _refusal(out: Path, owner: Owner | None) -> str:
-    alive = owner is not None and (not owner.near or owner.alive)  # and no name that was left
+    """Sentence that refuses a second process; it names the owner unless that has ended."""
+    alive = owner is not None and (not owner.on_this_machine or owner.alive)
     named = f": {owner}" if alive else ""
     return f"another process is calibrating into {out}{named}: let it end"
 
 
 def _owner_of(out: Path) -> Owner | None:
-    """Who left its name in a folder; None where nobody did, or what is left cannot be read."""
+    """Owner that a folder names; None where it names none, or the name cannot be read."""
     try:
         owner = Owner(**read_json(out / OWNER))
     except (StoreError, TypeError):
         return None
     texts = (owner.host, owner.boot, owner.command, owner.since)
-    named = all(isinstance(text, str) for text in texts)
-    known = isinstance(owner.pid, int) and 0 < owner.pid < 2**31
-    return owner if named and known else None
+    valid = isinstance(owner.pid, int) and 0 < owner.pid < 2**31
+    return owner if valid and all(isinstance(text, str) for text in texts) else None

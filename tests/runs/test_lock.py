@@ -128,7 +128,7 @@ def test_another_machines_name_is_refused_with_what_to_do(out):
     sentence = str(caught.value)
     for word in ("'mfd-bayes x', process 4194305 on node7 since 2026-01-02", "cannot see whether"):
         assert word in sentence
-    assert f"where it is dead, remove {out / OWNER}" in sentence
+    assert f"if it has ended, remove {out / OWNER}" in sentence
     (out / OWNER).unlink()
     with alone_in(out):
         pass
@@ -192,7 +192,7 @@ def test_it_works_outside_the_main_thread(out):
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert found[0].near
+    assert found[0].on_this_machine
     assert found[0].alive
 
 

@@ -126,7 +126,7 @@ class _Cluster:
         self._look_for_workers()
 
     def _submit_files(self, jobs: Sequence[Job]) -> dict[str, Any]:
-        """Future of each file that a job needs: a task, which dask repeats if its worker is lost."""
+        """Future of each file that a job needs; dask sends it again where a worker is lost."""
         names = dict.fromkeys(name for job in jobs for name in job.needs(self.out))
         return {
             name: self.client.submit(
