@@ -1,4 +1,4 @@
-"""A synthetic campaign after the MFD paper's test matrix, with a stated truth."""
+"""A synthetic campaign after the MFD paper's test matrix, whose true values are known."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ AMPLITUDE = 1.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What the synthetic device is: laws, medians and scatter, in internal units.
+    """True values of the synthetic device, in internal units: laws, medians and scatter.
 
-    Friction is proportional to pressure and σ0 affine in it (paper Eq. 5); every test
-    scatters about the medians, log-normally.
+    Friction is proportional to pressure and σ0 affine in it (paper Eq. 5). The values of a test are
+    log-normal about the medians; `scatter` is their standard deviation in the logarithm.
     """
 
     laws: Mapping[str, float] = field(
@@ -91,18 +91,13 @@ _GROUPS = {
 
 
 def write_campaign(folder: Path, seed: int, truth: Truth | None = None) -> dict[str, Any]:
-    """Write the synthetic tests and their campaign file, and return what is true of them.
-
-    Parameters
-    ----------
-    folder : Path
-    seed : int
-    truth : Truth, optional
+    """True values of synthetic tests that are written, with their campaign file, into a folder.
 
     Returns
     -------
     dict
-        "population": constants by name; "tests": quantities of each test, by id.
+        "population": value of each constant of the laws and the scatter, by name; "tests": for
+        each test's id, the values of its quantities by name.
     """
     stated = truth or Truth()
     rng = np.random.default_rng([seed, 1])
@@ -166,7 +161,7 @@ def _draw_test(truth: Truth, pressure: float, rng: np.random.Generator) -> dict[
 
 
 def _known(values: Mapping[str, Array]) -> dict[str, float]:
-    """Truth of a test by name, with F_s; γ1 and γ2 have none, for only ℓ is meant."""
+    """True values of a test by name, with F_s; without γ1 and γ2, of which only ℓ is given."""
     known = {name: float(value[0]) for name, value in values.items() if name != "gamma1"}
     for side in ("fwd", "bwd"):
         known[f"Fs_{side}"] = known[f"Fc_{side}"] * (1 + known[f"static_excess_{side}"])
@@ -174,10 +169,10 @@ def _known(values: Mapping[str, Array]) -> dict[str, float]:
 
 
 def _known_scatter(truth: Truth) -> dict[str, float]:
-    """Truth of the scatter by name, in the coordinates in which tests are pooled.
+    """True values of the scatter by name, in the coordinates of the population.
 
-    That of the slip force and of the gap (`Fc`, `d2`) has no plain truth: they are made up of
-    what is drawn here.
+    The scatter of the slip force and the gap (`Fc`, `d2`) is left out: there they are combinations
+    of the values drawn here.
     """
     known = {
         f"scatter_{name}": truth.scatter[group]
@@ -185,7 +180,7 @@ def _known_scatter(truth: Truth) -> dict[str, float]:
         for name in names
         if name not in ("Fc_fwd", "Fc_bwd", "d2", "d3")
     }
-    ratio = float(np.sqrt(2.0)) * truth.scatter["travel"]  # of d3 to d2, which scatter alike
+    ratio = float(np.sqrt(2.0)) * truth.scatter["travel"]  # of d3/d2: both have this scatter
     return known | {"scatter_d3": ratio, "scatter_offset": truth.scatter["offset"]}
 
 

@@ -31,13 +31,9 @@ ENDED = (State.DONE, State.KEPT, State.FAILED)
 ALARMS = (State.FAILED, State.RESTARTED)
 """Stages that are printed even with --quiet, and above the table on a terminal."""
 
-_COUNTED = (State.DONE, State.KEPT, State.FAILED, "running", State.WAITING)
-_STYLES: dict[str, str] = {
-    State.FAILED: "red",
-    State.WAITING: "dim",
-    State.DONE: "green",
-    State.KEPT: "green",
-}
+_STATES = (State.DONE, State.KEPT, State.FAILED, "running", State.WAITING)
+_STYLES: dict[str, str] = {State.FAILED: "red", State.WAITING: "dim"}
+_STYLES |= {State.DONE: "green", State.KEPT: "green"}
 _LAST_FRAME = 1.0  # seconds to wait for a frame that is being drawn
 _KEPT = "done before"
 _FIGURES = {"steps": 5, "R-hat": 5, "ESS": 5, "steps/s": 7, "time": 7, "left": 7}
@@ -116,11 +112,6 @@ class _Row:
         """Whether it has begun and not ended."""
         return self.stage not in (State.WAITING, *ENDED)
 
-    @property
-    def state(self) -> str:
-        """Its stage, or "running"."""
-        return "running" if self.running else self.stage
-
     def hear(self, step: Step, now: float) -> None:
         """Take in a step."""
         if not self.running:
@@ -147,15 +138,10 @@ class _Row:
 
 @dataclass
 class Board:
-    """Every piece of work and its progress; rich draws it as large as the terminal allows.
-
-    Attributes
-    ----------
-    now : callable
-        A clock, s.
-    """
+    """Every piece of work and its progress; rich draws it as large as the terminal allows."""
 
     now: Callable[[], float] = time.monotonic
+    """A clock, s."""
     _rows: dict[str, _Row] = field(default_factory=dict)
     _began: float = math.nan
     _closed: bool = False
@@ -195,16 +181,20 @@ class Board:
 
     def _headline(self, rows: list[_Row], now: float) -> str:
         """How much is done, and how long the rest will take."""
-        counts = Counter(row.state for row in rows if row.counted)
-        total, parts = counts.total(), []
-        if total:
-            parts.append(f"{counts[State.DONE] + counts[State.KEPT]} of {total} done")
-        parts += [f"{counts[k]} {k}" for k in _COUNTED[2:] if counts[k]]
-        parts.append(f"{_clock(now - self._began)} so far")
+        tests = [row for row in rows if row.counted]
+        done = sum(row.stage in (State.DONE, State.KEPT) for row in tests)
+        parts = [f"{done} of {len(tests)} done"] if tests else []
+        parts += [*_counts(tests, _STATES[2:]), f"{_clock(now - self._began)} so far"]
         left = math.nan if self._closed else _left(rows, now)
         if not math.isnan(left):
             parts.append(f"about {_clock(left)} left")
         return ", ".join(parts)
+
+
+def _counts(rows: Iterable[_Row], states: Iterable[str]) -> list[str]:
+    """How many rows are in each of some states, as "3 running"; not where none is."""
+    counts = Counter("running" if row.running else row.stage for row in rows)
+    return [f"{counts[state]} {state}" for state in states if counts[state]]
 
 
 def _left(rows: list[_Row], now: float) -> float:
@@ -225,8 +215,7 @@ def _left(rows: list[_Row], now: float) -> float:
             left = usual if math.isnan(usual) else max(0.0, usual - row.seconds(now))
         rest += left
     waiting = sum(row.stage == State.WAITING for row in rows)
-    if waiting:
-        rest += waiting * usual
+    rest += waiting * usual if waiting else 0.0
     return rest / max(1, len(running)) if running or waiting else math.nan
 
 
@@ -239,9 +228,8 @@ def _choose(rows: list[_Row], room: int) -> tuple[list[_Row], str]:
     ended = sorted((row for row in rows if not math.isnan(row.ended)), key=lambda r: r.ended)
     last = ended[-(room - len(running)) :] if len(running) < room else []
     shown = [*last, *running]
-    hidden = {row.id for row in rows} - {row.id for row in shown}
-    counts = Counter(row.state for row in rows if row.id in hidden)
-    return shown, "and " + ", ".join(f"{counts[k]} {k}" for k in _COUNTED if counts[k])
+    known = {row.id for row in shown}
+    return shown, "and " + ", ".join(_counts((r for r in rows if r.id not in known), _STATES))
 
 
 def _table(rows: Iterable[_Row], now: float, width: int) -> Table:
@@ -264,8 +252,7 @@ def _cells(row: _Row, now: float) -> tuple[str, ...]:
     stage = _KEPT if row.stage == State.KEPT else row.stage
     if row.running:
         stage = clean(f"{stage} {row.message}".strip())
-    progress = row.progress
-    figures = ("", "", "", "")
+    progress, figures = row.progress, ("", "", "", "")
     if progress is not None:
         r_hat = f"{progress.r_hat:.{3 if progress.r_hat < 10 else 0}f}"
         figures = (f"{progress.steps}", r_hat, f"{progress.ess:.0f}", _rate_text(progress))
@@ -290,8 +277,7 @@ def _rate(progress: Progress) -> float:
 
 
 def _rate_text(progress: Progress) -> str:
-    rate = _rate(progress)
-    return f"{rate:.{0 if rate >= 10 else 1}f}"
+    return f"{_rate(progress):.{0 if _rate(progress) >= 10 else 1}f}"
 
 
 def _line(step: Step) -> str:

@@ -153,7 +153,7 @@ def test_a_unit_that_goes_with_the_others_is_a_doubt(tmp_path):
     write(tmp_path / "500psi.csv", "time_s,disp,force_kN")
     draft, content = draft_of(tmp_path)
     assert content["columns"]["displacement"]["unit"] == "mm"
-    assert "mm goes with the other columns, in does not" in doubts(draft)[0]
+    assert "mm matches the other columns, in does not" in doubts(draft)[0]
 
 
 def test_columns_without_names_are_guessed_from_their_numbers(tmp_path):
@@ -169,7 +169,7 @@ def test_units_that_nothing_tells_are_to_be_filled_in(tmp_path):
     write(tmp_path / "500psi.csv", "t,disp,load")
     draft, content = draft_of(tmp_path)
     assert "unit" not in content["columns"]["displacement"]
-    assert "FIXME: nothing tells the unit of displacement" in campaign_text(draft)
+    assert "FIXME: the unit of displacement is unknown" in campaign_text(draft)
     assert len(gaps(draft)) == 2
     (tmp_path / "campaign.toml").write_text(campaign_text(draft))
     with pytest.raises(MfdError, match=r"column 'disp' of .* give the unit of displacement"):
@@ -279,7 +279,7 @@ def test_columns_that_only_their_units_tell_are_a_doubt(tmp_path):
     draft, content = draft_of(tmp_path)
     assert content["columns"]["force"] == {"name": "Last [kN]", "unit": "kN"}
     assert doubts(draft) == [
-        f"columns: column for {role} taken by its unit alone"
+        f"columns: column for {role} chosen by its unit alone"
         for role in ("time", "displacement", "force")
     ]
 
@@ -314,7 +314,7 @@ def test_an_actuation_that_nothing_tells_is_to_be_filled_in(tmp_path):
     write(tmp_path / "500psi.csv")
     write(tmp_path / "first.csv", f"{HEADER},cell_lbf", np.hstack([signals(), signals()[:, 2:]]))
     draft = draft_campaign(tmp_path)
-    assert '# FIXME: add actuation = "500 psi" or the like' in campaign_text(draft)
+    assert '# FIXME: add actuation = "500 psi" or similar' in campaign_text(draft)
     assert "'cell_lbf'" in gaps(draft)[0]
     (tmp_path / "campaign.toml").write_text(campaign_text(draft))
     with pytest.raises(CampaignError, match=r"^test 'first'\.actuation is missing in"):

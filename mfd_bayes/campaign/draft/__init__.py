@@ -1,4 +1,4 @@
-"""From a folder of test files to a first campaign file."""
+"""A first campaign file for a folder of test files."""
 
 from mfd_bayes.campaign.draft.draft import Draft, draft_campaign
 from mfd_bayes.campaign.draft.writing import campaign_text, doubts, gaps

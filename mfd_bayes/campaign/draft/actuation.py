@@ -1,4 +1,4 @@
-"""The actuation of each test file, out of its columns, header lines and name."""
+"""The actuation of each test file: from its columns, its header lines or its name."""
 
 from __future__ import annotations
 
@@ -16,55 +16,46 @@ from mfd_bayes.records.readers import Table
 from mfd_bayes.units import ActuationUnit, actuation_factor
 
 CONSTANT = 0.02
-"""An actuation that scatters by less than this share of its mean is a level."""
+"""An actuation is constant when its standard deviation is below this share of its mean."""
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A file that has time, displacement and force, and the actuations it may have.
-
-    Attributes
-    ----------
-    path : Path
-    table : Table
-    columns : dict
-        Role to guess, without the actuation.
-    column : Guess or None
-        Of the actuation.
-    header : Level or None
-    named : tuple of Level
-        In the file's name.
-    """
+class Candidate:
+    """A file with time, displacement and force, and everything that may be its actuation."""
 
     path: Path
     table: Table
     columns: dict[str, Guess]
+    """Role to column, without the actuation."""
     column: Guess | None
+    """The column that may hold the actuation."""
     header: Level | None
+    """Level in the header lines."""
     named: tuple[Level, ...]
+    """Levels in the file's name."""
 
     @property
     def levels(self) -> list[Level]:
-        """Every level that is stated, the certain ones first."""
+        """Every level in the header or the name, the certain ones first."""
         stated = [level for level in (self.header, *self.named) if level is not None]
         return sorted(stated, key=lambda level: bool(level.doubt))
 
 
-def without_shared_levels(seen: list[Seen]) -> list[Seen]:
-    """Names without the levels that all have: of several in a name, those say no more."""
-    if len(seen) < 2:
-        return seen
-    shared = set.intersection(*({level.text for level in one.named} for one in seen))
+def without_shared_levels(files: list[Candidate]) -> list[Candidate]:
+    """Files without the levels that stand in every name, where a name has others as well."""
+    if len(files) < 2:
+        return files
+    shared = set.intersection(*({level.text for level in one.named} for one in files))
     return [
         replace(one, named=tuple(lv for lv in one.named if lv.text not in shared) or one.named)
-        for one in seen
+        for one in files
     ]
 
 
-def prevailing_unit(seen: Sequence[Seen]) -> ActuationUnit | None:
-    """Whether most files have pressures, as on a tie, or tensions; None where none has either."""
+def prevailing_unit(files: Sequence[Candidate]) -> ActuationUnit | None:
+    """Unit of most files: "ksi" (pressures; also on a tie) or "kip" (tensions); None if unknown."""
     count: Counter[ActuationUnit] = Counter()
-    for one in seen:
+    for one in files:
         certain = [level for level in one.levels if not level.doubt]
         units = {level.unit for level in certain or one.levels}
         if one.column is not None and one.column.unit is not None:
@@ -76,16 +67,17 @@ def prevailing_unit(seen: Sequence[Seen]) -> ActuationUnit | None:
 
 
 def actuation_of(
-    one: Seen, unit: ActuationUnit | None
+    one: Candidate, unit: ActuationUnit | None
 ) -> tuple[str | Guess | None, str, tuple[str, ...]]:
-    """Actuation, what it is taken from, and what is not certain about it.
+    """Actuation, where it was found, and what is not certain about it.
 
-    What was measured counts before what the header or the name states; None where nothing does.
+    A measured actuation counts before the header, the header before the name; None where none has
+    it.
 
     Raises
     ------
     RecordError
-        When the actuation is zero, or no pressure among pressures or tension among tensions.
+        When the actuation is zero, or a pressure where most files have tensions or the reverse.
     """
     stated = one.levels
     levels = [level for level in stated if level.unit == unit]
@@ -113,8 +105,10 @@ def actuation_of(
     return None, _candidates(one), doubts
 
 
-def _measured(one: Seen, unit: ActuationUnit | None) -> tuple[str | Guess | None, tuple[str, ...]]:
-    """Level or history that a column of actuation holds, if there is one to be used."""
+def _measured(
+    one: Candidate, unit: ActuationUnit | None
+) -> tuple[str | Guess | None, tuple[str, ...]]:
+    """Level or history in the column of the actuation, and doubts; None where it has no use."""
     column = one.column
     if column is None:
         return None, ()
@@ -129,8 +123,8 @@ def _measured(one: Seen, unit: ActuationUnit | None) -> tuple[str | Guess | None
     return Guess(column.name, column.unit), column.doubts
 
 
-def _agrees(measured: str | Guess, one: Seen, level: Level) -> bool:
-    """Whether a stated level is within a tenth of what was measured."""
+def _agrees(measured: str | Guess, one: Candidate, level: Level) -> bool:
+    """Whether a level of the name or header is within a tenth of the measured actuation."""
     column = one.column
     values = None if column is None else numbers_of(one.table, column.name)
     if column is None or column.unit is None or values is None:
@@ -139,8 +133,8 @@ def _agrees(measured: str | Guess, one: Seen, level: Level) -> bool:
     return abs(mean - level.value) <= 0.1 * level.value
 
 
-def _candidates(one: Seen) -> str:
-    """Columns that measure a pressure or a force and are used for nothing."""
+def _candidates(one: Candidate) -> str:
+    """Sentence part: unused columns that measure a pressure or a force."""
     used = {guess.name for guess in one.columns.values()}
     found = [n for n in one.table.names if n not in used and unit_of(one.table, n, "actuation")]
     return f"; columns that might: {', '.join(map(repr, found[:4]))}" if found else ""

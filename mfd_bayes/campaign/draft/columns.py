@@ -1,4 +1,4 @@
-"""Which column of a test file is what, and in which unit, guessed from names and numbers."""
+"""The role and unit of each column of a test file, guessed from names and numbers."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _WORDS: Mapping[str, Mapping[str, int]] = {
         **dict.fromkeys(("press", "clamping", "clamp", "psi", "kpa", "mpa", "bar"), 5),
     },
 }
-"""How strongly a word of a column's name speaks for a role."""
+"""Score of a word in a column's name for each role."""
 
 _UNIT_ALONE = 1.0
-"""How strongly a unit speaks for a role where no word does."""
+"""Score of a unit for a role where no word has a score."""
 
 _NOT_MEASURED = frozenset(
     {"command", "cmd", "setpoint", "target", "ref", "reference", "desired", "error", "nominal"}
@@ -60,27 +60,19 @@ _METRIC = re.compile(r"\b(?:N|kN|MN|mm|cm|m|kPa|MPa|bar)\b")
 
 @dataclass(frozen=True)
 class Guess:
-    """A column, and what is not certain about it.
-
-    Attributes
-    ----------
-    name : str
-    unit : str or None
-        None where nothing tells it.
-    doubts : tuple of str
-        What was not certain, with the alternatives.
-    """
+    """A column guessed for a role; `unit` is None where it is unknown."""
 
     name: str
     unit: str | None
     doubts: tuple[str, ...] = ()
+    """What is not certain, with the alternatives."""
 
 
 def guess_columns(table: Table) -> dict[str, Guess]:
-    """Role to column, as far as names, units and, at last, numbers tell.
+    """Role to column, guessed from names and units, or else from numbers.
 
-    Only time, displacement and force are ever guessed from numbers. Time comes in ms where no
-    unit is given and the steps say so.
+    Only time, displacement and force are guessed from numbers. Where no unit of time is given, its
+    steps decide between s and ms.
     """
     found: dict[str, Guess] = {}
     taken: set[str] = set()
@@ -97,7 +89,7 @@ def guess_columns(table: Table) -> dict[str, Guess]:
 
 
 def unit_of(table: Table, name: str, role: str) -> str | None:
-    """Unit of a column for a role: of its name, or of the file's row of units; None if unknown."""
+    """Unit of a column for a role, from its name or the file's row of units; None if unknown."""
     candidates = [m[1] for m in (p.search(name) for p in (_BRACKETS, _SUFFIX, _BEHIND)) if m]
     candidates += [table.units.get(name, ""), name.strip()]
     for text in candidates:
@@ -108,7 +100,7 @@ def unit_of(table: Table, name: str, role: str) -> str | None:
 
 
 def numbers_of(table: Table, name: str) -> Array | None:
-    """Numbers of a column, (T,), or None where it does not hold numbers alone."""
+    """Numbers of a column, (T,), or None where it holds anything else."""
     try:
         numbers = table.columns([name])[name]
         check_magnitude(name, numbers)
@@ -126,7 +118,7 @@ def _measures(unit: str, kind: str) -> bool:
 
 
 def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
-    """Column whose name and unit speak most for a role."""
+    """Column whose name and unit have the highest score for a role."""
     scores = {
         name: score
         for name in table.names
@@ -141,14 +133,14 @@ def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
     rivals = [n for n, score in scores.items() if n != best and score >= fewest]
     doubts: list[str] = []
     if scores[best] == _UNIT_ALONE:
-        doubts.append(f"column for {role} taken by its unit alone")
+        doubts.append(f"column for {role} chosen by its unit alone")
     if rivals:
         doubts.append(f"column for {role} could also be {_listed(rivals)}")
     return Guess(best, unit, tuple(doubts))
 
 
 def _score(table: Table, name: str, role: str) -> float:
-    """How strongly a name and its unit speak for a role; 0 where they do not."""
+    """Score of a column's name and unit for a role; 0 where it cannot have the role."""
     words = re.findall(r"[a-z]+", _CAMEL.sub(" ", _BRACKETS.sub("", name)).lower())
     own = max((_WORDS[role].get(word, 0) for word in words), default=0)
     others = [known.get(w, 0) for r, known in _WORDS.items() if r != role for w in words]
@@ -159,14 +151,14 @@ def _score(table: Table, name: str, role: str) -> float:
     if own and unit is None and _measures_else(table, name, role):
         return 0.0
     if not own:
-        # a unit alone speaks for no actuation but a pressure: load cells are many
+        # of actuations, a unit alone can tell only a pressure: load cells are many
         alone = unit is not None and (role != "actuation" or _measures(unit, "pressure"))
         return _UNIT_ALONE if alone and not other else 0.0
     return own + (1.0 if unit is not None else 0.0) if own >= other else 0.0
 
 
 def _measures_else(table: Table, name: str, role: str) -> bool:
-    """Whether a column has a unit that measures what another role needs."""
+    """Whether the unit of a column is that of another role."""
     match = _BRACKETS.search(name)
     stated = match[1] if match else table.units.get(name, "")
     return bool(stated) and any(
@@ -175,7 +167,7 @@ def _measures_else(table: Table, name: str, role: str) -> bool:
 
 
 def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, Guess]:
-    """Time as what increases steadily, displacement as the smoothest of the rest, then force."""
+    """Time: the column that increases steadily; displacement: the smoothest other; then force."""
     columns = {
         name: values
         for name in table.names
@@ -210,12 +202,12 @@ def _steady(values: Array) -> bool:
 
 
 def _roughness(values: Array) -> float:
-    """Bends per step of a signal: small where it moves smoothly."""
+    """Squared second differences over squared first ones: small where a signal is smooth."""
     return float(np.sum(np.diff(values, 2) ** 2) / np.sum(np.diff(values) ** 2))
 
 
 def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]) -> Guess:
-    """Guess with a unit where another column's, or the steps of time, tell it."""
+    """Guess with a unit where its name, the other columns or the steps of time tell it."""
     unit = guess.unit or unit_of(table, guess.name, role)
     if role == "time":
         return _timed(table, replace(guess, unit=unit), found)
@@ -227,12 +219,12 @@ def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]
     units = {"displacement": ("in", "mm"), "force": ("kip", "kN"), "velocity": ("in/s", "mm/s")}
     unit = units[role][metric]
     other = units[role][not metric]
-    doubt = f"no unit of {role} is given; {unit} goes with the other columns, {other} does not"
+    doubt = f"no unit of {role} is given; {unit} matches the other columns, {other} does not"
     return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
 def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
-    """Whether the stated units of displacement, force and velocity are metric; None without any."""
+    """Whether the given units of displacement, force and velocity are metric; None without any."""
     stated = [
         unit
         for role in ("displacement", "force", "velocity")
@@ -242,7 +234,7 @@ def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
 
 
 def _timed(table: Table, guess: Guess, found: Mapping[str, Guess]) -> Guess:
-    """Time with its unit, which the steps decide where nothing states it."""
+    """Time with its unit, from the steps where none is given."""
     slow = _seems_slow(table, guess, found.get("displacement"))
     if guess.unit is None:
         unit = "ms" if slow else "s"
@@ -264,7 +256,7 @@ def _seems_slow(table: Table, time: Guess, displacement: Guess | None) -> bool:
 
 
 def _checked_velocity(table: Table, found: dict[str, Guess]) -> dict[str, Guess]:
-    """Guesses without a velocity that is not the displacement's slope, or has no unit."""
+    """Guesses, without the velocity unless it has a unit and is the displacement's slope."""
     if "velocity" not in found:
         return found
     roles = ("time", "displacement", "velocity")

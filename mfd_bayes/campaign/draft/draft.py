@@ -1,4 +1,4 @@
-"""A first campaign of a folder of test files: what every file seems to be."""
+"""A first campaign for a folder of test files: what each file seems to be."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mfd_bayes.campaign.draft.actuation import (
-    Seen,
+    Candidate,
     actuation_of,
     prevailing_unit,
     without_shared_levels,
@@ -35,71 +35,53 @@ _EARTHQUAKE = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class TestDraft:
-    """One test as it seems to be.
-
-    Attributes
-    ----------
-    id, file : str
-    columns : dict
-        Role to guess, without the actuation.
-    actuation : str, Guess or None
-        A level, a column that is a history, or None where nothing tells it.
-    source : str
-        What the actuation was taken from, or what it may be taken from.
-    doubts : tuple of str
-        About the actuation and the file.
-    earthquake : bool
-        Whether the name sounds like one.
-    """
+    """A test, as guessed from its file."""
 
     id: str
     file: str
     columns: dict[str, Guess]
+    """Role to column, without the actuation."""
     actuation: str | Guess | None
+    """A level, a column with a history, or None where it is unknown."""
     source: str
+    """Where the actuation was found, or which columns might hold it."""
     doubts: tuple[str, ...]
+    """What is not certain about the actuation."""
     earthquake: bool
+    """Whether the file's name is that of an earthquake."""
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A campaign as it seems to be.
-
-    Attributes
-    ----------
-    folder : Path
-    tests : tuple of TestDraft
-    left_out : tuple of (str, str)
-        Files that are no tests of the campaign, and why.
-    unit : "ksi", "kip" or None
-        Whether actuations are pressures or tensions, if any is known.
-    """
+    """A campaign, as guessed from the files of a folder."""
 
     folder: Path
     tests: tuple[TestDraft, ...]
     left_out: tuple[tuple[str, str], ...]
+    """Files that are not tests of the campaign, and why."""
     unit: ActuationUnit | None
+    """"ksi" where actuations are pressures, "kip" of tensions, None if unknown."""
 
 
 def draft_campaign(folder: Path) -> Draft:
-    """Campaign of the test files in a folder, as far as names, units and numbers tell.
+    """Campaign of the test files in a folder, guessed from names, units and numbers.
 
     Raises
     ------
     CampaignError
         When the folder cannot be read or holds no test.
     """
-    seen: list[Seen] = []
+    files: list[Candidate] = []
     left_out: list[tuple[str, str]] = []
     for path in _files(folder):
         try:
-            seen.append(_look_at(path, folder))
+            files.append(_look_at(path, folder))
         except MfdError as error:
             left_out.append(_reason(path, error))
-    seen = without_shared_levels(seen)
-    unit = prevailing_unit(seen)
+    files = without_shared_levels(files)
+    unit = prevailing_unit(files)
     tests: list[TestDraft] = []
-    for one in seen:
+    for one in files:
         try:
             tests.append(_test(one, unit, [test.id for test in tests]))
         except MfdError as error:
@@ -114,14 +96,14 @@ def draft_campaign(folder: Path) -> Draft:
 
 
 def _reason(path: Path, error: MfdError) -> tuple[str, str]:
-    """Name of a file and why it is left out, both such that UTF-8 holds them."""
+    """Name of a file and why it is left out, with escapes for what UTF-8 cannot encode."""
     texts = path.name, str(error).replace(str(path), path.name)
     name, reason = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
     return name, reason
 
 
 def _is_utf8(name: str) -> bool:
-    """Whether a name is text, and not bytes that the system could not read as such."""
+    """Whether UTF-8 can encode a name."""
     try:
         name.encode("utf-8")
     except UnicodeEncodeError:
@@ -130,7 +112,7 @@ def _is_utf8(name: str) -> bool:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Files of a folder that may be tests, p500 before p1000."""
+    """Files of a folder that may be tests, sorted with p500 before p1000."""
     try:
         found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
     except OSError as error:
@@ -143,8 +125,8 @@ def _natural(name: str) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], name
 
 
-def _look_at(path: Path, folder: Path) -> Seen:
-    """What a file seems to hold; raises where it cannot be a test."""
+def _look_at(path: Path, folder: Path) -> Candidate:
+    """Guessed columns and actuations of a file; raises where it cannot be a test."""
     if not _is_utf8(path.name):
         raise RecordError("its name is not UTF-8, as a campaign file must be: rename it")
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -165,18 +147,18 @@ def _look_at(path: Path, folder: Path) -> Seen:
     if odd:
         raise RecordError(f"the name of its column {odd[0]!a} is not UTF-8: rename it")
     header = level_in_header(path, table.names)
-    return Seen(path, table, columns, column, header, levels_in(path.stem))
+    return Candidate(path, table, columns, column, header, levels_in(path.stem))
 
 
 def _is_own(path: Path, table: Table) -> bool:
-    """Whether a command of this package wrote a file: a table of a run, or a band."""
+    """Whether this package wrote a file: a table of a run, or a prediction."""
     bands = {"lower_kip", "median_kip", "upper_kip"} <= set(table.names)
     derived = path.stem.endswith("_derived") and "quantity" in table.names
     return bands or derived or path.name in _OWN
 
 
-def _test(one: Seen, unit: ActuationUnit | None, taken: Sequence[str]) -> TestDraft:
-    """Draft of a file that can be read with what was guessed; raises where it cannot."""
+def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> TestDraft:
+    """Draft of a file; raises where the file cannot be read with the guessed columns."""
     actuation, source, doubts = actuation_of(one, unit)
     roles = dict(one.columns)
     names = {role: guess.name for role, guess in roles.items()}
@@ -196,7 +178,7 @@ def _test(one: Seen, unit: ActuationUnit | None, taken: Sequence[str]) -> TestDr
 
 
 def _id(stem: str, taken: Sequence[str]) -> str:
-    """Id after a file's name, unlike all that are taken whatever the case of letters."""
+    """Id from a file's name; no id in `taken` differs from it in the case of letters only."""
     plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9+_.-]+", "_", plain).lstrip(".").strip("_")[:90] or "test"
     used = {other.lower() for other in taken}

@@ -1,4 +1,4 @@
-"""Levels of actuation in the names and header lines of test files."""
+"""Constant actuations, called levels, in the names and header lines of test files."""
 
 from __future__ import annotations
 
@@ -21,10 +21,7 @@ _SAID = re.compile(
     re.IGNORECASE,
 )
 
-_PRESSURE_UNIT = re.compile(
-    rf"{_NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])",
-    re.IGNORECASE,
-)
+_PRESSURE_UNIT = re.compile(rf"{_NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.IGNORECASE)
 
 _HEADER_LINES = 40
 _HEADER_BYTES = 8192
@@ -33,26 +30,17 @@ _TEXT_SUFFIXES = frozenset({".csv", ".txt", ".dat", ".tsv", ".asc"})
 
 @dataclass(frozen=True)
 class Level:
-    """A constant actuation that a text states.
-
-    Attributes
-    ----------
-    text : str
-        As a campaign file takes it: ``"500 psi"``.
-    value : float, ksi or kip
-    unit : "ksi" or "kip"
-    doubt : str
-        What was assumed, or nothing.
-    """
+    """A constant actuation: its text, such as "500 psi", and its value in the internal unit."""
 
     text: str
     value: float
     unit: ActuationUnit
     doubt: str = ""
+    """What was assumed, or ""."""
 
 
 def levels_in(name: str) -> tuple[Level, ...]:
-    """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is taken for psi."""
+    """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is assumed to be psi."""
     found = [_level(m[1].lower().replace("p", "."), m[2]) for m in _WITH_UNIT.finditer(name)]
     if found:
         return tuple(dict.fromkeys(found))
@@ -63,25 +51,23 @@ def levels_in(name: str) -> tuple[Level, ...]:
 
 
 def level_in_header(path: Path, names: Sequence[str]) -> Level | None:
-    """Level that the lines above the numbers, or a column's name, state: ``Pressure: 500 psi``.
+    """Level in the lines above the numbers or in a column's name, as ``Pressure: 500 psi``.
 
-    A pressure that is not called one, ``Brake at 500 psi``, comes with a doubt.
+    A pressure without that word, as ``Brake at 500 psi``, gets a doubt.
     """
     lines = list(names)
     if path.suffix.lower() in _TEXT_SUFFIXES:
         with path.open("rb") as file:
             head = file.read(_HEADER_BYTES).decode("utf-8", "replace")
-        lines += [line for line in head.splitlines()[:_HEADER_LINES] if _is_words(line)]
+        lines += [
+            line for line in head.splitlines()[:_HEADER_LINES] if re.search(r"[A-Za-z]{3}", line)
+        ]
     for pattern, doubt in ((_SAID, ""), (_PRESSURE_UNIT, "it is a pressure in the header lines")):
         for line in lines:
             match = pattern.search(line)
             if match:
                 return _level(match[1], match[2], doubt)
     return None
-
-
-def _is_words(line: str) -> bool:
-    return bool(re.search(r"[A-Za-z]{3}", line))
 
 
 def _level(number: str, unit: str, doubt: str = "") -> Level:

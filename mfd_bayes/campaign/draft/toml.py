@@ -1,4 +1,8 @@
-"""Texts from files as TOML takes them: strings that stay strings, comments that stay comments."""
+"""Texts from files, such as names of columns, written as TOML strings and comments.
+
+`tomlkit` would not make this shorter: control characters in its comments must be escaped as here,
+and it writes a table value by value.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,17 @@ import json
 
 
 def quoted(text: str) -> str:
-    """TOML basic string of any text that UTF-8 can hold."""
+    """TOML basic string of a text."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
 def commented(text: str) -> str:
-    """Text of a comment: on one line, without control characters or what UTF-8 cannot hold."""
+    """TOML comment of a text: on one line, with escapes for all that cannot be printed."""
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return f"# {shown}"
 
 
 def column(name: str, unit: str | None) -> str:
-    """Inline table of a column."""
+    """TOML inline table of a column."""
     stated = "" if unit is None else f", unit = {quoted(unit)}"
     return f"{{ name = {quoted(name)}{stated} }}"

@@ -1,4 +1,4 @@
-"""The text of a first campaign file, with a comment at everything that was not certain."""
+"""The text of a first campaign file, with a comment wherever a guess is not certain."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ ROLES = ("time", "displacement", "force", "velocity")
 _UNITS = {"time": '"s" or "ms"', "displacement": '"in" or "mm"', "force": '"kip" or "kN"'}
 
 _HEAD = """\
-# Written by mfd-bayes init from the files of this folder. What it was not certain of is marked
-# "unsure", what it could not find "FIXME". Next:
+# Written by mfd-bayes init from the files of this folder. Guesses that are not certain are marked
+# "unsure", missing values "FIXME". Next:
 #     mfd-bayes inspect campaign.toml
 #     mfd-bayes calibrate campaign.toml -o out --dry-run
 """
 
 _PRIORS = {
-    "ksi": ("mfd", "for the drum brake and its like: actuations here are pressures"),
-    "kip": ("brfd", "for the band brake and its like: actuations here are tensions"),
+    "ksi": ("mfd", "for drum brakes: actuations here are pressures"),
+    "kip": ("brfd", "for band brakes: actuations here are tensions"),
     None: ("mfd", 'unsure: no actuation is known; "mfd" is for pressures, "brfd" for tensions'),
 }
 
@@ -30,7 +30,7 @@ Shared = dict[str, Guess]
 
 
 def campaign_text(draft: Draft) -> str:
-    """Campaign file of a draft: valid TOML whatever the names of files and columns hold."""
+    """Campaign file of a draft; valid TOML whatever the names of files and columns are."""
     shared = shared_columns(draft.tests)
     name, why = _PRIORS[draft.unit]
     title = draft.folder.resolve().name.encode("utf-8", "replace").decode()
@@ -48,7 +48,7 @@ def campaign_text(draft: Draft) -> str:
 
 
 def doubts(draft: Draft) -> list[str]:
-    """Everything that was not certain, a sentence each, with the columns or tests it is of."""
+    """Sentences on what is not certain, each with the columns or tests that it is about."""
     shared = shared_columns(draft.tests)
     found = [("columns", doubt) for guess in shared.values() for doubt in guess.doubts]
     if draft.unit is None:
@@ -57,12 +57,14 @@ def doubts(draft: Draft) -> list[str]:
         own = [doubt for _, guess in _own_columns(test, shared) for doubt in guess.doubts]
         found += [(test.id, doubt) for doubt in (*own, *test.doubts)]
         if test.earthquake:
-            found.append((test.id, 'an earthquake by its name; role = "validate" is suggested'))
+            found.append(
+                (test.id, 'its name is that of an earthquake; role = "validate" is suggested')
+            )
     return _grouped(found)
 
 
 def gaps(draft: Draft) -> list[str]:
-    """Everything essential that was not found, a sentence each: the campaign needs it."""
+    """Sentences on what is missing and must be added, each with its columns or tests."""
     shared = shared_columns(draft.tests)
     found = [("columns", _no_unit(role)) for role, g in shared.items() if g.unit is None]
     for test in draft.tests:
@@ -73,7 +75,7 @@ def gaps(draft: Draft) -> list[str]:
 
 
 def _grouped(found: Iterable[tuple[str, str]]) -> list[str]:
-    """Sentences with all that they are of, so that a hundred tests do not say the same."""
+    """Each sentence once, with all the columns or tests that it is about."""
     subjects: dict[str, list[str]] = {}
     for subject, sentence in found:
         subjects.setdefault(sentence, []).append(subject)
@@ -86,7 +88,7 @@ def _subjects(names: list[str]) -> str:
 
 
 def shared_columns(tests: Iterable[TestDraft]) -> Shared:
-    """Column of each role that most tests have, where all have the role; doubts of all of them."""
+    """Most frequent column of each role that every test has, with the doubts of all tests."""
     drafts = list(tests)
     shared: Shared = {}
     for role in ROLES:
@@ -101,7 +103,7 @@ def shared_columns(tests: Iterable[TestDraft]) -> Shared:
 
 
 def _own_columns(test: TestDraft, shared: Shared) -> Iterator[tuple[str, Guess]]:
-    """Columns of a test that are not those most tests have."""
+    """Columns of a test that are not the shared ones."""
     for role in ROLES:
         guess, common = test.columns.get(role), shared.get(role)
         if guess is not None and (
@@ -126,7 +128,7 @@ def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
     for role, guess in _own_columns(test, shared):
         yield f"columns.{_column_line(role, guess)}"
     if test.earthquake:
-        yield '# role = "validate"  # an earthquake by its name: predicted and scored, not fitted'
+        yield '# role = "validate"  # an earthquake by its name: to predict and score, not to fit'
 
 
 def _column_line(role: str, guess: Guess) -> str:
@@ -137,12 +139,12 @@ def _column_line(role: str, guess: Guess) -> str:
 
 
 def _no_unit(role: str) -> str:
-    return f"nothing tells the unit of {role}; add unit = {_UNITS.get(role, '…')}"
+    return f"the unit of {role} is unknown; add unit = {_UNITS.get(role, '…')}"
 
 
 def _no_actuation(test: TestDraft, draft: Draft) -> str:
     example = "30 lbf" if draft.unit == "kip" else "500 psi"
     return (
-        f'add actuation = "{example}" or the like; no column, header line or file name tells it'
+        f'add actuation = "{example}" or similar; no column, header line or file name has it'
         f"{test.source}"
     )
