@@ -80,12 +80,12 @@ def finished_run(tmp_path_factory) -> FinishedRun:
 
 def calibrate_once(home: Path) -> dict[str, Any]:
     """Calibrate the small campaign in two processes; the truth, and how the command ended."""
-    from mfd_bayes.campaign.synthetic import Truth, write_campaign
+    from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 
     pressures = (500.0, 1000.0, 1500.0)
-    truth = Truth(pressures=pressures, frequencies=(0.5,), cycles=(2,), held_out=(1200.0, 0.5))
+    matrix = Matrix(pressures=pressures, frequencies=(0.5,), cycles=(2,), held_out=(1200.0, 0.5))
     (home / "campaign").mkdir()
-    known = write_campaign(home / "campaign", 1, truth)
+    known = write_campaign(home / "campaign", 1, matrix)
     path = home / "campaign" / "campaign.toml"
     path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"\narea = 1.5'))
     command = [Path(sys.executable).parent / "mfd-bayes", "calibrate", path, "-o", home / "out"]

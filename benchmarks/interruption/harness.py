@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from mfd_bayes.campaign.synthetic import Truth, write_campaign
+from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 
 COMMAND = [str(Path(sys.executable).parent / "mfd-bayes")]
 EXITS = {
@@ -47,8 +47,10 @@ class Ended:
 
 def lay_out(folder: Path) -> Path:
     """Write a campaign of two short tests and one held out; its path."""
-    truth = Truth(pressures=(500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5))
-    write_campaign(folder, 1, truth)
+    matrix = Matrix(
+        pressures=(500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5)
+    )
+    write_campaign(folder, 1, matrix)
     campaign = folder / "campaign.toml"
     campaign.write_text(campaign.read_text().replace('"ou"', '"ou"\nrate = "25 Hz"'))
     return campaign

@@ -32,7 +32,7 @@ import numpy as np
 from benchmarks.common.machine import platform_line
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import find_priors, load_priors
-from mfd_bayes.campaign.synthetic import Truth, write_campaign
+from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.pipeline.commands import Options, Step, calibrate_campaign
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import MANIFEST
@@ -41,7 +41,7 @@ from mfd_bayes.store.files import read_json
 WORKERS = 2
 STAGES = ("tests", "population", "report")
 PRESSURES = tuple(float(round(500.0 + 1000.0 * k / 9)) for k in range(10))
-TRUTH = Truth(pressures=PRESSURES, frequencies=(0.5, 1.0), cycles=(2, 2), held_out=(900.0, 0.5))
+MATRIX = Matrix(pressures=PRESSURES, frequencies=(0.5, 1.0), cycles=(2, 2), held_out=(900.0, 0.5))
 WATCH = 0.05
 
 SAMPLES = (100, 1000, 10_000, 100_000, 1_000_000)
@@ -139,8 +139,8 @@ class Watched:
 def lay_out(folder: Path, tests: int) -> Path:
     """Write a campaign of so many tests, in series that have a truth of their own."""
     entries, header = [], ""
-    for number in range(-(-tests // (len(PRESSURES) * len(TRUTH.frequencies)))):
-        write_campaign(folder / f"series_{number}", number, TRUTH)
+    for number in range(-(-tests // (len(PRESSURES) * len(MATRIX.frequencies)))):
+        write_campaign(folder / f"series_{number}", number, MATRIX)
         text = (folder / f"series_{number}" / "campaign.toml").read_text(encoding="utf-8")
         header, *found = text.split("[[test]]\n")
         for entry in found[:-1]:  # the last one is held out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,61 +23,49 @@ RATE = 100.0
 AMPLITUDE = 1.0
 
 
-@dataclass(frozen=True)
-class Truth:
-    """True values of the synthetic device, in internal units: laws, medians and scatter.
+_LAWS = MappingProxyType(
+    {
+        "K_c_fwd": 1.30,  # in²
+        "K_c_bwd": 1.65,
+        "alpha_sigma0": 15.0,  # in
+        "sigma0_0": 15.0,  # kip/in
+    }
+)
+"""Friction is proportional to the pressure, σ0 affine in it (paper Eq. 5)."""
 
-    Friction is proportional to pressure and σ0 affine in it (paper Eq. 5). The values of a test are
-    log-normal about the medians; `scatter` is their standard deviation in the logarithm.
-    """
+_MEDIANS = MappingProxyType(
+    {
+        "sigma1": 0.02,  # kip·s/in
+        "sigma2": 0.015,
+        "static_excess_fwd": 0.18,
+        "static_excess_bwd": 0.12,
+        "k2": 0.6,  # kip/in
+        "k3": 20.0,
+        "d2": 0.09,  # in
+        "d3": 0.07,
+        "ell": 0.02,
+        "v_s": 0.4,  # in/s
+        "noise_sd": 0.03,  # kip
+        "noise_time": 0.1,  # s
+    }
+)
+"""Medians over the tests; the value of each test is log-normal about them."""
 
-    laws: Mapping[str, float] = field(
-        default_factory=lambda: MappingProxyType(
-            {
-                "K_c_fwd": 1.30,  # in²
-                "K_c_bwd": 1.65,
-                "alpha_sigma0": 15.0,  # in
-                "sigma0_0": 15.0,  # kip/in
-            }
-        )
-    )
-    medians: Mapping[str, float] = field(
-        default_factory=lambda: MappingProxyType(
-            {
-                "sigma1": 0.02,  # kip·s/in
-                "sigma2": 0.015,
-                "static_excess_fwd": 0.18,
-                "static_excess_bwd": 0.12,
-                "k2": 0.6,  # kip/in
-                "k3": 20.0,
-                "d2": 0.09,  # in
-                "d3": 0.07,
-                "ell": 0.02,
-                "v_s": 0.4,  # in/s
-                "noise_sd": 0.03,  # kip
-                "noise_time": 0.1,  # s
-            }
-        )
-    )
-    scatter: Mapping[str, float] = field(
-        default_factory=lambda: MappingProxyType(
-            {
-                "friction": 0.05,
-                "static": 0.15,
-                "bristle": 0.10,
-                "damping": 0.10,
-                "stiffness": 0.05,
-                "travel": 0.05,
-                "noise": 0.10,
-                "offset": 0.02,  # kip
-            }
-        )
-    )
-    pressures: tuple[float, ...] = (500.0, 800.0, 1200.0, 1500.0)  # psi
-    frequencies: tuple[float, ...] = (0.05, 0.5)  # Hz
-    cycles: tuple[int, ...] = (3, 6)
-    held_out: tuple[float, float] = (1000.0, 0.5)  # psi, Hz
+_SCATTER = MappingProxyType(
+    {
+        "friction": 0.05,
+        "static": 0.15,
+        "bristle": 0.10,
+        "damping": 0.10,
+        "stiffness": 0.05,
+        "travel": 0.05,
+        "noise": 0.10,
+    }
+)
+"""Standard deviation of the logarithm of each group of quantities between tests."""
 
+_OFFSET = 0.02
+"""Standard deviation of the force offset between tests, kip."""
 
 _GROUPS = {
     "friction": ("Fc_fwd", "Fc_bwd"),
@@ -90,8 +78,18 @@ _GROUPS = {
 }
 
 
-def write_campaign(folder: Path, seed: int, truth: Truth | None = None) -> dict[str, Any]:
-    """True values of synthetic tests that are written, with their campaign file, into a folder.
+@dataclass(frozen=True)
+class Matrix:
+    """The tests: each pressure at each frequency, and one test that is predicted, not fitted."""
+
+    pressures: tuple[float, ...] = (500.0, 800.0, 1200.0, 1500.0)  # psi
+    frequencies: tuple[float, ...] = (0.05, 0.5)  # Hz
+    cycles: tuple[int, ...] = (3, 6)  # of each frequency
+    held_out: tuple[float, float] = (1000.0, 0.5)  # psi, Hz
+
+
+def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dict[str, Any]:
+    """Write synthetic tests and their campaign file; returns the true values.
 
     Returns
     -------
@@ -99,18 +97,18 @@ def write_campaign(folder: Path, seed: int, truth: Truth | None = None) -> dict[
         "population": value of each constant of the laws and the scatter, by name; "tests": for
         each test's id, the values of its quantities by name.
     """
-    stated = truth or Truth()
+    matrix = matrix or Matrix()
     rng = np.random.default_rng([seed, 1])
-    matrix = [
+    planned = [
         (pressure, frequency, count, "calibrate")
-        for frequency, count in zip(stated.frequencies, stated.cycles, strict=True)
-        for pressure in stated.pressures
+        for frequency, count in zip(matrix.frequencies, matrix.cycles, strict=True)
+        for pressure in matrix.pressures
     ]
-    matrix.append((*stated.held_out, stated.cycles[-1], "validate"))
+    planned.append((*matrix.held_out, matrix.cycles[-1], "validate"))
     tests, entries = {}, []
-    for pressure, frequency, count, role in matrix:
+    for pressure, frequency, count, role in planned:
         name = f"p{pressure:.0f}_f{frequency:g}"
-        values = _draw_test(stated, pressure / 1000.0, rng)
+        values = _draw_test(pressure / 1000.0, rng)
         _write_csv(folder / f"{name}.csv", values, frequency, count, rng)
         tests[name] = _known(values)
         entries.append(
@@ -118,10 +116,10 @@ def write_campaign(folder: Path, seed: int, truth: Truth | None = None) -> dict[
             f'role = "{role}"\n'
         )
     write_text(folder / "campaign.toml", _HEADER + "\n".join(entries))
-    laws = dict(stated.laws)
+    laws = dict(_LAWS)
     for side in ("fwd", "bwd"):
-        laws[f"K_s_{side}"] = laws[f"K_c_{side}"] * (1 + stated.medians[f"static_excess_{side}"])
-    return {"population": laws | _known_scatter(stated), "tests": tests}
+        laws[f"K_s_{side}"] = laws[f"K_c_{side}"] * (1 + _MEDIANS[f"static_excess_{side}"])
+    return {"population": laws | _known_scatter(), "tests": tests}
 
 
 _HEADER = """\
@@ -141,20 +139,19 @@ force = { name = "force_kip", unit = "kip" }
 """
 
 
-def _draw_test(truth: Truth, pressure: float, rng: np.random.Generator) -> dict[str, Array]:
+def _draw_test(pressure: float, rng: np.random.Generator) -> dict[str, Array]:
     """Quantities of one test at a pressure in ksi, (1,) each."""
-    laws = truth.laws
-    median = dict(truth.medians) | {
-        "Fc_fwd": laws["K_c_fwd"] * pressure,
-        "Fc_bwd": laws["K_c_bwd"] * pressure,
-        "sigma0": laws["alpha_sigma0"] * pressure + laws["sigma0_0"],
+    median = dict(_MEDIANS) | {
+        "Fc_fwd": _LAWS["K_c_fwd"] * pressure,
+        "Fc_bwd": _LAWS["K_c_bwd"] * pressure,
+        "sigma0": _LAWS["alpha_sigma0"] * pressure + _LAWS["sigma0_0"],
     }
     values = {
-        name: median[name] * np.exp(truth.scatter[group] * rng.standard_normal(1))
+        name: median[name] * np.exp(_SCATTER[group] * rng.standard_normal(1))
         for group, names in _GROUPS.items()
         for name in names
     }
-    values["offset"] = truth.scatter["offset"] * rng.standard_normal(1)
+    values["offset"] = _OFFSET * rng.standard_normal(1)
     values["start"] = rng.uniform(0.1, 0.9, 1)
     values["gamma1"] = np.ones(1)
     return values
@@ -168,20 +165,20 @@ def _known(values: Mapping[str, Array]) -> dict[str, float]:
     return known
 
 
-def _known_scatter(truth: Truth) -> dict[str, float]:
+def _known_scatter() -> dict[str, float]:
     """True values of the scatter by name, in the coordinates of the population.
 
     The scatter of the slip force and the gap (`Fc`, `d2`) is left out: there they are combinations
     of the values drawn here.
     """
     known = {
-        f"scatter_{name}": truth.scatter[group]
+        f"scatter_{name}": _SCATTER[group]
         for group, names in _GROUPS.items()
         for name in names
         if name not in ("Fc_fwd", "Fc_bwd", "d2", "d3")
     }
-    ratio = float(np.sqrt(2.0)) * truth.scatter["travel"]  # of d3/d2: both have this scatter
-    return known | {"scatter_d3": ratio, "scatter_offset": truth.scatter["offset"]}
+    ratio = float(np.sqrt(2.0)) * _SCATTER["travel"]  # of d3/d2: both have this scatter
+    return known | {"scatter_d3": ratio, "scatter_offset": _OFFSET}
 
 
 def _write_csv(

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.campaign.synthetic import Truth, write_campaign
+from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Outcome, Progress
@@ -118,8 +118,10 @@ def ask(address):
 def campaign(tmp_path_factory):
     """Campaign of two tests that take a second or two each."""
     folder = tmp_path_factory.mktemp("campaign")
-    truth = Truth(pressures=(500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5))
-    write_campaign(folder, 1, truth)
+    matrix = Matrix(
+        pressures=(500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5)
+    )
+    write_campaign(folder, 1, matrix)
     path = folder / "campaign.toml"
     text = path.read_text().replace('"three_stage"', '"lugre"')
     path.write_text(text.replace('"ou"', '"iid"\nrate = "25 Hz"'))
