@@ -1,4 +1,4 @@
-"""How a command ends that cannot go on: one sentence, an exit code, and how to resume."""
+"""How a command ends on an error: with one sentence, an exit code, and how to resume."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def mistakes(resume: str = "") -> Iterator[None]:
     Parameters
     ----------
     resume : str
-        The command that goes on where this one is interrupted.
+        Command that resumes this one where it is interrupted.
     """
     try:
         with hinting(f"; what is finished is kept, go on with: {clean(resume)}" if resume else ""):
@@ -32,7 +32,7 @@ def mistakes(resume: str = "") -> Iterator[None]:
     except MfdError as error:
         _fail(str(error))
     except OSError as error:
-        if error.errno == errno.EPIPE:  # whoever read the output has enough
+        if error.errno == errno.EPIPE:  # the reader of the output has closed it, as `head` does
             raise
         _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
 
@@ -43,7 +43,7 @@ def _fail(sentence: str) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
-        except OSError:  # a full disk, and Python would complain of it once more at its end
+        except OSError:  # a full disk; Python would report it once more at its end
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     raise typer.Exit(2)
 
@@ -54,6 +54,6 @@ def this_command() -> str:
 
 
 def resumption() -> str:
-    """The command that goes on where this one is interrupted."""
+    """The command that resumes this one."""
     given = [word for word in sys.argv[1:] if word not in ("--force", "--resume")]
     return shlex.join(["mfd-bayes", *given, "--resume"])

@@ -1,4 +1,4 @@
-"""A first campaign of a folder: right where names tell, honest where they do not."""
+"""A first campaign for a folder: correct where names are clear, with doubts where they are not."""
 
 import json
 import os
@@ -39,7 +39,7 @@ def draft_of(folder):
 
 
 def accepted(folder):
-    """Campaign of a folder, written, after a dry run has accepted it."""
+    """Campaign that is written for a folder, once a dry run has accepted it."""
     (folder / "campaign.toml").write_text(campaign_text(draft_campaign(folder)), encoding="utf-8")
     words = ["calibrate", str(folder / "campaign.toml"), "-o", str(folder / "out"), "--dry-run"]
     outcome = CliRunner().invoke(app, words)
@@ -51,7 +51,7 @@ def plain(columns):
     return {role: (c["name"], c.get("unit")) for role, c in columns.items()}
 
 
-# --- what names tell
+# --- from names
 
 
 def test_files_that_name_everything_leave_no_doubt(tmp_path):
@@ -127,7 +127,7 @@ def test_a_matlab_file_is_looked_at_too(tmp_path):
     assert accepted(tmp_path).tests[0].columns["displacement"] == ("disp_mm", "mm")
 
 
-# --- what only numbers tell
+# --- from numbers
 
 
 def test_time_in_milliseconds_is_seen_from_its_steps(tmp_path):

@@ -1,4 +1,4 @@
-"""The command line: what a user who errs is told, and that nothing is written then."""
+"""The command line refuses wrong input with one sentence, and writes nothing then."""
 
 import os
 import shutil
@@ -75,7 +75,7 @@ def folder(tmp_path):
 
 
 def change(folder, old, new):
-    """Put something else into the campaign file."""
+    """Replace a text in the campaign file."""
     path = folder / "campaign.toml"
     text = path.read_text()
     assert old in text
@@ -87,7 +87,7 @@ def contents(place):
 
 
 def sentence_of(outcome):
-    """The one sentence of a refusal, exit code 2."""
+    """The sentence of a command that was refused with exit code 2."""
     assert outcome.exit_code == 2, (outcome.output, outcome.exception)
     assert "Traceback" not in outcome.output
     (sentence,) = outcome.stderr.splitlines()
@@ -125,7 +125,7 @@ def test_a_campaign_without_fault_is_accepted(folder):
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "fast", ""])
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_what_is_no_number_is_named_by_line_and_column(folder, cell, place):
+def test_a_cell_that_is_no_number_is_named_by_line_and_column(folder, cell, place):
     cells = ["0.3", "0.8", "0.9"]
     cells[place] = cell
     edit_line(folder, 17, ",".join(cells))
@@ -379,7 +379,7 @@ def test_a_demo_does_not_replace_what_is_no_run(tmp_path, options):
 
 @pytest.mark.parametrize("command", ["report", "check", "predict"])
 @pytest.mark.parametrize("kind", ["missing", "empty", "text", "unfinished"])
-def test_what_is_no_finished_run_is_refused(folder, command, kind):
+def test_a_folder_without_a_finished_run_is_refused(folder, command, kind):
     out = folder.parent / "out"
     if kind != "missing":
         out.mkdir()
@@ -418,7 +418,7 @@ def faulty():
     return np.delete(table, [60, 61], axis=0)
 
 
-def test_a_dry_run_warns_in_a_line_each_and_is_no_error(folder):
+def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
     write_csv(folder / "p500.csv", faulty())
     outcome = here("calibrate", folder / "campaign.toml", "-o", folder / "out", "--dry-run")
     assert outcome.exit_code == 0, outcome.output
@@ -475,7 +475,7 @@ def test_init_says_what_is_missing_and_so_does_the_campaign(folder):
     assert_refused(folder, "'first'.actuation is missing", arguments=("--dry-run",))
 
 
-def test_init_keeps_a_campaign_that_is_there(folder):
+def test_init_keeps_an_existing_campaign(folder):
     before = contents(folder)
     assert "--force" in sentence_of(here("init", folder))
     assert contents(folder) == before
@@ -712,13 +712,13 @@ def test_a_wrong_call_exits_with_2(arguments):
     assert outcome.stderr
 
 
-def test_a_folder_in_place_of_a_file_is_told(tmp_path):
+def test_a_folder_in_place_of_a_file_is_named(tmp_path):
     refused_folder = here("calibrate", tmp_path, "-o", tmp_path / "out")
     assert str(tmp_path / "campaign.toml") in sentence_of(refused_folder)
     assert "is a folder" in sentence_of(here("inspect", tmp_path))
 
 
-def test_a_mistyped_campaign_file_is_guessed(tmp_path):
+def test_a_mistyped_campaign_file_gets_a_suggestion(tmp_path):
     (tmp_path / "campaign.toml").write_text("")
     outcome = here("calibrate", tmp_path / "campagn.toml", "-o", tmp_path / "out")
     assert f"did you mean {tmp_path / 'campaign.toml'}?" in sentence_of(outcome)
@@ -733,7 +733,7 @@ def test_the_effort_of_a_run_is_taken_where_it_is_resumed(tmp_path):
     assert pipeline.effort_of(tmp_path, None, resume=True) == "quick"  # runs of several models
 
 
-def test_a_record_that_is_there_twice_is_warned_of(folder):
+def test_a_record_that_is_used_twice_is_a_warning(folder):
     path = folder / "campaign.toml"
     again = CAMPAIGN[CAMPAIGN.index("[[test]]") :]
     again = again.replace("p500", "again")

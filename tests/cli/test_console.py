@@ -32,7 +32,7 @@ def test_text_has_no_commands_to_the_terminal(text, shown):
     assert clean(clean(text)) == clean(text)
 
 
-def test_escapes_that_hide_in_each_other_are_harmless():
+def test_nested_escape_sequences_are_removed():
     shown = clean("\x1b\x1b[31m[31mx\x1b[\x1b[0m31m")
     assert shown.isprintable()
 
@@ -55,7 +55,7 @@ def test_a_table_shows_names_as_they_are(capsys):
     assert "\x1b" not in out
 
 
-def test_a_console_reads_no_markup(capsys):
+def test_a_console_takes_no_text_for_markup(capsys):
     open_console().print("[bold]a[/bold] :smile:")
     assert capsys.readouterr().out == "[bold]a[/bold] :smile:\n"
 

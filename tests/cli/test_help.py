@@ -1,4 +1,4 @@
-"""What the command line says of itself: help, completion, and what was probably meant."""
+"""The help of the command line, its completion, and its suggestions after a typing error."""
 
 import os
 import re
@@ -64,7 +64,7 @@ def test_every_command_shows_an_example_on_a_line_of_its_own(command):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_example_is_a_call_that_is_understood(command):
+def test_every_example_is_a_valid_call(command):
     for example in examples_of(command):
         _, name, *words = shlex.split(example.partition(" && ")[0])
         COMMANDS[name].make_context(name, words)
@@ -76,7 +76,7 @@ def test_an_example_with_an_option_that_is_not_there_would_be_found():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_says_what_it_writes_and_ends_with_what_is_next(command):
+def test_the_help_of_a_command_says_what_it_writes_and_what_to_do_next(command):
     lines = help_of(command)
     assert any(re.search(r"\b[Ww]rites?\b", line) for line in lines)
     frame = max(i for i, line in enumerate(lines) if line.startswith("╰"))
@@ -91,7 +91,7 @@ def test_commands_are_listed_in_the_order_of_work():
     assert set(listed) == set(COMMANDS)
 
 
-def test_help_imports_nothing_that_takes_its_time():
+def test_help_imports_no_slow_library():
     code = (
         "import sys; from typer.testing import CliRunner; from mfd_bayes.cli.commands import app;"
         "assert CliRunner().invoke(app, ['--help']).exit_code == 0;"
@@ -108,7 +108,7 @@ def test_it_runs_as_a_module_too():
     assert "calibrate" in ran([sys.executable, "-m", "mfd_bayes", "--help"]).stdout
 
 
-# --- what was meant
+# --- suggestions
 
 
 @pytest.mark.parametrize(
@@ -121,14 +121,14 @@ def test_it_runs_as_a_module_too():
         (("--verson",), "--version"),
     ],
 )
-def test_a_slip_is_answered_with_what_was_probably_meant(words, meant):
+def test_a_mistyped_word_is_answered_with_a_suggestion(words, meant):
     outcome = ran([COMMAND, *words])
     assert outcome.returncode == 2
     assert meant in re.split("Did you mean|Possible options", outcome.stderr)[1]
     assert "Traceback" not in outcome.stderr
 
 
-def test_what_is_like_nothing_is_not_guessed_at():
+def test_a_word_like_no_command_gets_no_suggestion():
     assert "Did you mean" not in ran([COMMAND, "xyzzy"]).stderr
 
 

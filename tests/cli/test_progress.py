@@ -1,4 +1,4 @@
-"""What a long command shows while it works, on terminals of several sizes and without one."""
+"""The progress of a long command, on terminals of several sizes and without one."""
 
 import io
 import math
@@ -94,7 +94,7 @@ def test_many_tests_stay_inside_the_terminal(board, clock, count, width, height)
         assert lines[-1].endswith(f"{count - 43} waiting") or width == 40
 
 
-def test_more_that_run_than_there_are_lines_are_summed_up_too(board):
+def test_tests_that_run_are_summed_up_where_there_are_too_few_lines(board):
     for name in announce(board, 64):
         board.hear(Step(name, "finding modes"))
     lines = lines_of(board, 80, 24)
@@ -102,7 +102,7 @@ def test_more_that_run_than_there_are_lines_are_summed_up_too(board):
     assert lines[-1] == "and 45 running"
 
 
-def test_what_an_earlier_session_did_is_done(board):
+def test_tests_of_an_earlier_session_count_as_done(board):
     (first, second) = announce(board, 2)
     board.hear(Step(first, "kept"))
     assert lines_of(board)[0].startswith("1 of 2 done, 1 waiting")
@@ -110,7 +110,7 @@ def test_what_an_earlier_session_did_is_done(board):
     assert lines_of(board)[0].startswith("1 of 2 done, 1 failed")
 
 
-def test_what_is_no_test_has_a_row_but_is_not_counted(board):
+def test_work_that_is_no_test_has_a_row_but_is_not_counted(board):
     (first,) = announce(board, 1)
     board.hear(Step(first, "kept"))
     board.hear(Step("report", "figures"))
@@ -119,7 +119,7 @@ def test_what_is_no_test_has_a_row_but_is_not_counted(board):
     assert lines[-1].split()[:2] == ["report", "figures"]
 
 
-def test_nothing_is_drawn_before_something_begins(board):
+def test_nothing_is_drawn_before_the_first_test_begins(board):
     assert lines_of(board) == []
     announce(board, 5)
     assert lines_of(board) == []
@@ -133,7 +133,7 @@ def left_of(board):
     return sum(part * 60**i for i, part in enumerate(reversed(parts)))
 
 
-def test_the_time_left_is_said_as_soon_as_something_tells(board, clock):
+def test_the_time_left_is_shown_as_soon_as_it_can_be_estimated(board, clock):
     names = announce(board, 10)
     board.hear(Step(names[0], "finding modes"))
     board.hear(Step(names[1], "finding modes"))
@@ -148,7 +148,7 @@ def test_the_time_left_is_said_as_soon_as_something_tells(board, clock):
     assert left_of(board) == 105
 
 
-def test_a_sampling_never_takes_longer_than_its_limit(board, clock):
+def test_the_time_left_never_exceeds_the_limit_of_steps(board, clock):
     (name,) = announce(board, 1)
     board.hear(Step(name, "sampling", sampled(steps=2000, seconds=100.0, share=0.1, limit=2400)))
     assert left_of(board) == 20
@@ -198,7 +198,7 @@ def test_without_a_terminal_steps_are_lines(capsys):
     ]
 
 
-def test_quiet_says_only_what_went_wrong(capsys):
+def test_quiet_prints_only_failures_and_restarts(capsys):
     out, err = told(capsys, quiet=True)
     assert out == ""
     assert err.splitlines() == [

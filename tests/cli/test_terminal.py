@@ -1,4 +1,4 @@
-"""Long commands in a pseudo-terminal: the table that they draw, and how it is left."""
+"""Long commands in a pseudo-terminal: the table that they draw, and the screen when they end."""
 
 import os
 import re
@@ -67,7 +67,7 @@ main()
 
 
 class Terminal:
-    """A command in a terminal of its own, and what it has written there so far."""
+    """A command in its own terminal, and its output so far."""
 
     def __init__(self, folder, columns, lines, tests=5, pause=0.05, last=0.05, *options):
         driver = folder / "driver.py"
@@ -92,7 +92,7 @@ class Terminal:
         self.written = ""
 
     def read(self, until=None, seconds=30.0):
-        """Take in what is written, until a text comes or nothing more does."""
+        """Output so far; reads on until a text comes or the output ends."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and (until is None or until not in self.written):
             if not select.select([self._ours], [], [], 0.1)[0]:
@@ -130,7 +130,7 @@ def terminal(tmp_path):
 
 
 def screen_of(written, columns, lines):
-    """What a terminal shows of it: enough of one to follow rich's movements."""
+    """Lines that a terminal shows after an output with rich's movements of the cursor."""
     rows, row, column = [""], 0, 0
     for part in re.findall(r"\x1b\[[0-9;?]*[A-Za-z]|[\r\n]|[^\x1b\r\n]+", written):
         if part == "\n":
@@ -150,7 +150,7 @@ def screen_of(written, columns, lines):
 
 
 @pytest.mark.parametrize(("columns", "lines", "tests"), [(80, 24, 5), (200, 24, 5), (80, 12, 30)])
-def test_a_table_is_drawn_and_left_as_it_ended(terminal, columns, lines, tests):
+def test_a_table_is_drawn_and_its_last_state_stays(terminal, columns, lines, tests):
     one = terminal(columns, lines, tests)
     written = one.read()
     assert one.process.wait(timeout=10) == 0
@@ -182,7 +182,7 @@ def test_ctrl_c_leaves_the_table_and_says_how_to_resume(terminal, delay):
     )
 
 
-def test_sigterm_is_said_too(terminal):
+def test_sigterm_is_named_in_the_last_line(terminal):
     one = terminal(80, 24, 3, 0.05, 60.0)
     one.read(until="sampling")
     one.process.send_signal(signal.SIGTERM)

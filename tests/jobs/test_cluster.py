@@ -1,4 +1,4 @@
-"""Real schedulers and workers of dask.distributed: what comes of them, and of their losses."""
+"""Real schedulers and workers of dask.distributed: their results, also when one is lost."""
 
 import importlib.util
 import json
@@ -41,7 +41,7 @@ TIMEOUT = 120.0
 
 
 def until(found, what):
-    """Wait until something is found; it."""
+    """The first true value of a function, called again and again."""
     limit = time.monotonic() + TIMEOUT
     while time.monotonic() < limit:
         answer = found()
@@ -52,7 +52,7 @@ def until(found, what):
 
 
 def start(log, module, *words, **environment):
-    """Start a command of dask, its words going to a file."""
+    """Start a command of dask whose output goes to a file."""
     with log.open("w") as file:
         return subprocess.Popen(
             [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words)],
@@ -74,7 +74,7 @@ def end(process):
 
 
 def start_scheduler(folder, **environment):
-    """A scheduler that gives up a test whose workers are lost twice; it, and its address."""
+    """A scheduler that gives up a test whose workers are lost twice, and its address."""
     file = folder / "scheduler.json"
     words = ("--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", file)
     environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "1"
@@ -90,7 +90,7 @@ def start_scheduler(folder, **environment):
 
 
 def start_worker(folder, address):
-    """A worker that does two tests at a time, and is told to compute with several threads."""
+    """A worker that does two tests at a time, and whose environment asks for several threads."""
     words = (address, "--nthreads", 2, "--no-dashboard", "--local-directory", folder)
     return start(folder / "worker.log", "dask_worker", *words, **THREADS)
 
@@ -130,7 +130,7 @@ def campaign(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tasks(campaign):
-    """The tests, one with a name that is hard to bear."""
+    """The jobs of the tests, one with a name full of special characters."""
     first, second = plan_campaign(campaign, Options(effort="quick")).tasks
     return replace(first, id=ODD), second
 
@@ -231,7 +231,7 @@ def pids_of_workers(address):
 
 
 def kill_worker(address, times):
-    """Observer that kills the worker when a test begins, so many times; and what it saw."""
+    """Observer that kills the worker the first times that a test begins, and the steps it saw."""
     seen = []
 
     def observe(step):
@@ -263,7 +263,7 @@ def test_a_test_whose_workers_are_always_killed_is_given_up_alone(address, tasks
 
 
 def begun(campaign, out, address, folder):
-    """The command, when the cluster has begun with its tests."""
+    """The process of the command, once the cluster has begun its tests."""
     log = folder / "printed.txt"
     signal.signal(signal.SIGINT, signal.default_int_handler)
     with log.open("w") as file:
@@ -298,7 +298,7 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     assert stored(out) == stored(whole)
 
 
-def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
+def test_a_cluster_without_workers_is_reported_once_each_time(tmp_path):
     from mfd_bayes.jobs.cluster.client import _Cluster
 
     alone, seen = {"tcp://w:1": 1}, []
@@ -317,7 +317,7 @@ def test_that_no_worker_is_left_is_said_once_each_time(tmp_path):
         assert seen[-1].stage == "done"
 
 
-def test_a_worker_that_is_lost_while_it_is_asked_is_not_refused(monkeypatch):
+def test_a_worker_that_is_lost_during_the_check_is_not_refused(monkeypatch):
     from distributed.comm import CommClosedError
 
     from mfd_bayes.jobs.cluster import client as cluster
@@ -331,7 +331,7 @@ def test_a_worker_that_is_lost_while_it_is_asked_is_not_refused(monkeypatch):
         cluster.check_cluster("tcp://host:1")
 
 
-def test_ctrl_c_cancels_what_is_outstanding(address, campaign, tmp_path):
+def test_ctrl_c_cancels_the_jobs_that_have_not_ended(address, campaign, tmp_path):
     process = begun(campaign, tmp_path / "out", address, tmp_path)
     with ask(address) as client:
         assert any(client.processing().values())
@@ -344,7 +344,7 @@ def test_ctrl_c_cancels_what_is_outstanding(address, campaign, tmp_path):
         until(lambda: not any(client.run(eval(at_work)).values()), "still at work")
 
 
-def test_what_cannot_be_sent_is_refused_in_a_sentence(address, tmp_path):
+def test_a_job_that_cannot_be_pickled_is_refused(address, tmp_path):
     @dataclass
     class Clenched:
         id: str
@@ -369,7 +369,7 @@ def test_what_cannot_be_sent_is_refused_in_a_sentence(address, tmp_path):
         ("tcp://127.0.0.1:87867", ("tcp://127.0.0.1:87867",)),
     ],
 )
-def test_a_scheduler_that_is_not_there_is_said_at_once(campaign, tmp_path, address, words):
+def test_a_scheduler_that_does_not_answer_is_refused_at_once(campaign, tmp_path, address, words):
     out = tmp_path / "out"
     began = time.monotonic()
     outcome = CliRunner().invoke(app, command(campaign, out, address))
@@ -378,7 +378,7 @@ def test_a_scheduler_that_is_not_there_is_said_at_once(campaign, tmp_path, addre
     assert not out.exists()
 
 
-def test_a_run_is_on_a_cluster_or_here(campaign, tmp_path):
+def test_a_run_takes_either_a_cluster_or_processes_of_this_machine(campaign, tmp_path):
     outcome = CliRunner().invoke(app, command(campaign, tmp_path / "o", "tcp://x:1", "--jobs", "2"))
     refused(outcome, "either --jobs", "or --scheduler")
 

@@ -1,4 +1,4 @@
-"""Likelihoods computed by several processes: the same figures, also when a process is lost."""
+"""Likelihoods computed by several processes: the same values, also when a process is lost."""
 
 import multiprocessing
 import os
@@ -15,7 +15,7 @@ TESTS = 9
 
 @pytest.fixture
 def likelihoods():
-    """Linear ones, which can be sent to a process that knows nothing of these tests."""
+    """Linear likelihoods, which can be pickled without this file."""
     rng = np.random.default_rng(2)
     return [partial(np.dot, b=rng.standard_normal(3)) for _ in range(TESTS)]
 
@@ -27,11 +27,11 @@ def points():
 
 
 def not_here(x):
-    """In place of the likelihoods of this process, once the others have theirs."""
+    """Likelihood of this process, which must not be called while the others live."""
     raise AssertionError("computed by the process that gathers")
 
 
-def test_figures_are_those_of_one_process_in_their_order(likelihoods, points):
+def test_values_are_those_of_one_process_in_the_same_order(likelihoods, points):
     expected = [likelihoods[j](x) for j, x in points]
     with several_processes(likelihoods, 2) as evaluate:
         likelihoods[:] = [not_here] * TESTS
@@ -72,7 +72,7 @@ def test_where_a_process_is_killed_this_one_goes_on(likelihoods, points):
         assert asked == [j for j, _ in points]
 
 
-def test_what_fails_in_a_process_fails_here(likelihoods):
+def test_an_error_in_a_process_is_raised_here(likelihoods):
     with several_processes(likelihoods, 2) as evaluate, pytest.raises(ValueError, match="shapes"):
         list(evaluate([(0, np.zeros((5, 2)))]))
     assert not multiprocessing.active_children()

@@ -1,4 +1,4 @@
-"""One process at a time in a run folder: what a second is told of the first, dead or alive."""
+"""One process at a time in a run folder: a second one is refused with the name of the owner."""
 
 import errno
 import fcntl
@@ -53,13 +53,13 @@ def out(tmp_path):
 
 
 def leave(out, **changes):
-    """Leave the name of an owner in a folder."""
+    """Write the name of an owner into a folder."""
     out.mkdir()
     facts = {"host": socket.gethostname(), "boot": "", "pid": 2**22 + 1, "command": "mfd-bayes x"}
     (out / OWNER).write_text(json.dumps(facts | {"since": "2026-01-02 03:04:05 UTC"} | changes))
 
 
-def test_a_second_process_is_told_whose_the_folder_is(out):
+def test_a_second_process_is_refused_with_the_owners_name(out):
     with held(out) as process:
         with (
             pytest.raises(StoreError, match="another process is calibrating into") as caught,
@@ -75,7 +75,7 @@ def test_a_second_process_is_told_whose_the_folder_is(out):
         pass
 
 
-def test_nothing_is_left_of_it(out):
+def test_a_released_lock_leaves_no_file(out):
     with alone_in(out):
         assert json.loads((out / OWNER).read_text())["pid"] == os.getpid()
     with pytest.raises(KeyError), alone_in(out):
@@ -84,7 +84,7 @@ def test_nothing_is_left_of_it(out):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_nothing_is_left_of_one_that_is_ended(out, number):
+def test_a_process_ended_by_a_signal_leaves_no_file(out, number):
     with held(out) as process:
         process.send_signal(number)
         assert process.wait(20) == 128 + number
@@ -101,7 +101,7 @@ Path.unlink = refuse
 """
 
 
-def test_one_that_is_ended_where_nothing_can_be_removed_ends_the_same_way(out):
+def test_a_process_that_cannot_remove_the_owners_name_ends_the_same_way(out):
     script = HOLD.replace("with end_on", f"{READ_ONLY}\nwith end_on")
     with held(out, script) as process:
         process.send_signal(signal.SIGINT)
@@ -112,7 +112,7 @@ def test_one_that_is_ended_where_nothing_can_be_removed_ends_the_same_way(out):
         pass
 
 
-def test_a_name_that_a_killed_process_left_is_no_lock(out):
+def test_the_name_of_a_killed_owner_is_no_lock(out):
     with held(out) as process:
         process.kill()
         process.wait()
@@ -121,7 +121,7 @@ def test_a_name_that_a_killed_process_left_is_no_lock(out):
         assert json.loads((out / OWNER).read_text())["pid"] == os.getpid()
 
 
-def test_another_machines_name_is_refused_with_what_to_do(out):
+def test_an_owner_on_another_machine_is_refused_with_what_to_do(out):
     leave(out, host="node7", boot="another")
     with pytest.raises(StoreError) as caught, alone_in(out):
         pytest.fail("it may be at work")
@@ -135,14 +135,14 @@ def test_another_machines_name_is_refused_with_what_to_do(out):
 
 
 @pytest.mark.skipif(not lock._BOOT.is_file(), reason="this system does not name its start")
-def test_another_container_of_this_machine_is_seen_to_be_dead(out):
+def test_a_dead_owner_in_another_container_of_this_machine_is_no_lock(out):
     leave(out, host="container", boot=lock._BOOT.read_text().strip())
     with alone_in(out):
         pass
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"host": "node7"}'])
-def test_a_name_that_cannot_be_read_is_none(out, content):
+def test_an_owners_file_that_cannot_be_read_is_no_lock(out, content):
     out.mkdir()
     (out / OWNER).write_text(content)
     with alone_in(out):
@@ -151,7 +151,7 @@ def test_a_name_that_cannot_be_read_is_none(out, content):
 
 @pytest.fixture
 def without_locks(monkeypatch):
-    """A file system that knows no locks."""
+    """A file system without locks."""
 
     def fail(handle, operation):
         raise OSError(errno.ENOLCK, "No locks available")
@@ -160,7 +160,7 @@ def without_locks(monkeypatch):
 
 
 @pytest.mark.parametrize("alive", [True, False])
-def test_without_locks_a_living_process_is_told_from_a_dead_one(out, without_locks, alive):
+def test_without_locks_only_a_living_owner_is_refused(out, without_locks, alive):
     leave(out, pid=os.getppid() if alive else 2**22 + 1)
     if alive:
         with pytest.raises(StoreError, match=f"process {os.getppid()} on"), alone_in(out):
@@ -170,7 +170,7 @@ def test_without_locks_a_living_process_is_told_from_a_dead_one(out, without_loc
             pass
 
 
-def test_a_stale_name_is_not_told_as_the_owners(out):
+def test_a_dead_owner_is_not_named_when_another_process_has_the_lock(out):
     leave(out)
     folder = os.open(out, os.O_RDONLY)
     fcntl.flock(folder, fcntl.LOCK_EX)
@@ -182,7 +182,7 @@ def test_a_stale_name_is_not_told_as_the_owners(out):
     assert "4194305" not in str(caught.value)
 
 
-def test_it_works_outside_the_main_thread(out):
+def test_the_lock_works_outside_the_main_thread(out):
     found = []
 
     def work():
@@ -196,7 +196,7 @@ def test_it_works_outside_the_main_thread(out):
     assert found[0].alive
 
 
-def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with (
         pytest.raises(StoreError, match="cannot make the run folder"),
@@ -208,7 +208,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("key", "value"), [("pid", "1"), ("pid", -1), ("pid", 10**30), ("host", None), ("since", [])]
 )
-def test_a_name_that_says_something_else_is_nobodys(out, key, value):
+def test_an_owners_file_with_wrong_values_is_no_lock(out, key, value):
     leave(out)
     named = json.loads((out / OWNER).read_text()) | {key: value}
     (out / OWNER).write_text(json.dumps(named))
