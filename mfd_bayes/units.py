@@ -113,10 +113,9 @@ def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     """
     named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
     measure = _measure(_parse(unit, named))
-    if measure == "pressure":
-        return factor(unit, "pressure", of=of), "ksi"
-    if measure == "force":
-        return factor(unit, "force", of=of), "kip"
+    internal: Mapping[str, ActuationUnit] = {"pressure": "ksi", "force": "kip"}
+    if measure in internal:
+        return factor(unit, measure, of=of), internal[measure]
     raise UnitError(
         f"{named} measures {measure}; actuation needs a pressure such as 'psi' "
         "or a force such as 'lbf'"

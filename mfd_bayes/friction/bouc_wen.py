@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.hysteresis import Curve
 from mfd_bayes.friction.model import travel_since_turn
-from mfd_bayes.records.trace import Trace, vertices
+from mfd_bayes.records.motion import vertices
+from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Shares = dict[str, Array]

@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from mfd_bayes.friction.arrays import add_outer, rows_of, scratch
 from mfd_bayes.friction.recurrence import solve
-from mfd_bayes.records.trace import MotionPath
+from mfd_bayes.records.motion import MotionPath
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.friction.arrays import add_outer, add_row, outer, rows_of, scratch
 from mfd_bayes.friction.recurrence import Blocks
-from mfd_bayes.records.trace import MotionPath
+from mfd_bayes.records.motion import MotionPath
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

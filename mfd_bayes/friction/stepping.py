@@ -14,7 +14,7 @@ from mfd_bayes.friction.gap import Crossing, Gap, begin, blend, turn
 from mfd_bayes.friction.lugre import Friction, Motion, advance
 from mfd_bayes.friction.model import ACTUATED, FRICTION_FORCES
 from mfd_bayes.friction.recurrence import Blocks
-from mfd_bayes.records.trace import vertices
+from mfd_bayes.records.motion import vertices
 
 Array = NDArray[np.float64]
 

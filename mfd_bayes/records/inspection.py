@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 
-Array = NDArray[np.float64]
-
-SAME = 1e-4
-"""Two signals are the same if they differ by less than this share of their range."""
+SAME = 1e-4  # two signals are the same if they differ by less than this share of their range
 
 
 @dataclass(frozen=True, eq=False)

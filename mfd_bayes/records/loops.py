@@ -7,15 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
 
-Array = NDArray[np.float64]
-
-STRONG = 0.95
-"""A loop is strong from this share of the largest amplitude on; others ramp in or out."""
-
-FEWEST = 3
-"""Fewest strong loops for which a drift is computed."""
+STRONG = 0.95  # a loop is strong from this share of the largest amplitude on; others ramp in or out
+FEWEST = 3  # fewest strong loops for which a drift is computed
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,29 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
 from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.roles import ROLES, roles_of, unit_of
-from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, turning_points
+from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
 
-Array = NDArray[np.float64]
 Window = tuple[float, float]
 
-SAMPLES = 20
-"""Fewest samples that a record, or a window of it, may have."""
-
-GAP = 10.0
-"""A step longer than this many median steps is a gap in time."""
-
-SHORTEST = 1e-9
-"""Shortest step in time that is accepted, s."""
-
-STILL = 1e-9
-"""A peak-to-peak displacement of at most this, in, is no motion."""
-
-JITTER = 0.01
-"""Above this jitter, in steps, samples are interpolated onto a uniform grid before decimation."""
+SAMPLES = 20  # fewest samples that a record, or a window of it, may have
+GAP = 10.0  # a step longer than this many median steps is a gap in time
+SHORTEST = 1e-9  # shortest step in time that is accepted, s
+STILL = 1e-9  # a peak-to-peak displacement of at most this, in, is no motion
+JITTER = 0.01  # above this jitter, in steps, samples are interpolated onto a uniform grid
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mfd_bayes.records.motion import Array
 
-
-MOST_SAMPLES = 6000
-"""Most samples of a trace at the default rate."""
+MOST_SAMPLES = 6000  # most samples of a trace at the default rate
 
 
 def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:

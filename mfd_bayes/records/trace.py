@@ -9,54 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import (
+    HYSTERESIS,
+    Array,
+    MotionPath,
+    first_direction,
+    motion_path,
+    turning_points,
+)
 
-Array = NDArray[np.float64]
-
-HYSTERESIS = 1e-3
-"""Reversals smaller than this share of the peak-to-peak displacement are sensor noise."""
-
-LARGEST = 1e10
-"""Largest number of a trace, in internal units; times since 1970 in s are below it."""
-
-SMOOTH = 0.1
-"""Share of a step by which a smooth turn may differ from a turn of constant acceleration."""
-
-
-@dataclass(frozen=True, eq=False)
-class MotionPath:
-    """The motion of a trace with a sample added at the vertex of every turn.
-
-    The true extreme lies between two samples. Without it, the distance since the turn would be
-    too short by up to a (ω Δt)²/8, which shows in a stiff unloading.
-
-    Attributes
-    ----------
-    time, displacement, velocity : (P,), s, in, in/s
-    step, rate : (P,), in, in/s
-        Motion since the sample before, and its mean velocity; 0 at the first sample.
-    turning_points : (K,), int
-        Samples of the path at which the motion turns. The last turn counts however small it
-        is, because the motion after it is not known.
-    direction : int
-        +1 or -1, the direction of the first stretch of motion.
-    nearest : (P,), int
-        For each sample of the path, the sample of the trace at or beside it.
-    samples : (T,), int
-        Samples of the path that are the trace's.
-    stretch : (T,), int
-        Number of turning points before each of `samples`.
-    """
-
-    time: Array
-    displacement: Array
-    velocity: Array
-    step: Array
-    rate: Array
-    turning_points: NDArray[np.intp]
-    direction: int
-    nearest: NDArray[np.intp]
-    samples: NDArray[np.intp]
-    stretch: NDArray[np.intp]
+LARGEST = 1e10  # largest number of a trace, in internal units; times since 1970 in s are below it
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +96,7 @@ class Trace:
             actuation=_actuation(actuation, t.size),
             force=None if force is None else _column("force", force, t.size),
             turning_points=turns,
-            direction=_first_direction(x, turns),
+            direction=first_direction(x, turns),
             hysteresis=span,
         )
 
@@ -146,7 +108,7 @@ class Trace:
     @cached_property
     def path(self) -> MotionPath:
         """The motion with the vertices of its turns; forces are computed on it."""
-        return _path(self)
+        return motion_path(self.time, self.displacement, self.velocity, self.hysteresis)
 
     @property
     def varying(self) -> bool:
@@ -157,119 +119,6 @@ class Trace:
     def reference_actuation(self) -> float:
         """The constant actuation, or the mean of a varying one: the level that theta belongs to."""
         return float(np.mean(self.actuation))
-
-
-def _path(trace: Trace) -> MotionPath:
-    """Path of a trace: every vertex that is a turning point, between its two samples."""
-    t = trace.time
-    left, share, vertex = _turns_between_samples(trace)
-    at = left + 1
-    displacement = np.insert(trace.displacement, at, vertex)
-    samples = np.arange(t.size) + np.searchsorted(at, np.arange(t.size), side="right")
-    turning = turning_points(displacement, trace.hysteresis, last=True)
-    time = np.insert(t, at, t[left] + share * (t[left + 1] - t[left]))
-    step = np.diff(displacement, prepend=displacement[0])
-    duration = np.diff(time, prepend=time[0] - 1.0)
-    return MotionPath(
-        time=time,
-        displacement=displacement,
-        velocity=np.insert(trace.velocity, at, 0.0),
-        step=step,
-        rate=step / duration,
-        turning_points=turning,
-        direction=_first_direction(displacement, turning),
-        nearest=np.insert(np.arange(t.size), at, np.where(share < 0.5, left, at)),
-        samples=samples,
-        stretch=np.searchsorted(turning, samples),
-    )
-
-
-def _turns_between_samples(trace: Trace) -> tuple[NDArray[np.intp], Array, Array]:
-    """The `vertices` of a trace that are turning points."""
-    left, share, vertex = vertices(trace.time, trace.displacement, trace.velocity)
-    at = left + 1 + np.arange(left.size)
-    displacement = np.insert(trace.displacement, left + 1, vertex)
-    kept = np.isin(at, turning_points(displacement, trace.hysteresis, last=True))
-    return left[kept], share[kept], vertex[kept]
-
-
-def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Vertices of turns between samples: sample before, share of the step, displacement in in.
-
-    Where the velocity changes its sign, the acceleration is taken as constant over the step, so
-    the velocity is linear in time. Steps that do not fit such a motion (corners, noise) have no
-    vertex. Only the two samples of a step are used, so a model that steps in time finds the same
-    vertices.
-    """
-    left = np.flatnonzero(v[:-1] * v[1:] < 0)
-    before, behind, step = np.abs(v[left]), np.abs(v[left + 1]), t[left + 1] - t[left]
-    share = before / (before + behind)
-    way, sign = x[left + 1] - x[left], np.sign(v[left])
-    from_left = sign * way <= 0  # the extreme sample is the one before
-    beyond = 0.5 * step * np.where(from_left, before * share, behind * (1.0 - share))
-    vertex = np.where(from_left, x[left], x[left + 1]) + sign * beyond
-    regular = np.abs(way - 0.5 * step * (v[left] + v[left + 1])) <= SMOOTH * step * (
-        before + behind
-    )
-    regular &= np.abs(share - 0.5) < 0.499
-    return left[regular], share[regular], vertex[regular]
-
-
-def turning_points(
-    displacement: Array, hysteresis: float, *, last: bool = False
-) -> NDArray[np.intp]:
-    """Samples at which the motion turns by more than `hysteresis`, without the ends.
-
-    Parameters
-    ----------
-    displacement : (T,), in
-    hysteresis : float, in
-        A turn counts when the motion goes back from its extreme by more than this.
-    last : bool
-        Whether the last turn counts however small it is.
-
-    Returns
-    -------
-    (K,) int
-        Alternating maxima and minima. Of equal extremes the last counts.
-    """
-    corners = _corners(displacement)
-    values = displacement[corners]
-    turns: list[int] = []
-    low = high = 0
-    direction = 0
-    for i in range(1, len(values)):
-        value = values[i]
-        if value >= values[high]:
-            high = i
-        if value <= values[low]:
-            low = i
-        if direction >= 0 and values[high] - value > hysteresis:
-            if direction > 0:
-                turns.append(int(corners[high]))
-            direction, low, high = -1, i, i
-        elif direction <= 0 and value - values[low] > hysteresis:
-            if direction < 0:
-                turns.append(int(corners[low]))
-            direction, low, high = 1, i, i
-    extreme = high if direction > 0 else low
-    if last and direction != 0 and values[extreme] != values[-1]:
-        turns.append(int(corners[extreme]))
-    return np.array(turns, dtype=np.intp)
-
-
-def _corners(displacement: Array) -> NDArray[np.intp]:
-    """Samples at which the sign of the motion changes, and both ends."""
-    steps = np.diff(displacement)
-    moving = np.flatnonzero(steps)
-    signs = np.sign(steps[moving])
-    changes = moving[1:][signs[1:] != signs[:-1]]
-    return np.concatenate([[0], changes, [displacement.size - 1]]).astype(np.intp)
-
-
-def _first_direction(displacement: Array, turns: NDArray[np.intp]) -> int:
-    end = displacement[turns[0]] if turns.size else displacement[-1]
-    return 1 if end >= displacement[0] else -1
 
 
 def _check_increasing(time: Array) -> None:

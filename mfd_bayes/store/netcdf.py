@@ -11,17 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.errors import StoreError
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.hdf5 import UnsafeError, check_objects
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import json_text, write_atomically
 
 if TYPE_CHECKING:
     import xarray as xr
-
-Array = NDArray[np.float64]
 
 _CHAINS = ("chain", "draw")
 _SLACK = 2**20

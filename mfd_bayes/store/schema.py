@@ -10,8 +10,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from mfd_bayes.errors import StoreError
 
-LARGEST = 1e100
-"""Largest size of a figure: its square does not overflow."""
+LARGEST = 1e100  # largest size of a figure: its square does not overflow
 
 
 class Part(BaseModel):

@@ -6,11 +6,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-LARGEST = 2**20
-"""Largest file, bytes: ten times a campaign of 500 tests."""
-
-DOTS = 200
-"""Most dots of a line: the parser's time grows with the square of the number of a key's parts."""
+LARGEST = 2**20  # largest file, bytes: ten times a campaign of 500 tests
+DOTS = 200  # most dots of a line: parsing takes the square of the number of a key's parts
 
 
 class TomlError(Exception):

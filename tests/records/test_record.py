@@ -6,9 +6,9 @@ import pytest
 
 from mfd_bayes.errors import RecordError, UnitError
 from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.motion import turning_points
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.resampling import MOST_SAMPLES, decimate, default_rate
-from mfd_bayes.records.trace import turning_points
 
 RATE = 200.0
 TIME = np.arange(2001) / RATE

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.trace import Trace, turning_points
+from mfd_bayes.records.motion import turning_points
+from mfd_bayes.records.trace import Trace
 
 TIME = np.linspace(0, 10, 1001)
 MOTION = np.sin(2 * np.pi * 0.5 * TIME)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.faults import seems_milliseconds
+from mfd_bayes.records.motion import HYSTERESIS, turning_points
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.trace import HYSTERESIS, check_magnitude, turning_points
+from mfd_bayes.records.trace import check_magnitude
 from mfd_bayes.units import factor
 
 Array = NDArray[np.float64]

@@ -6,30 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mfd_bayes.records.faults.fault import Array, Fault, count, rate_of, runs, spread
+from mfd_bayes.records.faults.fault import Fault, count, rate_of, runs, spread
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.resampling import crossing_times
 from mfd_bayes.records.trace import Trace
 
-SLOW_RATE, SLOW_PERIOD = 5.0, 100.0
-"""Below this rate, Hz, and with cycles longer than this, s, time is taken to be in ms."""
-
-FAST = 400.0
-"""A speed, in/s, that no damper reaches."""
-
-CROSSING = 10
-"""Fewest samples, and steps of the sensor, across the gap."""
-
-DROPPED = 1.5
-"""After a step of time longer than this many median steps, samples are missing."""
-
-REPEATED = 0.01
-"""Share of samples equal to the one before, above which it is not by chance."""
-
-HELD = 10
-"""In a longer run of equal samples the actuator is at rest."""
-
-SAMPLES, LOOPS = 100, 2
-"""Fewest samples and cycles of a record."""
+SLOW_RATE, SLOW_PERIOD = 5.0, 100.0  # slower (Hz) with longer cycles (s): time in ms
+FAST = 400.0  # a speed, in/s, that no damper reaches
+CROSSING = 10  # fewest samples, and steps of the sensor, across the gap
+DROPPED = 1.5  # after a step of time longer than this many median steps, samples are missing
+REPEATED = 0.01  # share of samples equal to the one before, above which it is not by chance
+HELD = 10  # in a longer run of equal samples the actuator is at rest
+SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
 
 
 def seems_milliseconds(time: Array, turns: int) -> bool:

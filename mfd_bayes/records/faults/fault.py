@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from mfd_bayes.records.trace import Trace
 
-Array = NDArray[np.float64]
 Samples = NDArray[np.intp]
 
 

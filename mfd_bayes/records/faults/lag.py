@@ -7,25 +7,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
 
-Array = NDArray[np.float64]
-
-NEAR = 0.05
-"""The fit uses this share of the peak-to-peak displacement around a reversal."""
-
-STROKES = 0.4
-"""A reversal between strokes shorter than this share of the peak-to-peak one is left out."""
-
-REVERSALS = 40
-"""Most reversals that are used."""
-
-REACH = 0.06
-"""Largest lag that is searched for, s; eight samples or 3 % of a cycle where that is more."""
-
-LIKELY = 0.85
-"""A lag counts if its squared misfit is at most this share of the misfit without a lag."""
-
+NEAR = 0.05  # the fit uses this share of the peak-to-peak displacement around a reversal
+STROKES = 0.4  # shorter strokes, by their share of the longest, have no clear reversal
+REVERSALS = 40  # most reversals that are used
+REACH = 0.06  # largest lag, s; eight samples or 3 % of a cycle where that is more
+LIKELY = 0.85  # a lag counts up to this share of the squared misfit without a lag
 _SAMPLES = 120  # of one reversal, at any rate
 _LENGTHS = np.geomspace(0.02, 1.5, 10)  # of the release, over the distance that is used
 

@@ -7,25 +7,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from mfd_bayes.records.faults.clock import CROSSING
-from mfd_bayes.records.faults.fault import Array, Fault, Samples, count, runs, spread
+from mfd_bayes.records.faults.fault import Fault, Samples, count, runs, spread
 from mfd_bayes.records.faults.lag import estimate_lag
 from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
 
-CLIPPED = 5
-"""Fewest samples in a row at the extreme of the force that show a load cell's limit."""
-
+CLIPPED = 5  # fewest samples in a row at the extreme of the force that show a load cell's limit
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
 """A lag is reported above all three: s, samples, and share of a cycle."""
 
-LEVELS = 200
-"""Fewest steps of the sensor in the peak-to-peak displacement."""
-
-SPIKE = 0.10
-"""An isolated sample that stands out by this share of the signal's range is a spike."""
-
-DRIFT = 0.25
-"""A force that drifts by this share of its half range has lost its zero."""
+LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
+SPIKE = 0.10  # an isolated sample that stands out by this share of the signal's range is a spike
+DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero
 
 
 def no_force(trace: Trace) -> Iterator[Fault]:

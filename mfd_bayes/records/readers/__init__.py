@@ -29,8 +29,7 @@ FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
 )
 """The function that reads a file into a Table, by the file's suffix in lower case."""
 
-SUFFIXES = tuple(FORMATS)
-"""Suffixes of the files that can be read, in lower case."""
+SUFFIXES = tuple(FORMATS)  # suffixes of the files that can be read, in lower case
 
 
 def read_table(path: Path) -> Table:

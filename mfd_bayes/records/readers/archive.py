@@ -11,9 +11,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers.bounds import UNPACKED, unpacks_to_too_much
 
-CELLS = 2_000_000
-"""Most cells of a sheet: eight minutes of four columns at 1024 Hz."""
-
+CELLS = 2_000_000  # most cells of a sheet: eight minutes of four columns at 1024 Hz
 _MB = 2**20
 _SHEETS = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 # openpyxl frees these elements as soon as it has read them; all others it keeps in memory.

@@ -7,30 +7,14 @@ from pathlib import Path
 
 from mfd_bayes.errors import RecordError
 
-TEXT = 256
-"""Largest text file, MB: an hour and a half of four columns at 1024 Hz."""
-
-LINE = 2**17
-"""Most characters of a line."""
-
-COLUMNS = 1000
-"""Most columns of a file."""
-
-NAME = 300
-"""Most characters of a column's name."""
-
-JSON = 64
-"""Largest JSON file, MB."""
-
-LISTS = 1_000_000
-"""Most lists and objects of a JSON file: each needs some hundred bytes of memory."""
-
-UNPACKED = 256
-"""Largest size of a packed file after unpacking, MB."""
-
-CELLS = 20_000_000
-"""Most cells of a JSON file whose rows are objects."""
-
+TEXT = 256  # largest text file, MB: an hour and a half of four columns at 1024 Hz
+LINE = 2**17  # most characters of a line
+COLUMNS = 1000  # most columns of a file
+NAME = 300  # most characters of a column's name
+JSON = 64  # largest JSON file, MB
+LISTS = 1_000_000  # most lists and objects of a JSON file: each needs some hundred bytes of memory
+UNPACKED = 256  # largest size of a packed file after unpacking, MB
+CELLS = 20_000_000  # most cells of a JSON file whose rows are objects
 _MB = 2**20
 
 

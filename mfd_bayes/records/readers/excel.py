@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.archive import CELLS, check_archive, too_many_cells
 from mfd_bayes.records.readers.cells import is_number, missing_library, not_a_number, unreadable
 from mfd_bayes.records.readers.layout import SEARCHED, Layout, find_layout, units_of
-from mfd_bayes.records.readers.table import Array, Table
+from mfd_bayes.records.readers.table import Table
 
 Cells = tuple[Any, ...]
 
-_OLE = bytes.fromhex("D0CF11E0")
-"""First bytes of old .xls workbooks and of encrypted ones."""
+_OLE = bytes.fromhex("D0CF11E0")  # first bytes of old .xls workbooks and of encrypted ones
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import h5py
 
-OBJECTS = 20_000
-"""Most groups and data sets of a file."""
-
+OBJECTS = 20_000  # most groups and data sets of a file
 _NAMED = 60  # characters of a name that are shown
 # Only the filters of MATLAB and NetCDF files are allowed: a plugin would be foreign code.
 _DEFLATE, _SHUFFLE, _CHECKSUM = 1, 2, 3

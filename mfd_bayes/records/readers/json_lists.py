@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.bounds import CELLS, check_columns, read_json_text
 from mfd_bayes.records.readers.cells import bad_cell, is_number, sample
-from mfd_bayes.records.readers.table import Array, Table
+from mfd_bayes.records.readers.table import Table
 
 
 def read_json(path: Path) -> Table:

@@ -11,9 +11,7 @@ from mfd_bayes.units import DIMENSIONS, measure
 
 Row = Sequence[object]
 
-SEARCHED = 200
-"""Number of filled rows, from the first, in which the names are looked for."""
-
+SEARCHED = 200  # number of filled rows, from the first, in which the names are looked for
 # Ratios and rates do not show that a row holds units: "1" or "cycles" may be text.
 _TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate"}
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers import matlab_v5, matlab_v73
 from mfd_bayes.records.readers.cells import bad_cell, sample
-from mfd_bayes.records.readers.table import Array, Table
+from mfd_bayes.records.readers.table import Table
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_USER_BLOCK = 512
-"""Bytes of text before the HDF5 part of a v7.3 file."""
+_USER_BLOCK = 512  # bytes of text before the HDF5 part of a v7.3 file
 
 
 def read_matlab(path: Path) -> Table:

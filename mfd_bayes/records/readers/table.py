@@ -7,13 +7,9 @@ from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.bounds import check_names
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,16 +16,13 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.cells import bad_cell, bare_unit, missing_library, sample, unreadable
-from mfd_bayes.records.readers.table import Array, Table
+from mfd_bayes.records.readers.table import Table
 from mfd_bayes.units import measure
 
-SAMPLES = 50_000_000
-"""Most samples of a channel: thirteen hours at 1024 Hz."""
-
-LISTED = 20_000_000
-"""Most channels that all parts of a file may list together; reading one takes a microsecond."""
-
+SAMPLES = 50_000_000  # most samples of a channel: thirteen hours at 1024 Hz
+LISTED = 20_000_000  # most channels that all parts list together, at a microsecond each
 _KINDS = {"O": "text", "M": "dates", "c": "complex numbers"}
 
 

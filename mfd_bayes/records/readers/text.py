@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.bounds import check_columns, check_text
 from mfd_bayes.records.readers.cells import bad_cell, is_number
 from mfd_bayes.records.readers.layout import SEARCHED, Layout, find_layout, units_of
-from mfd_bayes.records.readers.table import Array, Table
+from mfd_bayes.records.readers.table import Table
 
 BLANKS = " "
 SEPARATORS = (",", "\t", ";", BLANKS)
