@@ -53,12 +53,7 @@ def _same(a: Array, b: Array) -> bool:
 def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspection:
     """Columns, units, rate, loops, drifts and faults of a record.
 
-    Parameters
-    ----------
-    name : str
-    record : Record
-    gap : float, in, optional
-        Median width of the gap under the priors, if there are any.
+    `gap` is the median width of the gap, in, under the priors, if there are any.
     """
     trace = record.trace()
     loops = find_loops(trace)

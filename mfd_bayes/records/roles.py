@@ -36,13 +36,7 @@ def roles_of(
 ) -> dict[str, str]:
     """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
 
-    Parameters
-    ----------
-    table : Table
-    columns, units : mapping
-        Role (`ROLES`) to column name and to unit, as given.
-    actuation : str, optional
-        Constant level, as given; without it a column is looked for.
+    A column for the actuation is looked for only where `actuation`, a constant, is not given.
 
     Raises
     ------

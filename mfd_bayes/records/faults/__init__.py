@@ -25,12 +25,8 @@ _OF_GAP = (clock.stroke, clock.rate)
 def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
     """Faults of a record, the most serious first; empty where none was found.
 
-    Parameters
-    ----------
-    trace : Trace
-        From `Record.trace()`; a decimated or filtered one hides faults.
-    gap : float, in, optional
-        Median width of the device's gap; without it, rate and stroke are not checked.
+    The trace must have every sample of its record: decimation hides faults. `gap` is the median
+    width of the device's gap, in; without it, rate and stroke are not checked.
     """
     found = [fault for check in _OF_RECORD for fault in check(trace)]
     found += signals.resolution(trace, gap)

@@ -33,6 +33,7 @@ _COMPLEX = 0x08
 _ORDERS = {b"IM": "<", b"MI": ">"}
 _MOST_FIELDS = 10_000
 _NOTHING = memoryview(b"")
+_WAY_OUT = "save only the test's own columns"
 
 
 class _BrokenError(Exception):
@@ -53,7 +54,7 @@ def open_columns(
 ) -> tuple[tuple[str, ...], Callable[[Sequence[str]], dict[str, Numbers]]]:
     """Names of a file's vectors, and a function that gives their numbers."""
     if path.stat().st_size > UNPACKED * _MB:
-        raise _too_much(path)
+        raise unpacks_to_too_much(path, _WAY_OUT)
     data = memoryview(path.read_bytes())
     order = _ORDERS.get(bytes(data[126:_HEADER]))
     try:
@@ -65,10 +66,6 @@ def open_columns(
     return tuple(columns), lambda wanted: {name: columns[name] for name in wanted}
 
 
-def _too_much(path: Path) -> RecordError:
-    return unpacks_to_too_much(path, "save only the test's own columns")
-
-
 def _vectors(path: Path, data: memoryview, order: str) -> Iterator[tuple[str, Numbers]]:
     """Names and numbers of all vectors, those of a struct's fields as ``struct.field``."""
     left = UNPACKED * _MB
@@ -77,7 +74,7 @@ def _vectors(path: Path, data: memoryview, order: str) -> Iterator[tuple[str, Nu
             unpacked = zlib.decompressobj().decompress(content, left + 1)
             left -= len(unpacked)
             if left < 0:
-                raise _too_much(path)
+                raise unpacks_to_too_much(path, _WAY_OUT)
             kind, content = next(_elements(memoryview(unpacked), order), (0, content))
         if kind == _MATRIX:
             yield from _columns(content, order)
