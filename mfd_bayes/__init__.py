@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.sampling import Draws, sample
     from mfd_bayes.errors import MfdError
-    from mfd_bayes.friction.baselines import BoucWen, LuGre
+    from mfd_bayes.friction.bouc_wen import BoucWen
+    from mfd_bayes.friction.lugre import LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
     "Band": "mfd_bayes.population.predict",
-    "BoucWen": "mfd_bayes.friction.baselines",
+    "BoucWen": "mfd_bayes.friction.bouc_wen",
     "Draws": "mfd_bayes.calibration.sampling",
-    "LuGre": "mfd_bayes.friction.baselines",
+    "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",

@@ -24,7 +24,7 @@ from mfd_bayes.assessment.views import CampaignView
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.pipeline.commands import effort_of
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
@@ -121,7 +121,7 @@ def _write_posterior(path: Path, posterior: Posterior, rng: Rng) -> None:
     facts["convergence"] = {name: [1.0, 500.0, 500.0] for name in flat}
     values = {name: draws.reshape(2, 12) for name, draws in flat.items()}
     predictive = np.zeros((2, 1, 60))
-    save_test(path, CalibratedTest(values, UNITS, stats, posterior.trace, predictive, facts))
+    save_test(path, CalibratedTest(values, units(), stats, posterior.trace, predictive, facts))
 
 
 def _write_population(

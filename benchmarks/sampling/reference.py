@@ -40,9 +40,9 @@ import scipy
 
 from benchmarks.common.data import add_data_option
 from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
-from mfd_bayes.calibration.likelihood import find_noise
 from mfd_bayes.calibration.map_fit import find_modes
-from mfd_bayes.calibration.posterior import Posterior, theta_of
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
@@ -93,7 +93,7 @@ def synthetic():
     x, v = np.sin(angle), np.pi * np.cos(angle)
     truth = {name: np.array([value]) for name, value in TRUTH.items()}
     model = ThreeStage()
-    force = model.force(theta_of(model, truth), Trace.from_arrays(t, x, velocity=v), truth["start"])
+    force = model.force(model.theta(truth), Trace.from_arrays(t, x, velocity=v), truth["start"])
     noise = find_noise("ou").draw(np.random.default_rng(SEED), t, truth)
     return Trace.from_arrays(t, x, force=(force + noise)[0] + TRUTH["offset"], velocity=v)
 

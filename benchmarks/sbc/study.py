@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.calibration.priors import KINDS, Prior
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.trace import Trace
@@ -43,6 +44,7 @@ DERIVED = {
 }
 """What follows from two quantities; ranked where both vary."""
 LIKELIHOOD = "log likelihood"
+QUANTITIES = tuple(sampled_quantities())
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ def full_study(seed: int) -> Study:
     return Study(narrow_priors(), motion, effort, draws=63, seed=seed)
 
 
-def narrow_priors(sampled: Iterable[str] = KINDS, **medians: float) -> PriorFile:
+def narrow_priors(sampled: Iterable[str] = QUANTITIES, **medians: float) -> PriorFile:
     """The shipped priors, narrowed to sensible loops; what is not `sampled` has one value."""
     middle = MEDIANS | medians
     narrow = {n: Prior("lognormal", {"median": m, "spread": SPREAD}) for n, m in middle.items()}
@@ -167,7 +169,7 @@ def with_derived(values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def ranks_by_quantity(tests: Sequence[Ranked]) -> dict[str, list[int]]:
-    """Ranks of all tests that have any, in the order of `KINDS`, then what is derived."""
+    """Ranks of all tests that have any, in the order of `QUANTITIES`, then what is derived."""
     ranked = [test.ranks for test in tests if not test.error]
-    order = [n for n in (*KINDS, *DERIVED, LIKELIHOOD) if ranked and n in ranked[0]]
+    order = [n for n in (*QUANTITIES, *DERIVED, LIKELIHOOD) if ranked and n in ranked[0]]
     return {name: [ranks[name] for ranks in ranked] for name in order}

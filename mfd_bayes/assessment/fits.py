@@ -21,7 +21,7 @@ from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
-from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
@@ -124,7 +124,7 @@ def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row
             Row(
                 subject=test,
                 name=name,
-                unit=UNITS[name],
+                unit=units()[name],
                 **spread_of(draws),
                 # None, for JSON has no infinity: walkers that never moved, or too few draws
                 r_hat=np.inf if r_hat is None else r_hat,
@@ -159,7 +159,7 @@ def _marginals(
     shrunk = {row.name: row.contraction for row in rows}
     sampled = test.posterior.names
     return tuple(
-        Marginal(n, UNITS[n], _some(prior[n]), _some(values[n]), shrunk[n]) for n in sampled
+        Marginal(n, units()[n], _some(prior[n]), _some(values[n]), shrunk[n]) for n in sampled
     )
 
 

@@ -12,7 +12,7 @@ from mfd_bayes.assessment.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.assessment.law_choices import weighed
 from mfd_bayes.assessment.views import LawView, Row
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
-from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.quantities import units
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
 from mfd_bayes.population.layout import Setting
 from mfd_bayes.population.population import Population
@@ -86,7 +86,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
         views.append(
             LawView(
                 name=name,
-                unit=UNITS[name],
+                unit=units()[name],
                 law=weighed(law, population.law_weights[name]),
                 actuation=grid,
                 median=fan_of("device", medians[pick]),

@@ -6,59 +6,30 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.calibration.likelihood import Noise, find_noise
+from mfd_bayes.calibration.noise import Noise
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.pivot import Pivot, find_pivots
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.calibration.priors import KINDS, Prior
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.quantities import OF_RECORDS
 from mfd_bayes.errors import FitError, PriorError
-from mfd_bayes.friction.baselines import BoucWen, LuGre
 from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.friction.models import find_model
+from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-MODELS: dict[str, Model] = {model.name: model for model in (ThreeStage(), LuGre(), BoucWen())}
-
-# How a model's parameters follow from what is sampled: F_s = F_c (1 + excess), γ2 = ℓ γ1.
-_SOURCES = {
-    "Fs_fwd": "static_excess_fwd",
-    "Fs_bwd": "static_excess_bwd",
-    "gamma2": "ell",
-}
-_BOUNDS = {"alpha": (0.0, 1.0), "beta": (0.5, 1.0), "exponent": (1.0, np.inf)}
-"""Least and greatest value of what may not be just anything above 0."""
-
 AT_ONCE = 1 << 24
 """Points times samples whose forces are computed at once: some 400 MB."""
 
-UNIDENTIFIABLE = "gamma1"
-"""Does not reach the force but through ℓ = γ2/γ1; it keeps its prior exactly."""
-
-
-@dataclass(frozen=True)
-class Pivot:
-    """Friction at the record's usual speed, sampled in place of kinetic friction.
-
-    A slow test tells F_s, a fast one F_c; F_c (1 + c e) with c the mean of exp(−(v/v_s)²)
-    over the motion is what either knows best, and parts from the excess e. The logarithms
-    differ by log(1 + c e), which the other coordinates alone decide: the Jacobian is 1.
-    """
-
-    kinetic: int
-    excess: int
-    share: float
-    prior: Prior
-
-    def shift(self, points: Array) -> Array:
-        """What the sampled coordinate has more than log F_c, (n,)."""
-        excess = self.prior.value(points[:, self.excess])
-        shift: Array = np.log1p(self.share * excess)
-        return shift
+_UNSAMPLED = MappingProxyType({"gamma1": 1.0, "start": 0.5})
+"""Values where these are not sampled. Every stored test has both, whatever its model."""
 
 
 @dataclass(frozen=True, init=False)
@@ -111,32 +82,28 @@ class Posterior:
         model: Model | str = "three_stage",
         *,
         start: str = "sample",
-        folder: Path | None = None,
     ) -> None:
         if trace.force is None:
             raise FitError("a posterior needs a trace with a measured force")
-        if isinstance(model, str) and model not in MODELS:
-            raise FitError(f"unknown model {model!r}: expected one of {', '.join(MODELS)}")
+        chosen = find_model(model) if isinstance(model, str) else model
         if start not in ("sample", "mask"):
             raise FitError(f"unknown start {start!r}: expected 'sample' or 'mask'")
-        file = load_priors(priors, folder) if isinstance(priors, str) else priors
-        chosen = MODELS[model] if isinstance(model, str) else model
-        noise_model = find_noise(noise)
-        wanted = _quantities(chosen, noise_model, sampled_start=start == "sample")
-        missing = [name for name in wanted if name not in file.parameters]
-        if missing:
-            raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
-        chosen_priors = {name: file.parameters[name] for name in wanted}
-        if chosen.name in MODELS:
-            _check_bounds(file.path.name, chosen_priors)
-        names = tuple(n for n in wanted if n != UNIDENTIFIABLE and not chosen_priors[n].fixed)
+        file = load_priors(priors) if isinstance(priors, str) else priors
+        found = find_noise(noise)
+        wanted = _quantities(chosen, found, sampled_start=start == "sample")
+        chosen_priors = _check_priors(file, wanted)
+        names = tuple(
+            name
+            for name, prior in chosen_priors.items()
+            if not prior.fixed and name not in chosen.keeps_prior
+        )
         values = {
             "trace": trace,
             "model": chosen,
-            "noise": noise_model,
+            "noise": found,
             "priors": chosen_priors,
             "names": names,
-            "pivots": _pivots(trace, names, chosen_priors),
+            "pivots": find_pivots(trace, names, chosen_priors),
             "first": _first_slip(trace, file.gap) if start == "mask" else 0,
         }
         for key, value in values.items():
@@ -149,9 +116,8 @@ class Posterior:
 
     @cached_property
     def _defaults(self) -> dict[str, float]:
-        """Values of what is not sampled: fixed ones, and 1 for γ1."""
-        fixed = {k: p.figures["value"] for k, p in self.priors.items() if p.fixed}
-        return {UNIDENTIFIABLE: 1.0, "start": 0.5} | fixed
+        """Values of what is not part of q."""
+        return _UNSAMPLED | {k: p.figures["value"] for k, p in self.priors.items() if p.fixed}
 
     def log_prob(self, q: ArrayLike) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,).
@@ -220,7 +186,7 @@ class Posterior:
 
     def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""
-        if not self.noise.staged:
+        if not self.noise.needs_travel:
             return None
         chosen = self.trace if trace is None else trace
         return self.model.travel(self.theta(values), chosen, values["start"])
@@ -240,12 +206,8 @@ class Posterior:
         """Friction forces that follow from several coordinates, (n, m), kip."""
         theta = self.theta(self.values(q))
         pivoted = {self.names[pivot.kinetic] for pivot in self.pivots}
-        several = [
-            k
-            for k, name in enumerate(self.model.parameters)
-            if name in pivoted or (name.startswith("Fs_") and _SOURCES[name] in self.names)
-        ]
-        return theta[:, several]
+        several = pivoted | set(self.model.composed(self.names))
+        return theta[:, [k for k, n in enumerate(self.model.parameters) if n in several]]
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""
@@ -268,7 +230,7 @@ class Posterior:
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters of the model in its own order, (n, p)."""
-        return theta_of(self.model, values)
+        return self.model.theta(values)
 
     def draw_prior(self, rng: np.random.Generator, n: int) -> dict[str, Array]:
         """Independent draws of all quantities from the prior, by name, (n,) each."""
@@ -284,61 +246,30 @@ class Posterior:
         return points
 
 
-def theta_of(model: Model, values: Mapping[str, Array]) -> Array:
-    """Parameters of a model in its own order, of values by name, (n, p)."""
-    columns = []
-    for name in model.parameters:
-        if name == "gamma2":
-            column = values["ell"] * values["gamma1"]
-        elif name in _SOURCES:
-            column = values[name.replace("Fs", "Fc")] * (1.0 + values[_SOURCES[name]])
-        else:
-            column = values[name]
-        columns.append(column)
-    return np.stack(columns, axis=1)
+def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[Quantity]:
+    """Quantities of a fit that have priors, in the order in which they are sampled."""
+    has_start = model.has_gap and sampled_start
+    record = [quantity for quantity in OF_RECORDS if quantity.name != "start" or has_start]
+    return [q for q in (*model.quantities, *record, *noise.quantities) if q.sampled]
 
 
-def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[str]:
-    """Names of all quantities of a fit, in the order of `KINDS`."""
-    needed = {_SOURCES.get(name, name) for name in model.parameters}
-    needed |= {"offset", *noise.parameters}
-    if model.has_gap and sampled_start:
-        needed.add("start")
-    return [name for name in KINDS if name in needed]
-
-
-def _check_bounds(file: str, priors: Mapping[str, Prior]) -> None:
-    """Refuse priors that allow what no damper has, such as negative values."""
-    for name, prior in priors.items():
+def _check_priors(file: PriorFile, wanted: list[Quantity]) -> dict[str, Prior]:
+    """Priors of quantities by name; none may be missing or allow what no damper has."""
+    missing = [q.name for q in wanted if q.name not in file.parameters]
+    if missing:
+        raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
+    priors = {q.name: file.parameters[q.name] for q in wanted}
+    for q, prior in zip(wanted, priors.values(), strict=True):
         value = prior.figures.get("value", np.nan)
         lowest, highest = (value, value) if prior.fixed else (prior.lower, prior.upper)
-        least, most = _BOUNDS.get(name, (0.0, np.inf))
-        if name == "offset" or least <= lowest <= highest <= most:
+        if q.least <= lowest <= highest <= q.most:
             continue
-        beyond = f"values above {most:g}" if lowest >= least else f"values below {least:g}"
+        beyond = f"values above {q.most:g}" if lowest >= q.least else f"values below {q.least:g}"
         raise PriorError(
-            f"prior of {name} in {file}: {prior.family} allows "
-            f"{'negative values' if lowest < 0 else beyond}, which {name} cannot have"
+            f"prior of {q.name} in {file.path.name}: {prior.family} allows "
+            f"{'negative values' if lowest < 0 else beyond}, which {q.name} cannot have"
         )
-
-
-def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -> tuple[Pivot, ...]:
-    """Pivots of the directions in which friction, on its log scale, and its excess are sampled."""
-    if "v_s" not in priors:
-        return ()
-    velocity = trace.velocity
-    moving = np.abs(velocity) > 0.01 * np.max(np.abs(velocity))
-    stribeck = np.exp(-((velocity / priors["v_s"].typical) ** 2))
-    pivots = []
-    for side, there in (("fwd", velocity > 0), ("bwd", velocity < 0)):
-        kinetic, excess = f"Fc_{side}", f"static_excess_{side}"
-        if not (kinetic in names and excess in names and np.any(moving & there)):
-            continue
-        if priors[kinetic].lower == 0.0 and np.isinf(priors[kinetic].upper):
-            share = float(np.mean(stribeck[moving & there]))
-            at = names.index(kinetic), names.index(excess)
-            pivots.append(Pivot(*at, share, priors[excess]))
-    return tuple(pivots)
+    return priors
 
 
 def _first_slip(trace: Trace, gap: float | None) -> int:

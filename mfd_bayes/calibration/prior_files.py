@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.calibration.priors import FAMILIES, KINDS, Prior
+from mfd_bayes.calibration import families
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
 _LONGEST = 1000
 """Most characters of what is said of a fault, whatever names and words stand in the file."""
-
-_DIMENSIONAL = frozenset({"median", "mean", "sd", "lower", "upper", "scale", "value"})
 
 
 @dataclass(frozen=True)
@@ -138,21 +138,28 @@ def _tables(path: Path, content: dict[str, object], key: str) -> dict[str, dict[
 
 def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
     where = f"prior of {name[:60]} in {path.name}"
-    if name not in KINDS:
-        raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(KINDS)}")
-    family = table.get("family")
-    if family not in FAMILIES:
-        raise PriorError(f"{where}: family must be one of {', '.join(FAMILIES)}, got {family!r}")
-    figures = {
-        key: _figure(f"{where}, {key}", value, KINDS[name] if key in _DIMENSIONAL else None)
-        for key, value in table.items()
-        if key not in ("family", "reason")
-    }
+    known = sampled_quantities()
+    if name not in known:
+        raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(known)}")
+    chosen = str(table.get("family"))
+    family = families.FAMILIES.get(chosen)
+    if family is None:
+        raise PriorError(
+            f"{where}: family must be one of {', '.join(families.FAMILIES)}, "
+            f"got {table.get('family')!r}"
+        )
+    figures = {}
+    for key, value in table.items():
+        figure = family.figures.get(key)
+        if figure is not None:
+            kind = known[name].kind if figure.dimensional else None
+            figures[key] = _figure(f"{where}, {key}", value, kind)
+        elif key not in ("family", "reason"):
+            figures[key] = np.nan  # refused by the family
     try:
-        prior = Prior(str(family), figures, str(table.get("reason", "")))
+        return Prior(chosen, figures, str(table.get("reason", "")))
     except PriorError as error:
         raise PriorError(f"{where}: {error}") from error
-    return prior
 
 
 def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
@@ -160,10 +167,11 @@ def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
     members = table.get("parameters")
     if set(table) - {"parameters", "sd", "reason"} or not isinstance(members, list):
         raise PriorError(f"{where}: expected the keys parameters (a list), sd and reason")
-    unknown = [m for m in members if m not in KINDS]
+    known = sampled_quantities()
+    unknown = [m for m in members if m not in known]
     if unknown:
         raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
-    kind = KINDS["offset"] if members == ["offset"] else None
+    kind = known["offset"].kind if members == ["offset"] else None
     sd = _figure(f"{where}, sd", table.get("sd"), kind)
     if not sd > 0:
         raise PriorError(f"{where}: sd must be positive, got {sd:g}")

@@ -1,14 +1,36 @@
-"""Units of everything that has a posterior, by name."""
+"""Every quantity of a test that has a prior or a posterior, by name."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import numpy as np
 
-from mfd_bayes.calibration.priors import KINDS
-from mfd_bayes.friction.model import UNITS as PARAMETER_UNITS
-from mfd_bayes.units import DIMENSIONS
+from mfd_bayes.calibration import noises
+from mfd_bayes.friction import models
+from mfd_bayes.friction.quantity import Quantity
 
-UNITS: Mapping[str, str] = PARAMETER_UNITS | {
-    name: DIMENSIONS[kind].unit for name, kind in KINDS.items()
-}
-"""Internal unit of every parameter and sampled quantity."""
+OF_RECORDS = (
+    Quantity(
+        *("start", "dimensionless", "w_0", "w<sub>0</sub>"),
+        "place in the gap at the first sample",
+        pooled=False,
+    ),
+    Quantity("offset", "force", "F_0", "F<sub>0</sub>", "offset of the load cell", least=-np.inf),
+)
+"""What a record has, whatever the model and the noise."""
+
+
+def known_quantities() -> dict[str, Quantity]:
+    """Quantities of all models, of records and of all noises, by name."""
+    parts = [model.quantities for model in models.MODELS.values()]
+    parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
+    return {quantity.name: quantity for part in parts for quantity in part}
+
+
+def sampled_quantities() -> dict[str, Quantity]:
+    """Those that may have a prior, by name."""
+    return {name: q for name, q in known_quantities().items() if q.sampled}
+
+
+def units() -> dict[str, str]:
+    """Internal unit of every quantity, by name."""
+    return {name: quantity.unit for name, quantity in known_quantities().items()}

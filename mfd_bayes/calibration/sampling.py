@@ -16,7 +16,7 @@ from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.map_fit import Density, Mode, find_modes
 from mfd_bayes.calibration.mixture import Either, Mixture, Proposal, learn
 from mfd_bayes.calibration.moves import Apart, Independent
-from mfd_bayes.calibration.posterior import UNIDENTIFIABLE, Posterior
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
 
@@ -169,8 +169,8 @@ def sample(
     flat = chains.q.reshape(-1, posterior.dim)
     shape = chains.q.shape[:2]
     values = posterior.values(flat)
-    if UNIDENTIFIABLE in posterior.priors:
-        values[UNIDENTIFIABLE] = posterior.priors[UNIDENTIFIABLE].draw(rng, len(flat))
+    for name in posterior.model.keeps_prior:
+        values[name] = posterior.priors[name].draw(rng, len(flat))
     log_prior = posterior.log_prior(flat).reshape(shape)
     return Draws(
         names=posterior.names,

@@ -15,7 +15,7 @@ from mfd_bayes.calibration.diagnostics import measure_draws
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
@@ -128,7 +128,7 @@ def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
     }
     stored = CalibratedTest(
         values=values,
-        units=UNITS,
+        units=units(),
         stats={
             "lp": draws.log_prob,
             "log_prior": draws.log_prior,

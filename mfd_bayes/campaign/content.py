@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mfd_bayes.campaign.schema import SECTIONS, Column, Content
+from mfd_bayes.campaign.schema import Content, known_keys
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.store.toml import TomlError, read_toml
 
@@ -59,7 +59,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _sentences(path: Path, raw: dict[str, Any], error: ValidationError) -> Iterator[str]:
     """One sentence for each error: which key, what was expected, what came."""
     for fault in error.errors(include_url=False):
-        loc = [part for part in fault["loc"] if not str(part).startswith(":")]
+        loc = [part for part in fault["loc"] if not str(part).startswith((":", "[key]"))]
         key, came = _dotted(raw, loc), reprlib.repr(fault["input"])
         if fault["type"] == "too_short" and raw.get("test"):
             continue  # there are tests, but each has an error of its own, which is reported
@@ -80,7 +80,7 @@ def _cut(text: str) -> str:
 
 def _unknown_key(path: Path, raw: dict[str, Any], loc: list[int | str]) -> str:
     names = [part for part in loc[:-1] if isinstance(part, str)]
-    known = list(SECTIONS.get(names[-1] if names else "", Column).model_fields)
+    known = known_keys(names[-1] if names else "")
     near = difflib.get_close_matches(str(loc[-1]), known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
     section = f" in [{_dotted(raw, loc[:-1])}]" if names else ""

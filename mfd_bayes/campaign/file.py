@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from mfd_bayes.campaign.content import read_content
-from mfd_bayes.campaign.schema import Column, Columns, Entry, Laws, ModelName, NoiseName, Role
+from mfd_bayes.campaign.schema import Column, Columns, Entry, ModelName, NoiseName, Role
 from mfd_bayes.errors import CampaignError, UnitError
+from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.roles import header_unit
@@ -80,7 +81,8 @@ class Campaign:
     rate : float, Hz, or None
     area : float, in², or None
         Area of the actuator, where the actuation is a pressure.
-    laws : Laws
+    laws : dict of str to str
+        Law of every name that may have one, given or by default.
     dependence : dict of str to tuple of str
         Parameter to the covariates, "velocity" or "amplitude", that it depends on.
     tests : tuple of Test
@@ -97,7 +99,7 @@ class Campaign:
     rate: float | None
     start: Literal["sample", "mask"]
     area: float | None
-    laws: Laws
+    laws: dict[str, str]
     dependence: dict[str, tuple[str, ...]]
     tests: tuple[Test, ...]
     actuation_unit: ActuationUnit
@@ -142,7 +144,7 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
         rate=content.campaign.rate,
         start=content.campaign.start,
         area=content.campaign.area,
-        laws=content.laws,
+        laws=complete_laws(content.laws),
         dependence={name: chosen for name, chosen in content.dependence if chosen},
         tests=tests,
         actuation_unit=tests[0].actuation_unit,

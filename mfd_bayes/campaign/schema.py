@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Literal
 
 from pydantic import (
@@ -15,16 +15,42 @@ from pydantic import (
     Field,
     Tag,
 )
+from pydantic_core import PydanticCustomError
 
+from mfd_bayes.calibration import noises
 from mfd_bayes.errors import UnitError
+from mfd_bayes.friction import models
+from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.readers.bounds import NAME
 from mfd_bayes.units import parse_actuation, parse_quantity, parse_window
 
 LawName = Literal["proportional", "affine", "power", "constant", "compare"]
-ModelName = Literal["three_stage", "lugre", "bouc_wen"]
-NoiseName = Literal["ou", "iid", "student_t", "staged"]
 Role = Literal["calibrate", "validate"]
 Covariate = Literal["velocity", "amplitude"]
+
+
+def _one_of(known: Callable[[], Iterable[str]]) -> BeforeValidator:
+    """Validator of a name in a registry, which is read when a campaign is."""
+
+    def validate(value: object) -> object:
+        *others, last = map(repr, known())
+        if repr(value) not in (*others, last):
+            raise PydanticCustomError(
+                "literal_error", f"Input should be {', '.join(others)} or {last}"
+            )
+        return value
+
+    return BeforeValidator(validate)
+
+
+def _known_key(name: str) -> str:
+    if name not in complete_laws({}):
+        raise PydanticCustomError("extra_forbidden", "Extra inputs are not permitted")
+    return name
+
+
+ModelName = Annotated[str, _one_of(lambda: models.MODELS)]
+NoiseName = Annotated[str, _one_of(lambda: noises.NOISES)]
 
 _ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
 
@@ -87,21 +113,6 @@ class Columns(Part):
     velocity: Column | None = None
 
 
-class Laws(Part):
-    """The law of each parameter over the actuation; "compare" averages over all laws.
-
-    Bouc-Wen's F_y has the law of F_c where none is given.
-    """
-
-    Fc_fwd: LawName = "proportional"
-    Fc_bwd: LawName = "proportional"
-    Fs_fwd: LawName = "proportional"
-    Fs_bwd: LawName = "proportional"
-    sigma0: LawName = "affine"
-    Fy_fwd: LawName | None = None
-    Fy_bwd: LawName | None = None
-
-
 class Dependence(Part):
     """The covariates besides the actuation that each parameter depends on; default none."""
 
@@ -144,17 +155,20 @@ class Content(Part):
 
     campaign: Settings = Settings()
     columns: Columns = Columns()
-    laws: Laws = Laws()
+    laws: dict[Annotated[str, AfterValidator(_known_key)], LawName] = {}
     dependence: Dependence = Dependence()
     test: Annotated[tuple[Entry, ...], Field(min_length=1)]
 
 
-SECTIONS: dict[str, type[Part]] = {
-    "": Content,
-    "campaign": Settings,
-    "columns": Columns,
-    "laws": Laws,
-    "dependence": Dependence,
-    "test": Entry,
-}
-"""Table of a campaign file → its keys; "" is the file itself."""
+def known_keys(table: str) -> list[str]:
+    """Keys of a table of a campaign file; "" is the file itself."""
+    if table == "laws":
+        return list(complete_laws({}))
+    tables: dict[str, type[Part]] = {
+        "": Content,
+        "campaign": Settings,
+        "columns": Columns,
+        "dependence": Dependence,
+        "test": Entry,
+    }
+    return list(tables.get(table, Column).model_fields)

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.likelihood import find_noise
-from mfd_bayes.calibration.posterior import theta_of
+from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import write_text
@@ -193,7 +192,7 @@ def _write_csv(
     displacement = AMPLITUDE * np.sin(2 * np.pi * frequency * time)
     model = ThreeStage()
     trace = Trace.from_arrays(time, displacement)
-    force = model.force(theta_of(model, values), trace, values["start"])[0]
+    force = model.force(model.theta(values), trace, values["start"])[0]
     force = force + values["offset"] + find_noise("ou").draw(rng, time, values)[0]
     rows = zip(time, displacement, force, strict=True)
     lines = "".join(f"{t:.2f},{x:.6f},{f:.6f}\n" for t, x, f in rows)

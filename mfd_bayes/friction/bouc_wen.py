@@ -8,29 +8,43 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.hysteresis import Curve
-from mfd_bayes.friction.model import travel_since_turn
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.motion import vertices
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Shares = dict[str, Array]
 
-UNITS = {
-    "k": "kip/in",
-    "alpha": "1",
-    "Fy_fwd": "kip",
-    "Fy_bwd": "kip",
-    "beta": "1",
-    "exponent": "1",
-    "c": "kip*s/in",
-}
-"""Unit of every parameter, in order."""
+_QUANTITIES = (
+    Quantity("k", "stiffness", "k", "k", "stiffness of Bouc-Wen hysteresis"),
+    Quantity(
+        *("alpha", "dimensionless", r"\alpha", "α"),
+        "share of the stiffness that remains in slip",
+        most=1.0,
+    ),
+    Quantity(
+        *("Fy_fwd", "force", r"F_{y,\mathrm{fwd}}", "F<sub>y,fwd</sub>"),
+        "yield force, forward",
+    ),
+    Quantity(
+        *("Fy_bwd", "force", r"F_{y,\mathrm{bwd}}", "F<sub>y,bwd</sub>"),
+        "yield force, backward",
+    ),
+    Quantity(
+        *("beta", "dimensionless", r"\beta", "β", "shape of the unloading"), least=0.5, most=1.0
+    ),
+    Quantity("exponent", "dimensionless", "n", "n", "sharpness of the knee", least=1.0),
+    Quantity("c", "damping", "c", "c", "viscous damping of Bouc-Wen hysteresis"),
+)
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")
 """The parameters that follow the actuation."""
@@ -41,15 +55,7 @@ FLOOR = 1e-6
 PIECE = 1 << 15
 """Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
 
-_RANGES = {
-    "k": (0.0, np.inf, "positive"),
-    "alpha": (0.0, 1.0, "in [0, 1]"),
-    "Fy_fwd": (0.0, np.inf, "positive"),
-    "Fy_bwd": (0.0, np.inf, "positive"),
-    "beta": (0.5, 1.0, "in [0.5, 1]"),
-    "exponent": (1.0, np.inf, "at least 1"),
-    "c": (0.0, np.inf, "not negative"),
-}
+_POSITIVE = frozenset({"k", "Fy_fwd", "Fy_bwd"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +87,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class BoucWen:
+class BoucWen(Model):
     """Bouc-Wen hysteresis, a spring and a dashpot side by side.
 
         F = α k (x − x_0) + (1 − α) z + c v
@@ -96,9 +102,13 @@ class BoucWen:
     turns dz/dx is autonomous in k |x − x_turn| / F_y and taken from a `Curve`.
     """
 
-    name: str = "bouc_wen"
-    parameters: tuple[str, ...] = tuple(UNITS)
-    has_gap: bool = False
+    name: ClassVar[str] = "bouc_wen"
+    quantities: ClassVar[tuple[Quantity, ...]] = _QUANTITIES
+    laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
+    laws_from: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"Fy_fwd": "Fc_fwd", "Fy_bwd": "Fc_bwd"}
+    )
+    slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
 
     def force(
         self,
@@ -108,23 +118,9 @@ class BoucWen:
         *,
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
-        """Force of every parameter vector, (n, T), kip.
+        """Force of every parameter vector (n, 7), (n, T), kip; see `Model.force`.
 
-        Parameters
-        ----------
-        theta : (n, 7)
-            In the order and units of `UNITS`, at the trace's reference actuation.
-        trace : Trace
-        start : ignored
-            There is no gap.
-        scales : mapping of (n, T) or (1, T), optional
-            Factors of Fy_fwd and Fy_bwd at each sample. When left out and the actuation
-            varies, both are in proportion to it.
-
-        Raises
-        ------
-        FitError
-            When a shape, a name or a value does not fit.
+        Fy_fwd and Fy_bwd follow the actuation. There is no gap: `start` is ignored.
         """
         columns = _check_theta(self, theta)
         n = columns["k"].size
@@ -145,10 +141,6 @@ class BoucWen:
             strength = _strength(columns, sign, *ends)
             z[:, begin:end] = _advance(curve, columns["k"], strength, z[:, begin - 1], way)
         return _total(columns, z[:, rows], trace.displacement - trace.displacement[0], v)
-
-    def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
-        """Travel since the last turning point, (n, T), in."""
-        return travel_since_turn(theta, trace)
 
     def start(
         self,
@@ -289,18 +281,18 @@ def _ratio(columns: dict[str, Array]) -> Array:
 def _check_theta(model: BoucWen, theta: ArrayLike) -> dict[str, Array]:
     """Columns of theta by name, (n,) each, or a FitError that names what does not fit."""
     values = np.asarray(theta, dtype=np.float64)
-    if values.ndim != 2 or values.shape[1] != len(UNITS):
-        raise FitError(
-            f"theta must have shape (n, {len(UNITS)}) for {model.name}, got {values.shape}"
-        )
+    width = len(model.parameters)
+    if values.ndim != 2 or values.shape[1] != width:
+        raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
     columns = dict(zip(model.parameters, np.ascontiguousarray(values.T), strict=True))
-    for name, column in columns.items():
-        least, most, words = _RANGES[name]
-        bad = ~(np.isfinite(column) & (column >= least) & (column <= most))
-        bad |= (column == 0.0) & (words == "positive")
+    for q in model.quantities:
+        column = columns[q.name]
+        bad = ~(np.isfinite(column) & (column >= q.least) & (column <= q.most))
+        bad |= (column == 0.0) & (q.name in _POSITIVE)
         if np.any(bad):
+            words = "positive" if q.name in _POSITIVE else f"in [{q.least:g}, {q.most:g}]"
             got = column[np.argmax(bad)]
-            raise FitError(f"parameter {name} must be finite and {words}, got {got}")
+            raise FitError(f"parameter {q.name} must be finite and {words}, got {got}")
     return columns
 
 

@@ -1,263 +1,57 @@
-"""Stage 1: LuGre friction, by its exact exponential step (paper Eqs. 3 and 4)."""
+"""LuGre friction without a gap, to compare the three-stage model with."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.arrays import add_outer, add_row, outer, rows_of, scratch
-from mfd_bayes.friction.recurrence import Blocks
-from mfd_bayes.records.motion import MotionPath
+from mfd_bayes.friction.bristles import friction_of, slip_force
+from mfd_bayes.friction.paper import actuate, check_theta, quantities_of
+from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.stepping import Damper, State, Stepped
+from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
 
-FLOOR = 1e-9
-"""Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
-
-NO_STEP = 1e-30
-"""Length, in, that stands for none: it moves nothing, and nothing divides by zero."""
-
-PIECE = 1 << 17
-"""Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
+_PARAMETERS = ("sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd", "v_s")
 
 
 @dataclass(frozen=True)
-class Friction:
-    """LuGre's parameters, time first.
+class LuGre(Stepped):
+    """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4)."""
 
-    `sigma0` and the four forces are (1, n) where the actuation is constant and
-    (P, n) where it varies; the others are (1, n).
-    """
+    name: ClassVar[str] = "lugre"
+    parameters: ClassVar[tuple[str, ...]] = _PARAMETERS
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_of(_PARAMETERS)
 
-    sigma0: Array
-    sigma1: Array
-    sigma2: Array
-    Fs_fwd: Array
-    Fc_fwd: Array
-    Fs_bwd: Array
-    Fc_bwd: Array
-    v_s: Array
+    def force(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Force of every parameter vector, (n, T), kip; see `Model.force`.
 
-    @property
-    def vectors(self) -> int:
-        """Number of parameter vectors n."""
-        return int(self.v_s.shape[1])
+        theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
+        """
+        columns = actuate(check_theta(self, theta), trace, scales)
+        return slip_force(friction_of(columns), trace.path)[0].T
 
-    @property
-    def varying(self) -> bool:
-        """Whether friction follows a history of actuation."""
-        followers = (self.sigma0, self.Fs_fwd, self.Fc_fwd, self.Fs_bwd, self.Fc_bwd)
-        return max(map(len, followers)) > 1
-
-    @classmethod
-    def of(cls, stations: list[Friction]) -> Friction:
-        """Friction that varies over some samples, each with (1, n) columns."""
-        columns = {}
-        for f in fields(cls):
-            values = [getattr(station, f.name) for station in stations]
-            same = all(value is values[0] for value in values)
-            columns[f.name] = values[0] if same else np.concatenate(values)
-        return cls(**columns)
-
-    def at(self, rows: Rows) -> Friction:
-        """Friction at some samples of the path; what is constant stays (1, n)."""
-        return self._each(lambda values: values[rows])
-
-    def midway(self, rows: Rows) -> Friction:
-        """Friction in the middle of the steps that end at some samples of the path."""
-        before = np.maximum(rows - 1, 0)
-        return self._each(lambda values: 0.5 * (values[before] + values[rows]))
-
-    def _each(self, change: Callable[[Array], Array]) -> Friction:
-        columns = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(self, **{k: change(c) for k, c in columns.items() if len(c) > 1})
-
-
-def friction_of(columns: dict[str, Array]) -> Friction:
-    """Friction of a model's columns."""
-    return Friction(**{f.name: columns[f.name] for f in fields(Friction)})
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Some samples of a path, (rows,) each, and what every parameter vector needs of them.
-
-    Attributes
-    ----------
-    rows : int
-        The samples.
-    step : in
-        Length of the step that ends at the sample; never 0, see `NO_STEP`.
-    square : in²/s²
-        Of the step's mean velocity.
-    backward : int
-        1 where that is negative, else 0.
-    velocity : in/s
-        At the sample.
-    share : 1/s
-        |velocity| over |step|.
-    """
-
-    rows: Rows
-    step: Array
-    square: Array
-    backward: Rows
-    velocity: Array
-    share: Array
-
-    @classmethod
-    def of(cls, rows: Rows, step: Array, rate: Array, velocity: Array) -> Motion:
-        """Motion of steps with their mean velocities, (rows,) each."""
-        step = np.where(step == 0.0, NO_STEP, step)
-        backward = (rate < 0).astype(np.intp)
-        return cls(rows, step, rate**2, backward, velocity, np.abs(velocity / step))
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Consecutive samples of a path in the order of their blocks.
-
-    Attributes
-    ----------
-    motion : Motion
-    blocks : Blocks
-    own, turns : slice
-        The trace's samples and the turning points that are in the piece.
-    own_place, turns_place : int
-        Their rows.
-    """
-
-    motion: Motion
-    blocks: Blocks
-    own: slice
-    own_place: Rows
-    turns: slice
-    turns_place: Rows
-
-    @classmethod
-    def of(cls, path: MotionPath, begin: int, end: int) -> Piece:
-        """The path's samples from `begin` to `end`."""
-        blocks = Blocks.of(end - begin)
-        rows = begin + blocks.order
-        motion = Motion.of(rows, path.step[rows], path.rate[rows], path.velocity[rows])
-        own, turns = (
-            slice(*np.searchsorted(samples, [begin, end]).tolist())
-            for samples in (path.samples, path.turning_points)
-        )
-        own_place = blocks.place[path.samples[own] - begin]
-        turns_place = blocks.place[path.turning_points[turns] - begin]
-        return cls(motion, blocks, own, own_place, turns, turns_place)
-
-
-@lru_cache(maxsize=8)
-def _pieces(path: MotionPath, length: int) -> list[Piece]:
-    """A path in pieces; a sampler asks for the same path again and again."""
-    samples = path.time.size
-    return [
-        Piece.of(path, begin, min(begin + length, samples)) for begin in range(0, samples, length)
-    ]
-
-
-def slip_force(friction: Friction, path: MotionPath) -> tuple[Array, Array]:
-    """Force F1 of the bristles that start undeflected.
-
-    F1 = σ0 z + σ1 ż + σ2 v with ż = v − σ0 |v| z / g(v). Between samples the velocity is
-    taken constant, so that Δx is exact and the equation for z linear (model.md section 2):
-
-        z_{n+1} = a_n z_n + (1 − a_n) sgn(Δx_n) g_n/σ0,   a_n = exp(−σ0 |Δx_n| / g_n)
-
-    The rate terms at sample n use the velocity of the path and the g of the step before it.
-
-    Returns
-    -------
-    (T, n) at the trace's samples, and (K, n) at the path's turning points, kip
-    """
-    n = friction.vectors
-    force = np.empty((path.samples.size, n))
-    at_turns = np.empty((path.turning_points.size, n))
-    z = np.zeros(n)
-    for piece in _pieces(path, max(PIECE // n, 1)):
-        slip, z = advance(friction, piece.motion, z, piece.blocks)
-        rows_of(slip, piece.own_place, out=force[piece.own])
-        at_turns[piece.turns] = slip[piece.turns_place]
-    return force, at_turns
-
-
-def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tuple[Array, Array]:
-    """Force F1 at some samples of a path, in the order of the blocks.
-
-    Parameters
-    ----------
-    friction : Friction
-    motion : Motion
-    z : (n,), in
-        Deflection of the bristles before the first step.
-    blocks : Blocks
-
-    Returns
-    -------
-    (rows, n), kip, scratch, and the deflection after the last step, (n,), in
-    """
-    exponent, decay, state, work = scratch(4, blocks.rows, friction.vectors)
-    varying = friction.varying
-    now, midway = friction, friction
-    if varying:
-        now, midway = friction.at(motion.rows), friction.midway(motion.rows)
-    steady = _steady_deflection(midway, motion, out=state, work=work)
-    # a = exp(−|Δx|/|steady|); both are negative backwards
-    np.divide(-motion.step[:, None], steady, out=exponent)
-    np.exp(exponent, out=decay)
-    blocks.relax(decay, state, z)
-    last = state[blocks.place[-1]].copy()
-    # F1 = (σ0 − σ1 |v|/|steady|) z + (σ1 + σ2) v
-    force = exponent
-    if varying:
-        force *= _unrelaxed(now, exponent / motion.step[:, None] * state)
-    force *= outer(motion.share, now.sigma1[0], out=decay)
-    force = force + now.sigma0 if varying else add_row(now.sigma0[0], force)
-    force *= state
-    return add_outer(motion.velocity, (now.sigma1 + now.sigma2)[0], force), last
-
-
-def _steady_deflection(friction: Friction, motion: Motion, out: Array, work: Array) -> Array:
-    """Deflection towards which steps drive the bristles, sgn(v) g(v)/σ0, (rows, n), in.
-
-    g is the Stribeck curve F_c + (F_s − F_c) exp(−(v/v_s)²).
-    """
-    stiffness = np.maximum(friction.sigma0, FLOOR)
-    kinetic, excess = [], []
-    for stiff, static, least in (
-        (stiffness, friction.Fs_fwd, np.maximum(friction.Fc_fwd, FLOOR)),
-        (-stiffness, friction.Fs_bwd, np.maximum(friction.Fc_bwd, FLOOR)),
-    ):
-        kinetic.append(least / stiff)
-        excess.append(np.maximum(static - least, 0.0) / stiff)
-    outer(motion.square, -1.0 / friction.v_s[0] ** 2, out=out)
-    np.exp(out, out=out)
-    out *= _directed(excess, motion.backward, work)
-    out += _directed(kinetic, motion.backward, work)
-    return out
-
-
-def _directed(sides: list[Array], backward: Rows, out: Array) -> Array:
-    """The value forward or backward, as each row moves, (rows, n)."""
-    if max(map(len, sides)) > 1:
-        return np.where(backward[:, None], sides[1], sides[0])
-    return rows_of(np.concatenate(sides), backward, out=out)
-
-
-def _unrelaxed(friction: Friction, share: Array) -> Array:
-    """Factor that bounds σ0 |z|/g, which has no bound where actuation fell at rest, (rows, n).
-
-    Under constant actuation it is at most the largest static over the least kinetic friction.
-    """
-    static = np.maximum(friction.Fs_fwd, friction.Fs_bwd)
-    kinetic = np.minimum(friction.Fc_fwd, friction.Fc_bwd)
-    most = np.maximum(static, FLOOR) / np.maximum(kinetic, FLOOR)
-    factor: Array = np.minimum(1.0, most / np.maximum(np.abs(share), 1e-300))
-    return factor
+    def start(
+        self,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        *,
+        direction: int | None = None,
+        reference_actuation: float | None = None,
+    ) -> State:
+        """State before the first sample of a motion; see `ThreeStage.start`."""
+        friction = friction_of(check_theta(self, theta))
+        damper = Damper(friction, direction=direction, reference=reference_actuation)
+        return State.at_rest(damper)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.bristles import Friction, Motion, advance
 from mfd_bayes.friction.gap import Crossing, Gap, begin, blend, turn
-from mfd_bayes.friction.lugre import Friction, Motion, advance
-from mfd_bayes.friction.model import ACTUATED, FRICTION_FORCES
+from mfd_bayes.friction.paper import ACTUATED, FRICTION_FORCES, PaperModel
 from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.records.motion import vertices
 
@@ -174,7 +174,7 @@ class State:
         return replace(self, direction=-self.direction, crossing=crossing)
 
 
-class Stepped:
+class Stepped(PaperModel):
     """What the models whose states are these have in common."""
 
     def step(

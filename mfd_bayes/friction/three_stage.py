@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.bristles import PIECE, friction_of, slip_force
 from mfd_bayes.friction.gap import Gap, blend, follow, travel
-from mfd_bayes.friction.lugre import PIECE, friction_of, slip_force
-from mfd_bayes.friction.model import UNITS, actuate, check_theta
+from mfd_bayes.friction.paper import PARAMETERS, actuate, check_theta, quantities_of
+from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.records.trace import Trace
 
@@ -22,9 +24,11 @@ Array = NDArray[np.float64]
 class ThreeStage(Stepped):
     """Friction damper with a gap (Cao et al., Eqs. 1 to 4; model.md sections 2 to 4)."""
 
-    name: str = "three_stage"
-    parameters: tuple[str, ...] = tuple(UNITS)
-    has_gap: bool = True
+    name: ClassVar[str] = "three_stage"
+    parameters: ClassVar[tuple[str, ...]] = PARAMETERS
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_of(PARAMETERS)
+    has_gap: ClassVar[bool] = True
+    keeps_prior: ClassVar[tuple[str, ...]] = ("gamma1",)  # only ℓ = γ2/γ1 reaches the force
 
     def force(
         self,
@@ -34,28 +38,7 @@ class ThreeStage(Stepped):
         *,
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
-        """Force of every parameter vector.
-
-        Parameters
-        ----------
-        theta : (n, 14)
-            Columns as in `parameters`, in internal units.
-        trace : Trace
-        start : (n,) or scalar, 1, optional
-            Travel in the gap at the first sample over the gap's width; ½ when left out.
-        scales : mapping of (n, T) or (1, T), optional
-            Factors along the record of the parameters that follow the actuation; by default
-            friction in proportion to a varying actuation.
-
-        Returns
-        -------
-        (n, T), kip
-
-        Raises
-        ------
-        FitError
-            When theta does not fit or holds values that no damper has.
-        """
+        """Force of every parameter vector (n, 14), (n, T), kip; see `Model.force`."""
         columns = check_theta(self, theta)
         n = columns["k2"].shape[1]
         w0 = _check_start(start, n)
@@ -65,10 +48,14 @@ class ThreeStage(Stepped):
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel u since the last slip of every parameter vector, (n, T), in.
 
-        Arguments as in `force`. From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
+        From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
         """
         columns = check_theta(self, theta)
         return travel(_gap(columns), trace.path, _check_start(start, columns["k2"].shape[1])).T
+
+    def gap(self, values: Mapping[str, Array]) -> Array:
+        """Width of the gap, D = d2 + d3, (n,), in."""
+        return values["d2"] + values["d3"]
 
     def start(
         self,

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.calibration.quantities import UNITS
+from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
@@ -156,7 +156,7 @@ def _infer_population(
     population = joint.population
     for name, draws in zip(results, joint.tests, strict=True):
         file = out / pooled_of(name)
-        save_test_draws(file, population.layout, draws, UNITS, name)
+        save_test_draws(file, population.layout, draws, units(), name)
     save_population(out / POPULATION, population)
     manifest["law_scores"] = [asdict(score) for score in inference.scores]
     manifest["free_exponents"] = inference.exponents

@@ -20,8 +20,10 @@ from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign.file import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import ModelName
 from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
+from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.predict import setting_of
 from mfd_bayes.records.record import Record, hash_file
@@ -150,22 +152,16 @@ def plan_campaign(path: Path, options: Options) -> Plan:
 
 
 def _laws(campaign: Campaign) -> dict[str, str]:
-    """Law of each quantity that follows the actuation; F_s follows F_c's by construction."""
-    chosen = dict(campaign.laws.model_dump())
-    for side in ("fwd", "bwd"):
-        own = chosen.pop(f"Fy_{side}")
-        if campaign.model == "bouc_wen":
-            chosen[f"Fy_{side}"] = own or chosen[f"Fc_{side}"]
-    for side in ("fwd", "bwd"):
-        if chosen[f"Fs_{side}"] != chosen[f"Fc_{side}"]:
-            raise CampaignError(
-                f"laws.Fs_{side} in {campaign.path} must be that of Fc_{side} "
-                f"({chosen[f'Fc_{side}']!r}), since F_s = F_c (1 + excess); "
-                f"got {chosen[f'Fs_{side}']!r}"
-            )
-    laws = {name: law for name, law in chosen.items() if not name.startswith("Fs")}
-    laws |= {name.replace("Fc", "Fy"): law for name, law in laws.items() if "Fc" in name}
-    return laws
+    """Law of each quantity that follows the actuation."""
+    laws = campaign.laws
+    for model in models.MODELS.values():
+        for name, followed in model.tied_laws.items():
+            if laws[name] != laws[followed]:
+                raise CampaignError(
+                    f"laws.{name} in {campaign.path} must be that of {followed} "
+                    f"({laws[followed]!r}), since {name} follows {followed}; got {laws[name]!r}"
+                )
+    return {name: laws[name] for name in default_laws()}
 
 
 def _read(campaign: Campaign, test: Test) -> Record:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
+
+from mfd_bayes.friction import models
 
 Array = NDArray[np.float64]
 
@@ -49,15 +52,22 @@ LAWS = {
 COMPARE = "compare"
 """In place of a law: all of them, weighed by how well they predict levels that were left out."""
 
-PAPER = {
-    "Fc_fwd": "proportional",
-    "Fc_bwd": "proportional",
-    "sigma0": "affine",
-    "Fy_fwd": "proportional",
-    "Fy_bwd": "proportional",
-}
-"""The paper's choice, for Bouc-Wen's yield force as for friction. Static friction follows
-kinetic friction's law, F_s = F_c (1 + excess)."""
+
+def default_laws() -> dict[str, str]:
+    """Law of every sampled quantity that follows the actuation: the paper's, by its model."""
+    return {name: law for m in models.MODELS.values() for name, law in m.laws.items()}
+
+
+def complete_laws(given: Mapping[str, str]) -> dict[str, str]:
+    """Law of every name that may have one in a campaign: the given one, or the default."""
+    laws: dict[str, str] = {}
+    for model in models.MODELS.values():
+        for name, default in model.laws.items():
+            other = model.laws_from.get(name, "")
+            laws[name] = given.get(name, laws.get(other, default))
+        for name, followed in model.tied_laws.items():
+            laws[name] = given.get(name, model.laws[followed])
+    return laws
 
 
 def shapes_of(law: str) -> tuple[str, ...]:

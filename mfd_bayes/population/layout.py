@@ -11,15 +11,21 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.quantities import known_quantities
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.coordinates import Coordinates
-from mfd_bayes.population.laws import COMPARE, LAWS, PAPER, log_prior, ratio, shapes_of, value_of
+from mfd_bayes.population.laws import (
+    COMPARE,
+    LAWS,
+    default_laws,
+    log_prior,
+    ratio,
+    shapes_of,
+    value_of,
+)
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
-
-OWN = frozenset({"start", "noise_dof"})
-"""Quantities of a test by itself, that no other test tells of."""
 
 SAME_LEVEL = 0.01
 """Tests whose actuation differs by less than this share are at one level."""
@@ -299,8 +305,9 @@ def lay_out(
     FitError
         When a law needs what there is not: a positive quantity, or positive actuations.
     """
-    pooled = tuple(n for n in names if n not in OWN)
-    chosen = {n: law for n, law in (PAPER | dict(laws or {})).items() if n in pooled}
+    quantities = known_quantities()
+    pooled = tuple(n for n in names if n not in quantities or quantities[n].pooled)
+    chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in pooled}
     for name in chosen:
         prior = priors.parameters[name]
         if prior.lower != 0.0 or np.isfinite(prior.upper):

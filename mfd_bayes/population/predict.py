@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.likelihood import Noise
-from mfd_bayes.calibration.posterior import theta_of
+from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
@@ -138,7 +137,7 @@ def predict(
         source = "population laws" + (" with scatter" if scattered else "")
     values |= _unknown(population, forecast.draws, rng)
     with np.errstate(over="ignore", invalid="ignore"):  # it is refused right below
-        theta = theta_of(model, values)
+        theta = model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
         force = model.force(
             theta,
@@ -147,7 +146,7 @@ def predict(
             scales=_scales(population, trace, index) if trace.varying else None,
         )
         if forecast.kind == "observation":
-            travel = model.travel(theta, trace, values.get("start")) if noise.staged else None
+            travel = model.travel(theta, trace, values.get("start")) if noise.needs_travel else None
             force = force + values["offset"][:, None] + noise.draw(rng, trace.time, values, travel)
     check_magnitude("the predicted force", force)
     return band_of(trace.time, force, forecast.kind, forecast.probability, source, values)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from mfd_bayes.calibration.priors import KINDS
+from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.layout import Layout
@@ -22,7 +22,7 @@ _FARTHEST = 1e6
 """Prior units or logarithms beyond which nothing is drawn."""
 
 _Near = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
-_Name = Annotated[str, AfterValidator(lambda name: _known(name, KINDS))]
+_Name = Annotated[str, AfterValidator(lambda name: _known(name, sampled_quantities()))]
 _Law = Annotated[str, AfterValidator(lambda name: _known(name, LAWS))]
 _Covariate = Literal["velocity", "amplitude"]
 

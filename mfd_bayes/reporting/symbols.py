@@ -7,49 +7,11 @@ import unicodedata
 
 from markupsafe import Markup, escape
 
-# name: (mathtext, HTML, what it is)
+from mfd_bayes.calibration.quantities import known_quantities
+
+# Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {
-    "sigma0": (r"\sigma_0", "σ<sub>0</sub>", "aggregate bristle stiffness"),
-    "sigma1": (r"\sigma_1", "σ<sub>1</sub>", "micro-damping"),
-    "sigma2": (r"\sigma_2", "σ<sub>2</sub>", "viscous friction"),
-    "Fs_fwd": (r"F_{s,\mathrm{fwd}}", "F<sub>s,fwd</sub>", "static friction, forward"),
-    "Fc_fwd": (r"F_{c,\mathrm{fwd}}", "F<sub>c,fwd</sub>", "kinetic friction, forward"),
-    "Fs_bwd": (r"F_{s,\mathrm{bwd}}", "F<sub>s,bwd</sub>", "static friction, backward"),
-    "Fc_bwd": (r"F_{c,\mathrm{bwd}}", "F<sub>c,bwd</sub>", "kinetic friction, backward"),
-    "static_excess_fwd": (
-        r"F_s/F_c - 1,\ \mathrm{fwd}",
-        "(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>fwd</sub>",
-        "excess of static over kinetic friction, forward",
-    ),
-    "static_excess_bwd": (
-        r"F_s/F_c - 1,\ \mathrm{bwd}",
-        "(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>bwd</sub>",
-        "excess of static over kinetic friction, backward",
-    ),
-    "k2": ("k_2", "k<sub>2</sub>", "stiffness of stage 2"),
-    "k3": ("k_3", "k<sub>3</sub>", "stiffness of stage 3"),
-    "d2": ("d_2", "d<sub>2</sub>", "drum travel of stage 2"),
-    "d3": ("d_3", "d<sub>3</sub>", "drum travel of stage 3"),
     "gap": ("D", "D", "width of the gap, d2 + d3"),
-    "gamma1": (r"\gamma_1", "γ<sub>1</sub>", "transition constant"),
-    "gamma2": (r"\gamma_2", "γ<sub>2</sub>", "transition constant"),
-    "ell": (r"\ell = \gamma_2/\gamma_1", "ℓ = γ<sub>2</sub>/γ<sub>1</sub>", "transition length"),
-    "v_s": (r"\dot x_s", "ẋ<sub>s</sub>", "Stribeck velocity"),
-    "k": ("k", "k", "stiffness of Bouc-Wen hysteresis"),
-    "alpha": (r"\alpha", "α", "share of the stiffness that remains in slip"),
-    "Fy_fwd": (r"F_{y,\mathrm{fwd}}", "F<sub>y,fwd</sub>", "yield force, forward"),
-    "Fy_bwd": (r"F_{y,\mathrm{bwd}}", "F<sub>y,bwd</sub>", "yield force, backward"),
-    "beta": (r"\beta", "β", "shape of the unloading"),
-    "exponent": ("n", "n", "sharpness of the knee"),
-    "c": ("c", "c", "viscous damping of Bouc-Wen hysteresis"),
-    "offset": ("F_0", "F<sub>0</sub>", "offset of the load cell"),
-    "start": ("w_0", "w<sub>0</sub>", "place in the gap at the first sample"),
-    "noise_sd": ("s", "s", "standard deviation of the noise"),
-    "noise_time": (r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise"),
-    "noise_dof": (r"\nu", "ν", "degrees of freedom of the noise"),
-    "noise_build": ("s_b", "s<sub>b</sub>", "added noise where the force builds up"),
-    "noise_fade": (r"\lambda", "λ", "slip over which the added noise fades"),
-    "noise_build_time": (r"\tau_b", "τ<sub>b</sub>", "correlation time of the added noise"),
     "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
     "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
     "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),
@@ -89,23 +51,31 @@ _POOLED = {
 }
 
 
+def _written(name: str) -> tuple[str, str, str]:
+    """Symbol of a quantity in mathtext and HTML, and what it is; "" each of an unknown name."""
+    quantity = known_quantities().get(name)
+    if quantity is not None:
+        return quantity.maths, quantity.html, quantity.meaning
+    return _SYMBOLS.get(name, ("", "", ""))
+
+
 def maths(name: str) -> str:
     """Symbol of a quantity in the maths that LaTeX and matplotlib share, "" if there is none."""
-    return _SYMBOLS[name][0] if name in _SYMBOLS else ""
+    return _written(name)[0]
 
 
 def in_figure(name: str) -> str:
     """Symbol of a quantity as matplotlib writes it; an unknown name as plain text."""
-    if name in _SYMBOLS:
-        return f"${_SYMBOLS[name][0]}$"
+    if symbol := maths(name):
+        return f"${symbol}$"
     word, of, more = of_population(name)
     return f"{word} {in_figure(of)}{more}" if word else plain(name.replace("_", " "))
 
 
 def in_html(name: str) -> Markup:
     """Symbol of a quantity as HTML; an unknown name escaped."""
-    if name in _SYMBOLS:
-        return Markup(_SYMBOLS[name][1])
+    if symbol := _written(name)[1]:
+        return Markup(symbol)
     shown = printable(name)
     word, of, more = of_population(shown)
     return escape(word + " ") + in_html(of) + more if word else escape(shown.replace("_", " "))
@@ -113,8 +83,8 @@ def in_html(name: str) -> Markup:
 
 def meaning(name: str) -> str:
     """What a quantity is, "" where that is not known."""
-    if name in _SYMBOLS:
-        return _SYMBOLS[name][2]
+    if known := _written(name)[2]:
+        return known
     prefix, of, more = _parts(name)
     if not prefix:
         return ""

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.likelihood import memory
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
@@ -92,8 +91,7 @@ def _log_likelihood(
     residual = np.asarray(posterior.trace.force) - values["offset"][:, None]
     residual -= posterior.force(values)
     travel = posterior.travel(values)
-    decay, scale = memory(
-        posterior.noise,
+    decay, scale = posterior.noise.memory(
         posterior.trace.time[kept],
         values,
         None if travel is None else travel[:, kept],
@@ -120,7 +118,7 @@ def conditional_density(
     ----------
     residual : (n, T), kip
     decay, scale : (n, T)
-        From `memory`.
+        From `Noise.memory`.
     starts : (C,)
         First sample of each block, the first of them 0; a block ends where the next begins.
     dof : (n,), optional

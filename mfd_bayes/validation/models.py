@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
-from mfd_bayes.campaign.schema import ModelName
 from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.friction import models
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.cycles import find_cycles
 from mfd_bayes.validation.loo import (
@@ -61,7 +60,7 @@ class _Score:
     spread: float  # of the measured force about its mean, kip²
 
 
-def check_models(names: Sequence[str]) -> tuple[ModelName, ...]:
+def check_models(names: Sequence[str]) -> tuple[str, ...]:
     """Names of two models or more, in their own order.
 
     Raises
@@ -69,7 +68,7 @@ def check_models(names: Sequence[str]) -> tuple[ModelName, ...]:
     CampaignError
         When one is unknown or named twice, or there are fewer than two.
     """
-    known = get_args(ModelName)
+    known = tuple(models.MODELS)
     wrong = [name for name in names if name not in known]
     if wrong or len(set(names)) < max(len(names), 2):
         got = ", ".join(map(repr, names)) or "nothing"

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.likelihood import NOISES
-from mfd_bayes.calibration.posterior import Posterior, theta_of
+from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.errors import FitError, PriorError
@@ -57,7 +57,7 @@ def test_likelihood_is_that_of_the_model_computed_by_hand(model, noise, start):
     q = points(posterior, 3)
     values = posterior.values(q)
     place = values["start"] if model == "three_stage" else None
-    force = posterior.model.force(theta_of(posterior.model, values), TRACE, place)
+    force = posterior.model.force(posterior.model.theta(values), TRACE, place)
     residual = FORCE - values["offset"][:, None] - force
     np.testing.assert_allclose(posterior.residual(q), residual, rtol=1e-12, atol=1e-12)
     first = posterior.first

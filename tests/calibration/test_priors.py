@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from mfd_bayes.calibration.families import FAMILIES
 from mfd_bayes.calibration.prior_files import find_priors, load_priors
-from mfd_bayes.calibration.priors import FAMILIES, KINDS, Prior
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import PriorError
 
 SHIPPED = sorted(p.stem for p in (Path(__file__).parents[2] / "priors").glob("*.toml"))
@@ -235,7 +237,7 @@ def test_a_number_with_thousands_of_digits_is_refused(tmp_path):
 def test_shipped_priors_are_complete_and_say_why(name):
     file = load_priors(name)
     assert file.title
-    assert set(file.parameters) == set(KINDS)
+    assert set(file.parameters) == set(sampled_quantities())
     for entries in (file.parameters, file.scatter):
         assert all(len(entry.reason) > 5 for entry in entries.values())
     scattered = [member for scatter in file.scatter.values() for member in scatter.parameters]

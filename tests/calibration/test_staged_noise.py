@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration import likelihood
-from mfd_bayes.calibration.likelihood import NOISES
-from mfd_bayes.calibration.posterior import Posterior, theta_of
+from mfd_bayes.calibration import staged_noise
+from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.baselines import LuGre
+from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 
@@ -52,7 +52,7 @@ def covariance(i, time, travel):
 @pytest.mark.parametrize("time", [UNIFORM, IRREGULAR], ids=["uniform", "irregular"])
 @pytest.mark.parametrize("piece", [1 << 15, 24], ids=["one piece", "pieces"])
 def test_the_density_is_that_of_its_gaussian_process(time, piece, monkeypatch):
-    monkeypatch.setattr(likelihood, "PIECE", piece)
+    monkeypatch.setattr(staged_noise, "PIECE", piece)
     rng = np.random.default_rng(1)
     travel = travels(rng, time)
     residual = 0.2 * rng.normal(size=(3, time.size))
@@ -78,7 +78,7 @@ def test_without_build_up_it_is_ornstein_uhlenbeck():
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 5, 8, 9, 24])
 def test_records_of_any_length_have_their_density(samples, monkeypatch):
-    monkeypatch.setattr(likelihood, "PIECE", 24)  # pieces of 8 samples
+    monkeypatch.setattr(staged_noise, "PIECE", 24)  # pieces of 8 samples
     rng = np.random.default_rng(4)
     time = UNIFORM[:samples]
     travel, residual = travels(rng, time), 0.2 * rng.normal(size=(3, samples))
@@ -155,7 +155,7 @@ def test_travel_grows_from_each_slip_and_retraces_inside_the_gap():
     trace = motion()
     values = {name: np.array([value]) for name, value in THETA.items()}
     model = ThreeStage()
-    travel = model.travel(theta_of(model, values), trace, np.array([0.5]))[0]
+    travel = model.travel(model.theta(values), trace, np.array([0.5]))[0]
     x = trace.displacement
     np.testing.assert_allclose(travel[:50], 0.5 * 0.14 + x[:50], atol=1e-12)
     np.testing.assert_allclose(travel[51:100], 1.0 - x[51:100], atol=1e-12)
@@ -187,7 +187,7 @@ def test_a_posterior_prefers_staged_noise_for_a_record_that_rings():
         "noise_build_time": np.array([0.02]),
     }
     model = ThreeStage()
-    theta = theta_of(model, values)
+    theta = model.theta(values)
     travel = model.travel(theta, blank, 0.5)
     force = model.force(theta, blank, 0.5) + STAGED.draw(rng, time, values, travel)
     trace = Trace.from_arrays(time, x, 0.8, force[0])

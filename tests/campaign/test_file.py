@@ -59,8 +59,8 @@ def test_the_defaults_are_the_papers(folder):
     assert campaign.title == "c"
     assert (campaign.priors, campaign.model, campaign.noise) == ("mfd", "three_stage", "ou")
     assert (campaign.rate, campaign.start, campaign.area) == (None, "sample", None)
-    assert campaign.laws.Fc_fwd == campaign.laws.Fs_bwd == "proportional"
-    assert campaign.laws.sigma0 == "affine"
+    assert campaign.laws["Fc_fwd"] == campaign.laws["Fs_bwd"] == "proportional"
+    assert campaign.laws["sigma0"] == "affine"
     assert campaign.actuation_unit == "ksi"
     (test,) = campaign.tests
     assert (test.id, test.path, test.role) == ("p500_f0.05", folder / "a.csv", "calibrate")
@@ -90,7 +90,7 @@ def test_everything_can_be_said(folder):
     assert (campaign.title, campaign.rate, campaign.start) == ("Brake", 64, "mask")
     assert campaign.area == pytest.approx(1)
     assert campaign.priors == "my/priors.toml"
-    assert campaign.laws.Fc_fwd == "compare"
+    assert campaign.laws["Fc_fwd"] == "compare"
     assert campaign.dependence == {"sigma0": ("velocity", "amplitude")}
     first, other = campaign.tests
     assert (first.session, other.session) == ("", "Monday")

@@ -3,8 +3,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.baselines import LuGre
-from mfd_bayes.friction.lugre import Friction, slip_force
+from mfd_bayes.friction.bristles import Friction, slip_force
+from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.records.trace import Trace
 
 VALUES = {

@@ -2,15 +2,16 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.baselines import LuGre
-from mfd_bayes.friction.model import ACTUATED, UNITS, check_theta, travel_since_turn
+from mfd_bayes.friction.lugre import LuGre
+from mfd_bayes.friction.model import travel_since_turn
+from mfd_bayes.friction.paper import ACTUATED, PARAMETERS, check_theta
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 
 MODEL = ThreeStage()
 VALUES = dict(
     zip(
-        UNITS,
+        PARAMETERS,
         (60.0, 0.02, 0.01, 2.4, 2.0, 1.9, 1.5, 0.5, 30.0, 0.1, 0.08, 1.0, 0.005, 0.5),
         strict=True,
     )
@@ -28,12 +29,13 @@ def motion(**options):
 
 
 def test_units_are_those_of_kip_inch_and_second():
+    units = {quantity.name: quantity.unit for quantity in MODEL.quantities}
     # a stiffness times a length, a damping times a speed and a force are all in kip
-    assert {UNITS[name] for name in ("sigma0", "k2", "k3")} == {"kip/in"}
-    assert {UNITS[name] for name in ("sigma1", "sigma2")} == {"kip*s/in"}
-    assert {UNITS[name] for name in ("Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd")} == {"kip"}
-    assert {UNITS[name] for name in ("d2", "d3", "gamma2")} == {"in"}
-    assert (UNITS["gamma1"], UNITS["v_s"]) == ("1", "in/s")
+    assert {units[name] for name in ("sigma0", "k2", "k3")} == {"kip/in"}
+    assert {units[name] for name in ("sigma1", "sigma2")} == {"kip*s/in"}
+    assert {units[name] for name in ("Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd")} == {"kip"}
+    assert {units[name] for name in ("d2", "d3", "gamma2")} == {"in"}
+    assert (units["gamma1"], units["v_s"]) == ("1", "in/s")
 
 
 @pytest.mark.parametrize("name", POSITIVE)
@@ -42,7 +44,7 @@ def test_what_the_model_divides_by_must_be_positive(name):
         check_theta(MODEL, theta(**{name: 0.0}))
 
 
-@pytest.mark.parametrize("name", [name for name in UNITS if name not in POSITIVE])
+@pytest.mark.parametrize("name", [name for name in PARAMETERS if name not in POSITIVE])
 def test_everything_else_may_be_zero_and_not_less(name):
     pair = {"Fs_fwd": "Fc_fwd", "Fs_bwd": "Fc_bwd"}
     zero = {name: 0.0} | ({pair[name]: 0.0} if name in pair else {})

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.baselines import LuGre
+from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.likelihood import find_noise
+from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.three_stage import ThreeStage

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.likelihood import find_noise
+from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.laws import COMPARE

@@ -2,12 +2,12 @@ import math
 
 import pytest
 
-from mfd_bayes.friction.model import UNITS
+from mfd_bayes.calibration.quantities import known_quantities
 from mfd_bayes.reporting import symbols
 
 
-@pytest.mark.parametrize("name", UNITS)
-def test_every_parameter_has_the_papers_symbol(name):
+@pytest.mark.parametrize("name", known_quantities())
+def test_every_quantity_has_a_symbol(name):
     assert symbols.in_figure(name).startswith("$")
     assert symbols.in_html(name)
     assert symbols.meaning(name)

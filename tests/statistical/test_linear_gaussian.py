@@ -1,7 +1,6 @@
 """The whole way from posterior to draws, on a posterior that is known in closed form."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +11,21 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.sampling import Draws, sample
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
 NOISE = 0.2
 
 
-@dataclass(frozen=True)
-class Linear:
+class Linear(Model):
     """A spring and a dashpot: linear in its parameters."""
 
-    name: str = "linear"
-    parameters: tuple[str, ...] = ("sigma2", "k2")
-    has_gap: bool = False
+    name = "linear"
+    quantities = (
+        Quantity("sigma2", "damping", "c", "c", "dashpot", least=-np.inf),
+        Quantity("k2", "stiffness", "k", "k", "spring", least=-np.inf),
+    )
 
     def force(
         self,

@@ -6,11 +6,13 @@ import sys
 import numpy as np
 import pytest
 
-from mfd_bayes.friction.model import UNITS
+from mfd_bayes.calibration.quantities import units
+from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import CalibratedTest, save_test
 
 NAMES = ("Fc_fwd", "k3", "gamma2")
+UNITS = {name: units()[name] for name in ThreeStage().parameters}
 
 # What the user types; only what ArviZ says of its own future is not minded.
 SESSION = """\

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from mfd_bayes.calibration.quantities import units
 from mfd_bayes.errors import StoreError
-from mfd_bayes.friction.model import UNITS
+from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import sweep
 from mfd_bayes.store.files import (
@@ -30,6 +31,7 @@ from mfd_bayes.store.netcdf import (
 )
 
 RNG = np.random.default_rng(0)
+UNITS = {name: units()[name] for name in ThreeStage().parameters}
 TIME = np.arange(0, 4, 0.02)
 MOTION = np.sin(2 * np.pi * 0.5 * TIME)
 TRACE = Trace.from_arrays(TIME, MOTION, actuation=0.8, force=np.sign(MOTION), velocity=np.cos(TIME))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from mfd_bayes.calibration.likelihood import NOISES, memory
+from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError
@@ -42,7 +42,7 @@ def noise_of(name, time, seed=1):
     if name == "student_t":
         values |= {"noise_dof": VALUES["noise_dof"]}
     residual = rng.normal(0, 0.3, (2, time.size))
-    return residual, travel, values, memory(NOISES[name], time, values, travel)
+    return residual, travel, values, NOISES[name].memory(time, values, travel)
 
 
 def dense(decay, scale):

@@ -12,7 +12,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.baselines import BoucWen
+from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import comparison_csv
 from mfd_bayes.validation import models as comparison
