@@ -6,6 +6,7 @@ from mfd_bayes.population.laws import (
     COMPARE,
     LAWS,
     SENSITIVITY,
+    complete_laws,
     default_laws,
     draw_shape,
     log_prior,
@@ -121,3 +122,10 @@ def test_the_papers_laws_are_known():
 def test_an_actuation_beyond_all_range_has_a_ratio():
     found = ratio(np.array([1e10]), np.array([1.0]), np.array([40.0]))
     assert np.all(np.isfinite(found))
+
+
+def test_the_yield_force_follows_frictions_law_where_it_has_none_of_its_own():
+    assert complete_laws({"Fc_fwd": "power"})["Fy_fwd"] == "power"
+    chosen = complete_laws({"Fc_fwd": "power", "Fy_fwd": "affine"})
+    found = chosen["Fc_fwd"], chosen["Fy_fwd"], chosen["Fy_bwd"]
+    assert found == ("power", "affine", "proportional")
