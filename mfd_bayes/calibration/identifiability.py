@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
+from scipy.stats import rankdata
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
@@ -189,20 +190,13 @@ def find_directions(names: tuple[str, ...], prior_sd: Array, draws: Array) -> Di
 def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:
     """Pairs whose posterior draws (n, dim) have a rank correlation of ±0.7 or beyond."""
     with np.errstate(invalid="ignore"):  # of draws that never moved none is known
-        correlation = np.atleast_2d(np.corrcoef([_ranks(column) for column in draws.T]))
+        correlation = np.atleast_2d(np.corrcoef(rankdata(draws, axis=0), rowvar=False))
     pairs = [
         Pair(names[i], names[j], float(correlation[i, j]))
         for i, j in itertools.combinations(range(len(names)), 2)
         if abs(correlation[i, j]) >= TRADE_OFF
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.correlation)))
-
-
-def _ranks(column: Array) -> Array:
-    """Ranks of draws; those that a rejected step repeats share theirs."""
-    ordered = np.sort(column)
-    below, up_to = (np.searchsorted(ordered, column, side=side) for side in ("left", "right"))
-    return np.asarray(0.5 * (below + up_to), dtype=np.float64)
 
 
 def measure_sensitivity(

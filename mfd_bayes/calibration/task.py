@@ -54,6 +54,16 @@ class Task:
         """Nothing of the run folder."""
         return ()
 
+    def posterior(self) -> Posterior:
+        """Posterior of the test.
+
+        Raises
+        ------
+        MfdError
+            When it cannot be made: no force, a name that is unknown, or a prior that is missing.
+        """
+        return Posterior(self.trace, self.priors, self.noise, self.model, start=self.start)
+
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Calibrate the test into a run folder."""
         return calibrate_test(self, out, observe)
@@ -70,7 +80,7 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
     began = time.perf_counter()
     observe(Step(task.id, "finding modes"))
     try:
-        posterior = Posterior(task.trace, task.priors, task.noise, task.model, start=task.start)
+        posterior = task.posterior()
         draws = sample(
             posterior,
             task.effort,
@@ -83,49 +93,20 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
     except MfdError as error:
         observe(Step(task.id, State.FAILED, message=str(error)))
         return Outcome(task.id, State.FAILED, time.perf_counter() - began, str(error))
-    seconds = time.perf_counter() - began
-    worst = draws.convergence
-    observe(
-        Step(
-            task.id,
-            State.DONE,
-            Progress(
-                draws.chains.steps, draws.chains.steps, worst.worst_r_hat, worst.worst_ess, seconds
-            ),
-        )
-    )
+    seconds, steps = time.perf_counter() - began, draws.chains.steps
+    worst = draws.convergence.worst_r_hat, draws.convergence.worst_ess
+    observe(Step(task.id, State.DONE, Progress(steps, steps, *worst, seconds)))
     return Outcome(task.id, State.DONE, seconds)
 
 
 def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
-    chains = draws.chains
-    values = dict(draws.values)
-    for k, name in enumerate(posterior.model.parameters):
-        values[name] = draws.theta[..., k]
-    ordered = [n for n in (*posterior.model.parameters, *values) if n in values]
-    values = {name: values[name] for name in dict.fromkeys(ordered)}
-    rng = np.random.default_rng(task.seed)
+    """Store the draws of all quantities, the model's parameters first, with replicated records."""
+    values = {name: draws.theta[..., k] for k, name in enumerate(posterior.model.parameters)}
+    values |= {name: draws.values[name] for name in draws.values if name not in values}
     flat = {name: value.reshape(-1) for name, value in values.items()}
+    rng = np.random.default_rng(task.seed)
     replicas = replicate(posterior, flat, rng, REPLICAS * len(draws.q))
-    facts = {
-        "test": task.id,
-        "model": task.model,
-        "noise": task.noise,
-        "start": task.start,
-        "first": posterior.first,
-        "seed": task.seed,
-        "walkers": chains.walkers,
-        "steps": chains.steps,
-        "thin": chains.thin,
-        "discarded": chains.discarded,
-        "acceptance": chains.acceptance.tolist(),
-        "autocorrelation": dict(zip(draws.names, chains.autocorrelation.tolist(), strict=True)),
-        "modes": len(draws.modes),
-        "log_evidences": [mode.log_evidence for mode in draws.modes],
-        "mode_shares": draws.mode_shares.tolist(),
-        "convergence": _convergence(values, chains.walkers),
-        "wall_time": draws.wall_time,
-    }
+    facts = {"first": posterior.first, "convergence": _convergence(values, draws.chains.walkers)}
     stored = CalibratedTest(
         values=values,
         units=units(),
@@ -136,9 +117,31 @@ def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
         },
         trace=task.trace,
         predictive=replicas.observed.reshape(len(draws.q), -1, task.trace.samples),
-        facts=facts,
+        facts=_facts(task, draws) | facts,
     )
     save_test(path, stored)
+
+
+def _facts(task: Task, draws: Draws) -> dict[str, Any]:
+    """What is stored of the settings and of the sampling."""
+    chains = draws.chains
+    return {
+        "test": task.id,
+        "model": task.model,
+        "noise": task.noise,
+        "start": task.start,
+        "seed": task.seed,
+        "walkers": chains.walkers,
+        "steps": chains.steps,
+        "thin": chains.thin,
+        "discarded": chains.discarded,
+        "acceptance": chains.acceptance.tolist(),
+        "autocorrelation": dict(zip(draws.names, chains.autocorrelation.tolist(), strict=True)),
+        "modes": len(draws.modes),
+        "log_evidences": [mode.log_evidence for mode in draws.modes],
+        "mode_shares": draws.mode_shares.tolist(),
+        "wall_time": draws.wall_time,
+    }
 
 
 def _convergence(values: dict[str, Array], walkers: int) -> dict[str, list[float]]:
@@ -147,10 +150,7 @@ def _convergence(values: dict[str, Array], walkers: int) -> dict[str, list[float
     for name, draws in values.items():
         if np.ptp(draws) == 0:
             continue
-        figures = measure_draws(draws, walkers)
-        found[name] = [
-            float(figures.r_hat[0]),
-            float(figures.ess_bulk[0]),
-            float(figures.ess_tail[0]),
-        ]
+        measured = measure_draws(draws, walkers)
+        figures = measured.r_hat, measured.ess_bulk, measured.ess_tail
+        found[name] = [float(figure[0]) for figure in figures]
     return found

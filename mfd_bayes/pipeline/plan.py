@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.calibration.effort import find_effort
-from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign.file import Campaign, Test, load_campaign
@@ -104,7 +103,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         for test in campaign.tests
         if test.role == "calibrate"
     )
-    names = Posterior(tasks[0].trace, priors, campaign.noise, campaign.model).names
+    names = tasks[0].posterior().names
     sessions = {test.id: test.session for test in campaign.tests}
     under = [setting_of(task.trace, sessions[task.id]) for task in tasks]
     lay_out(priors, names, under, laws, campaign.dependence)
@@ -185,15 +184,8 @@ def _measured(record: Record, trace: Trace) -> dict[str, float | str]:
 def _task(
     campaign: Campaign, priors: PriorFile, test: Test, trace: Trace, options: Options
 ) -> Task:
-    posterior = Posterior(trace, priors, campaign.noise, campaign.model, start=campaign.start)
-    drawn = posterior.draw_prior(np.random.default_rng(0), 64)
-    if not np.any(np.isfinite(posterior.log_prob(posterior.coordinates(drawn)))):
-        raise FitError(
-            f"the priors of {priors.path.name} have no mass at any start for test {test.id!r}: "
-            "none of 64 prior draws gives a usable force"
-        )
     digest = hashlib.sha256(test.id.encode()).digest()
-    return Task(
+    task = Task(
         id=test.id,
         file=posterior_of(test.id),
         trace=trace,
@@ -204,3 +196,11 @@ def _task(
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
     )
+    posterior = task.posterior()
+    drawn = posterior.draw_prior(np.random.default_rng(0), 64)
+    if not np.any(np.isfinite(posterior.log_prob(posterior.coordinates(drawn)))):
+        raise FitError(
+            f"the priors of {priors.path.name} have no mass at any start for test {test.id!r}: "
+            "none of 64 prior draws gives a usable force"
+        )
+    return task

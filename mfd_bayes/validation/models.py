@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import CampaignError, FitError
@@ -84,9 +83,8 @@ def check_cycles(task: Task) -> None:
     FitError
         When its record has too few cycles.
     """
-    posterior = Posterior(task.trace, task.priors, task.noise, task.model, start=task.start)
     try:
-        find_cycles(task.trace, posterior.first)
+        find_cycles(task.trace, task.posterior().first)
     except FitError as error:
         raise FitError(f"test {task.id!r} cannot be compared: {error}") from error
 
