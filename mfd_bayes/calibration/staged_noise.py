@@ -21,7 +21,9 @@ _QUANTITIES = (
         *("noise_build", "force", "s_b", "s<sub>b</sub>"),
         "added noise where the force builds up",
     ),
-    Quantity("noise_fade", "displacement", r"\lambda", "λ", "slip over which the added noise fades"),
+    Quantity(
+        "noise_fade", "displacement", r"\lambda", "λ", "slip over which the added noise fades"
+    ),
     Quantity(
         *("noise_build_time", "time", r"\tau_b", "τ<sub>b</sub>"),
         "correlation time of the added noise",
