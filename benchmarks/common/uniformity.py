@@ -36,7 +36,7 @@ class Uniformity:
         self._null = np.sort(self._statistic(np.cumsum(bins, axis=1)[:, :-1]))
 
     def p_value(self, ranks: Sequence[int]) -> float:
-        """Chance that uniform ranks stray as far as these."""
+        """Probability that uniform ranks deviate at least as far as these."""
         found = self._statistic(self.counts(ranks)[None])[0]
         strays = np.searchsorted(self._null, found * (1.0 + 1e-9), side="right")
         return float((1 + strays) / (1 + self._null.size))

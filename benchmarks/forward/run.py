@@ -106,7 +106,7 @@ def _burst(run):
 
 
 def ratio(above, below):
-    """Median over the rounds that both ran in."""
+    """Median of the ratios of the rounds in which both ran."""
     both = min(len(above), len(below))
     return float(np.median(above[:both] / below[:both]))
 
@@ -192,7 +192,7 @@ def entrants(theta, trace, *, slow):
 
 
 def compare(theta, trace, *, slow, rounds):
-    """Race ours against the peers on a trace; print the table and give the bars that fell."""
+    """Time ours and the others on a trace, print the table; limits that were missed."""
     expected = MODEL.force(theta, trace, start=0.5)
     found = entrants(theta, trace, slow=slow)
     flat = {(name, way): c for name, ways in found.items() for way, c in ways.items()}
@@ -327,7 +327,7 @@ def table_records(quick, folder):
 
 
 def _turns_share(theta, trace, rounds):
-    """Print what the turning points cost, by comparisons that need no look inside.
+    """Print the share of turning points in the time, from times of whole forces.
 
     Sines of the record's number of samples and of one amplitude spend the same share of their
     samples in the gap whatever their frequency: they differ by their turning points alone. A

@@ -56,7 +56,7 @@ _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 @dataclass(frozen=True)
 class Ended:
-    """How an input ended: "result", "refused" or "finding", and what there is to say of it."""
+    """How an input ended: "result", "refused" or "finding", and the message."""
 
     number: int
     kind: str
@@ -112,7 +112,7 @@ class _Watch:
 
 
 def try_input(target: Target, path: Path, watch: _Watch) -> tuple[str, str]:
-    """Read a changed file: how that ended, and what there is to say of it."""
+    """Read a changed file: how that ended, and the message."""
     watch.seen.clear()
     watch.on = True
     try:
@@ -177,7 +177,7 @@ class _Worker:
     worked: float = 0.0
 
     def begin(self) -> None:
-        """Note when an input began."""
+        """Note the start time of an input."""
         self.since, self.worked = time.monotonic(), _processor_time(self.process.pid)
 
     def is_late(self, seconds: float) -> bool:

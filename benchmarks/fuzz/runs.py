@@ -1,4 +1,4 @@
-"""Run folders that are changed, with hashes that a stranger made anew, and what reads them."""
+"""Run folders that are damaged, with hashes computed again as a stranger could, and readers."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def seal(files: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def read_report(path: Path) -> object:
-    """All that `check` and `report` make of a run folder, but for its figures."""
+    """All that `check` and `report` compute from a run folder, without figures."""
     out = next(folder for folder in path.parents if (folder / MANIFEST).is_file())
     run = open_run(out)
     view = assess(run)
@@ -235,7 +235,7 @@ def read_population(path: Path) -> object:
 
 
 def read_resumed(path: Path) -> object:
-    """A run folder as it is gone on with."""
+    """A run folder, as `--resume` reads it."""
     plan = plan_of(small=True)
     effort_of(path.parent, None, resume=True)
     manifest, home = deepcopy(plan.manifest), plan.campaign.folder

@@ -81,7 +81,7 @@ class Target:
 
 
 def read_as_record(path: Path) -> object:
-    """All that is done with a file of a test before it is fitted."""
+    """Everything that is done with a test file before it is fitted."""
     table = read_table(path)
     for name in table.names[:4]:
         try:
@@ -107,7 +107,7 @@ def targets() -> tuple[Target, ...]:
 
 
 def few() -> tuple[Target, ...]:
-    """All but the whole run folders, which take a second each: for a look of some seconds."""
+    """All targets except whole run folders, which take a second for each input."""
     return tuple(target for target in targets() if target.share >= 0.002)
 
 
@@ -169,45 +169,45 @@ def controls() -> tuple[Target, ...]:
 
 
 def raises(path: Path) -> object:
-    """No sentence."""
+    """Raise an error that is no `MfdError`."""
     raise ValueError(path)
 
 
 def hangs(path: Path) -> object:
-    """No end."""
+    """Never end."""
     while path:
         time.sleep(0.01)
     return path
 
 
 def dies(path: Path) -> object:
-    """A signal."""
+    """End by a signal."""
     os.kill(os.getpid(), signal.SIGSEGV)
     return path
 
 
 def fills_memory(path: Path) -> object:
-    """More memory than there is."""
+    """Ask for more memory than the limit."""
     return bytes(2**31), path
 
 
 def writes_elsewhere(path: Path) -> object:
-    """A file beside the input's folder."""
+    """Write a file outside the input's folder."""
     return (path.parent.parent / "elsewhere").write_bytes(b"")
 
 
 def unpickles(path: Path) -> object:
-    """An object of the file's choosing."""
+    """Unpickle an object that the file chooses."""
     return pickle.loads(b"cos\ngetcwd\n(tR."), path
 
 
 def starts(path: Path) -> object:
-    """A program."""
+    """Start a program."""
     return subprocess.run(["true"], check=True), path
 
 
 def looks_up(path: Path) -> object:
-    """A key that a manifest need not have."""
+    """Read an optional key of a manifest as if it were always there."""
     return {"tests": path}["law_scores"]
 
 

@@ -60,7 +60,7 @@ missed: list[str] = []
 
 
 def bar(what: str, value: float, good: bool, limit: str) -> None:
-    """Print one bar, and keep in mind that it was missed."""
+    """Print one limit with its value, and note it if it was missed."""
     print(f"  {'holds ' if good else 'MISSED'}  {what}: {value:.3f} ({limit})")
     if not good:
         missed.append(what)

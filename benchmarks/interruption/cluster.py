@@ -65,7 +65,7 @@ def cluster(home: Path) -> Iterator[Cluster]:
 def disturb_cluster(
     kind: str, process: subprocess.Popen[str], own: Cluster, printed: Path, moment: float
 ) -> bool:
-    """Bring a loss upon a command that works on a cluster; whether it was in time."""
+    """Kill parts of a cluster while a command runs; whether the command was still running."""
     time.sleep(moment)
     if process.poll() is not None:
         return False
@@ -91,7 +91,7 @@ def disturb_cluster(
 
 
 def lose(process: subprocess.Popen[bytes]) -> None:
-    """Kill a process with all that it has started, as where its machine dies."""
+    """Kill a process with all its children, as when its machine dies."""
     while alive := of_session(process.pid):  # a nanny may just have started another
         for pid, _ in alive:
             with suppress(ProcessLookupError):

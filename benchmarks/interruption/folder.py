@@ -19,7 +19,7 @@ UNFINISHED = (" is not finished; finish it with: ", " is not a run folder: it ha
 
 @dataclass
 class Undisturbed:
-    """A campaign, the folder of a run of it that nothing befell, and how long that took."""
+    """A campaign, the folder of its undisturbed run, and how long that run took."""
 
     campaign: Path
     out: Path
@@ -31,7 +31,7 @@ class Undisturbed:
 
 @dataclass
 class Fault:
-    """A fault that is to come, and where."""
+    """A fault that will be caused: its kind, moment and run folder."""
 
     number: int
     kind: str

@@ -36,7 +36,7 @@ LIMIT = 1200.0
 
 @dataclass
 class Ended:
-    """How a command ended: its exit code, what it said, how long it took and left behind."""
+    """How a command ended: exit code, output, time, and processes left behind."""
 
     code: int
     printed: str
@@ -221,7 +221,7 @@ def content(path: Path) -> object:
 
 
 def differing(out: Path, reference: Path) -> list[str]:
-    """Files of a run folder that hold something else than the reference's; hidden ones aside."""
+    """Files of a run folder whose content differs from the reference's; without hidden files."""
     found = []
     for path in sorted(out.rglob("*")):
         if path.is_file() and not path.name.startswith("."):

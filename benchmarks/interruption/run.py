@@ -62,9 +62,9 @@ KINDS = (
     *("SIGINT", "SIGTERM", "SIGKILL", "worker", "disk", "read-only"),
     *("lost worker", ("all workers", "no workers"), "scheduler", "client"),
 )
-"""In turns; of two in brackets, one at a time."""
+"""Kinds of faults in turn; two in brackets alternate."""
 AT_A_TIME = 2
-"""Faults that are brought side by side; the undisturbed runs are made so too."""
+"""Number of runs at a time; the undisturbed runs are made in the same way."""
 QUIET = ("SIGKILL", "worker", "lost worker", "all workers", "client")  # not a word on stderr
 HEAD = (
     *("", "fault", "moment", "jobs", "exit", "orphans", "words", "said before", "looked at"),
@@ -75,7 +75,7 @@ WIDTHS = (3, 12, 13, 5, 5, 8, 6, 26, 11, 8, 10)
 
 @dataclass(frozen=True)
 class Plan:
-    """How many faults, of which kinds in turn, and the seed of their moments."""
+    """Number of faults, their kinds in turn, and the seed of their moments."""
 
     faults: int
     seed: int
@@ -84,7 +84,7 @@ class Plan:
 
 @dataclass
 class Found:
-    """What came of a fault: the end, the folder as it was left, and the resumed run."""
+    """Consequences of a fault: how the run ended, the state of its folder, the resumed run."""
 
     ended: Ended
     complete: bool
@@ -111,7 +111,7 @@ def run_on_cluster(campaign: Path, out: Path) -> tuple[float, Ended]:
 
 
 def prepare(home: Path) -> Undisturbed:
-    """Run the campaign here and on a cluster, and see that it makes no difference."""
+    """Run the campaign here and on a cluster, and check that both give the same."""
     campaign = harness.lay_out(home / "campaign")
     campaign.write_text(campaign.read_text().replace('"three_stage"', '"lugre"'))
     out, other = (home / name / "disk" / "out" for name in ("here", "cluster"))
@@ -131,7 +131,7 @@ def prepare(home: Path) -> Undisturbed:
 
 
 def bring(fault: Fault, process: subprocess.Popen[str], run: Undisturbed) -> bool:
-    """Bring a fault upon a command; whether it was in time."""
+    """Cause a fault while a command runs; whether the command was still running."""
     moment = fault.share * run.seconds
     if fault.kind == "disk":
         process.wait(timeout=harness.LIMIT)
@@ -149,7 +149,7 @@ def bring(fault: Fault, process: subprocess.Popen[str], run: Undisturbed) -> boo
 
 
 def follow(fault: Fault, run: Undisturbed) -> Found | Ended:
-    """Bring a fault and see what comes of it; the end alone where the fault came too late."""
+    """Cause a fault and collect its consequences; only the end, if the fault came too late."""
     jobs, cluster = fault.where
     began = time.monotonic()
     process = calibrate(run.campaign, fault.out, jobs, *cluster)
@@ -172,7 +172,7 @@ def follow(fault: Fault, run: Undisturbed) -> Found | Ended:
 
 
 def facts(kind: str, found: Found) -> dict[str, bool]:
-    """What must be so, and whether it is."""
+    """Facts that must hold, and whether each does."""
     ended, again = found.ended, found.again
     late = ended.code == 0 and found.complete  # all was written before it could be missed
     lines = ended.complaint.splitlines()
@@ -199,7 +199,7 @@ def show(*cells: object) -> None:
 
 
 def tell(fault: Fault, moment: str, found: Found) -> Counter[str]:
-    """Print the row of a fault; what was as it must be."""
+    """Print the row of a fault; counts of the facts that hold."""
     so = facts(fault.kind, found)
     here = "c" if fault.cluster else str(fault.jobs)
     then = "c" if fault.kind == "client" else str(3 - fault.jobs)
@@ -216,7 +216,7 @@ def tell(fault: Fault, moment: str, found: Found) -> Counter[str]:
 
 
 def meet(number: int, home: Path, plan: Plan, run: Undisturbed) -> tuple[Fault, str, Found]:
-    """Bring a fault of the plan, again where it came too late; it, its moment, what came of it."""
+    """Cause a fault of the plan, again if it came too late: fault, moment, consequences."""
     turn, which = divmod(number, len(plan.kinds))
     kind = plan.kinds[which]
     kind = kind[turn % 2] if isinstance(kind, tuple) else kind

@@ -78,7 +78,7 @@ def _judged(outcome: Outcome, judged: Judged) -> tuple[str, str]:
 
 
 def table(counts: Mapping[str, int], done: Sequence[Outcome], judged: Judged) -> str:
-    """Counts by module, shares, and the faults that survived, by what they are."""
+    """Counts for each module, shares, and the faults that survived, grouped by kind."""
     return "\n".join(
         [*_modules(counts, done), "", *_shares(done, judged), *_survivors(done, judged)]
     )

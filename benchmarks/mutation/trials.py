@@ -27,7 +27,7 @@ MEMORY = 4 * 2**30
 """Bytes of addresses that a process may use."""
 
 SAME = 100
-"""Calls of a function in a test without a line that is new, after which it is watched no more."""
+"""Calls without a new line after which a function is no longer watched within a test."""
 
 COLLECTION = 60.0
 """Seconds of processor time that the collection of tests may take."""
@@ -210,7 +210,7 @@ def _key(fixture: Any) -> str:
 
 
 def _forget() -> None:
-    """Empty the package's caches, so that every test executes what it needs."""
+    """Empty the caches of the package, so that every test executes all that it needs."""
     for name, module in list(sys.modules.items()):
         if name.startswith("mfd_bayes."):
             for value in list(vars(module).values()):
@@ -290,7 +290,7 @@ def try_on(tree: Path, module: str, mutant: Mutant, tests: Sequence[str], covere
 
 
 class _Faulty(MetaPathFinder):
-    """Finder of one module, whose code is that of a changed tree."""
+    """Import finder that loads one module from a changed syntax tree."""
 
     def __init__(self, path: Path, tree: ast.Module) -> None:
         self.path, self.tree = path, tree

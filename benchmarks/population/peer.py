@@ -1,7 +1,7 @@
 """The joint density of a population and all its tests in JAX, and NumPyro's NUTS on it.
 
-Nothing of `mfd_bayes/population` but the prior's figures: levels, laws, deviations and tests are
-written again, in their own units, and the force and its likelihood are those of `sampling_peers`.
+Of `mfd_bayes/population` only the numbers of the prior are used: levels, laws, deviations and tests
+are written again here. Force and likelihood are those of `benchmarks.sampling.peers`.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def nuts(layout, draws, *, chains, warm_up, kept, seed):
 
 
 def drawn_values(layout, found):
-    """Draws by the names of `population_study`'s truths, and the tests' quantities."""
+    """Draws by the names of the true values of `study`, and the tests' quantities."""
     ours, names = layout.campaign.layout, layout.names
     level = ours.centre + ours.spread * found["level"]
     values = {f"level {name}": level[..., k] for k, name in enumerate(names)}

@@ -32,7 +32,7 @@ LAWS = {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine", 
 FOLLOWERS = {"Fc": ("Fc_fwd", "Fc_bwd"), "sigma0": ("sigma0",), "noise_sd": ("noise_sd",)}
 """Quantities that follow the actuation, by what names their scatter group."""
 RIGHT, WRONG = "whole", "points"
-"""By the tests' likelihoods, and, the control, as if their means were known exactly."""
+"""Inference from the tests' likelihoods; and the control, with means as if known exactly."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ def _ornstein_uhlenbeck(residual, step, values):
 
 
 def _force(values, parameters, motion):
-    """Force at the path's rows, (P,), kip; F1 and the scans are those of `forward_peers`."""
+    """Force at the path's rows, (P,), kip; F1 and the scans come from `benchmarks.forward.peers`."""
     sources = values | {
         "Fs_fwd": values["Fc_fwd"] * (1.0 + values["static_excess_fwd"]),
         "Fs_bwd": values["Fc_bwd"] * (1.0 + values["static_excess_bwd"]),
@@ -218,7 +218,7 @@ class Clock:
 
     @contextmanager
     def paused(self):
-        """Count nothing meanwhile."""
+        """Stop counting for a while."""
         at = time.process_time()
         yield
         self._began += time.process_time() - at

@@ -67,19 +67,19 @@ from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.calibration.sampling import sample
 
 BARS = {"emcee, stretch move": 5.0, "NUTS": 30.0}
-"""How many times as fast ours must be, on every record."""
+"""How many times as fast our sampler must be, on every record."""
 MEAN, SPREAD = 0.1, 0.1
 """Largest deviations of a mean, in sds, and of the ratio of two sds from 1."""
 CLOSE = 1e-6
 """Largest deviation of JAX's log density, over its size where that exceeds 1."""
 SECONDS, QUICK = 90.0, 30.0
-"""For which another may run at most."""
+"""Seconds that another sampler may run at most, in full and in quick runs."""
 SEEDS = (1, 2, 3)
 WORDS = ("seconds", "warm-up", "evaluations", "bulk ESS", "ESS/s", "ours is", "R̂", "mean", "sd")
 
 
 class Counted:
-    """A posterior that counts the vectors of which it was asked the force."""
+    """A posterior that counts the vectors whose force was computed."""
 
     def __init__(self, posterior):
         self.posterior, self.count = posterior, 0
@@ -115,7 +115,7 @@ def deviation(posterior, points):
 
 
 def check_densities(posterior, reference):
-    """Print how far JAX's and the reference's density are from ours, and give what fell."""
+    """Print how far JAX's and the reference's density are from ours; return what failed."""
     prior = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), 200))
     found = reference["coordinates"]
     if list(found) != list(posterior.names):
@@ -174,7 +174,7 @@ def race(posterior, seconds, seeds):
 
 
 def compare(posterior, reference, seconds, seeds):
-    """Race on one record; print its table and give the bars that fell, and the ratios."""
+    """Compare samplers on one record, print the table; limits that were missed, and the ratios."""
     failed = check_densities(posterior, reference)
     mine, others = race(posterior, seconds, seeds)
     print(f"{'':26s}" + "".join(f"{word:>12}" for word in WORDS))
@@ -202,7 +202,7 @@ def _part(words, run, seconds, middle):
 
 
 def _row(name, run, reference, middle, *, bar=False):
-    """Print a contender's figures, and give what of its agreement with the reference fell."""
+    """Print the figures of one sampler; return where it disagrees with the reference."""
     found, ess = measure(run.chains), peers.smallest(run.chains)
     (mean, at), (sd, there) = disagreement(run, reference)
     warm_up = "" if np.isnan(run.warm_up) else f"{run.warm_up:.1f}"

@@ -118,7 +118,7 @@ class Watched:
     sweeps: int = 0
 
     def follow(self) -> None:
-        """Look again and again, in a thread."""
+        """Measure memory at intervals, in a thread."""
         while True:
             began = time.perf_counter()
             self.peaks[self.stage] = max(self.peaks[self.stage], memory())
@@ -153,7 +153,7 @@ def lay_out(folder: Path, tests: int) -> Path:
 
 
 def study_campaign(case: tuple[int, Path], line) -> None:
-    """Calibrate so many tests in a folder, and send what was watched, and what was written."""
+    """Calibrate so many tests in a folder; send times, memory and sizes of the files."""
     tests, home = case
     watched = Watched()
     path = lay_out(home / "campaign", tests)
@@ -168,7 +168,7 @@ def study_campaign(case: tuple[int, Path], line) -> None:
 
 
 def campaign(tests: int) -> None:
-    """Print what a campaign of so many tests took."""
+    """Print time and memory of a campaign of so many tests."""
     with tempfile.TemporaryDirectory() as home:
         watched, own, written, failed = apart(study_campaign, (tests, Path(home)))
     ratio = watched.seconds["tests"] / (own / WORKERS)
