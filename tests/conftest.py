@@ -96,7 +96,7 @@ def calibrate_once(home: Path) -> dict[str, Any]:
         capture_output=True,
         text=True,
         env=plain,
-        timeout=600,
+        timeout=3600,
         check=False,
     )
     return {

@@ -19,11 +19,18 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import json_text, write_atomically
 
 if TYPE_CHECKING:
+    import h5py
     import xarray as xr
 
 _CHAINS = ("chain", "draw")
 _SLACK = 2**20
 """Bytes of dimensions that a file may declare without holding them."""
+_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+_OF_FORMAT = {
+    *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST"),
+    *("_Netcdf4Dimid", "_Netcdf4Coordinates"),
+}
+"""Attributes by which NetCDF tells dimensions; the others are of the variable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,17 +228,27 @@ def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 
 def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
+    """Groups of a file by h5py, which takes a third of the time of xarray's own reader."""
     import h5py
-    import xarray as xr
 
-    groups = {}
     with h5py.File(path, "r") as file:
         # This program writes unpacked, so a file holds what it declares.
         check_objects(file, 2 * path.stat().st_size + _SLACK, plain=True)
-    for name in names:
-        with xr.open_dataset(path, group=name, engine="h5netcdf", decode_times=False) as dataset:
-            groups[name] = dataset.load()
-    return groups
+        return {name: _read_group(file[name]) for name in names}
+
+
+def _read_group(group: h5py.Group) -> xr.Dataset:
+    """Variables of a group, and as coordinates those with the name of their dimension."""
+    import xarray as xr
+
+    variables = {}
+    for name, data in group.items():
+        if _NO_VARIABLE not in str(data.attrs.get("NAME")):
+            scales = [dim[0].name if len(dim) else data.name for dim in data.dims]
+            dims = [scale.rpartition("/")[2] for scale in scales]
+            about = {key: data.attrs[key] for key in data.attrs.keys() - _OF_FORMAT}
+            variables[name] = (dims, data[()], about)
+    return xr.decode_cf(xr.Dataset(variables, attrs=dict(group.attrs)), decode_times=False)
 
 
 @contextmanager
