@@ -17,22 +17,11 @@ SAME = 1e-4  # two signals are the same if they differ by less than this share o
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """Facts, loops and faults of a record.
-
-    Attributes
-    ----------
-    name : str
-    facts : dict
-        Title to text: file, columns, rate, ranges, loops, drifts.
-    trace : Trace
-        At the record's own rate.
-    loops : Loops
-    faults : tuple of Fault
-    """
+    """Facts, loops and faults of a record."""
 
     name: str
-    facts: dict[str, str]
-    trace: Trace
+    facts: dict[str, str]  # title to text: file, columns, rate, ranges, loops, drifts
+    trace: Trace  # at the record's own rate
     loops: Loops
     faults: tuple[Fault, ...]
 

@@ -35,23 +35,12 @@ _OF_FORMAT = {
 
 @dataclass(frozen=True, eq=False)
 class StoredTest:
-    """A calibrated test as stored.
+    """A calibrated test as stored."""
 
-    Attributes
-    ----------
-    draws : xarray.Dataset
-        Variables (chain, draw) with units, as ArviZ reads them.
-    stats : xarray.Dataset
-        lp, log_prior and log_likelihood (chain, draw).
-    trace : Trace
-    facts : dict
-        Fingerprint, model, noise, figures of the sampler.
-    """
-
-    draws: xr.Dataset
-    stats: xr.Dataset
+    draws: xr.Dataset  # variables (chain, draw) with units, as ArviZ reads them
+    stats: xr.Dataset  # lp, log_prior and log_likelihood (chain, draw)
     trace: Trace
-    facts: dict[str, Any]
+    facts: dict[str, Any]  # fingerprint, model, noise, figures of the sampler
 
     def values(self) -> dict[str, Array]:
         """Draws of every quantity by name, (chain · draw,) each."""
@@ -60,26 +49,14 @@ class StoredTest:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedTest:
-    """A calibrated test to be stored.
+    """A calibrated test to be stored."""
 
-    Attributes
-    ----------
-    values : mapping of str to (chain, draw)
-    units : mapping of str to str
-    stats : mapping of str to (chain, draw)
-    trace : Trace
-    predictive : (chain, m, T), kip
-        Replicated records.
-    facts : mapping
-        Kept as JSON in the posterior's attributes.
-    """
-
-    values: Mapping[str, Array]
+    values: Mapping[str, Array]  # name to draws, (chain, draw)
     units: Mapping[str, str]
-    stats: Mapping[str, Array]
+    stats: Mapping[str, Array]  # lp, log_prior and log_likelihood (chain, draw)
     trace: Trace
-    predictive: Array
-    facts: Mapping[str, Any]
+    predictive: Array  # replicated records, (chain, m, T), kip
+    facts: Mapping[str, Any]  # kept as JSON in the posterior's attributes
 
 
 def save_test(path: Path, test: CalibratedTest) -> None:

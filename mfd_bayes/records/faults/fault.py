@@ -16,18 +16,11 @@ Samples = NDArray[np.intp]
 class Fault:
     """A fault of a record that would spoil its fit.
 
-    Attributes
-    ----------
-    name : str
-        One of `NAMES`.
-    sentence : str
-        The finding, with figures and units, and its possible cause.
-    samples : (K,), int
-        Samples at which it was found; empty for the whole record.
+    `samples`, (K,), are those at which it was found; empty for the whole record.
     """
 
-    name: str
-    sentence: str
+    name: str  # one of `NAMES`
+    sentence: str  # the finding, with figures and units, and its possible cause
     samples: Samples = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
 
