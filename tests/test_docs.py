@@ -18,6 +18,8 @@ from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.campaign import schema
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.commands import app
+from mfd_bayes.friction.models import MODELS
+from mfd_bayes.population.laws import complete_laws
 
 ROOT = Path(__file__).parents[1]
 PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages").glob("*.md"))}
@@ -188,7 +190,6 @@ def shown(field):
     [
         ("[campaign]", schema.Settings),
         ("[columns]", schema.Columns),
-        ("[laws]", schema.Laws),
         ("[dependence]", schema.Dependence),
         ("[[test]]", schema.Entry),
     ],
@@ -197,6 +198,14 @@ def test_every_key_of_the_campaign_file_is_there_with_its_default(section, model
     text = PAGES["campaign.md"].read_text(encoding="utf-8")
     known = {name: shown(field) for name, field in model.model_fields.items()}
     assert documented_keys(text, section) == known
+
+
+def test_every_law_of_the_campaign_file_is_there_with_its_default():
+    text = PAGES["campaign.md"].read_text(encoding="utf-8")
+    known = {name: f'`"{law}"`' for name, law in complete_laws({}).items()}
+    for model in MODELS.values():
+        known |= {name: f"that of `{other}`" for name, other in model.laws_from.items()}
+    assert documented_keys(text, "[laws]") == known
 
 
 @pytest.mark.parametrize("page", ["README.md", "campaign.md"])

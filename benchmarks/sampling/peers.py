@@ -104,7 +104,7 @@ def _ornstein_uhlenbeck(residual, step, values):
 
 
 def _force(values, parameters, motion):
-    """Force at the path's rows, (P,), kip; F1 and the scans come from `benchmarks.forward.peers`."""
+    """Force at the path's rows, (P,), kip; F1 and the scans are from `benchmarks.forward.peers`."""
     sources = values | {
         "Fs_fwd": values["Fc_fwd"] * (1.0 + values["static_excess_fwd"]),
         "Fs_bwd": values["Fc_bwd"] * (1.0 + values["static_excess_bwd"]),
