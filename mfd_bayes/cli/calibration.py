@@ -7,35 +7,22 @@ from typing import Annotated
 
 import typer
 
-from mfd_bayes.cli import console, progress
-from mfd_bayes.cli.arguments import (
-    Campaign,
-    Effort,
-    Force,
-    Jobs,
-    NewRun,
-    Quiet,
-    Resume,
-    Run,
-    Scheduler,
-    Seed,
-    completed,
-)
+from mfd_bayes.cli import arguments, console, progress
 from mfd_bayes.cli.exits import mistakes, resumption, this_command
 
 
 def calibrate(
-    campaign: Campaign,
-    out: NewRun,
-    resume: Resume = False,
-    force: Force = False,
-    jobs: Jobs = 0,
-    scheduler: Scheduler = "",
-    seed: Seed = 1,
-    effort: Effort = None,
+    campaign: arguments.Campaign,
+    out: arguments.NewRun,
+    resume: arguments.Resume = False,
+    force: arguments.Force = False,
+    jobs: arguments.Jobs = 0,
+    scheduler: arguments.Scheduler = "",
+    seed: arguments.Seed = 1,
+    effort: arguments.Effort = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check only.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 1 if a check fails.")] = False,
-    quiet: Quiet = False,
+    quiet: arguments.Quiet = False,
 ) -> None:
     """Calibrate every test of a campaign, infer the laws, and write the report.
 
@@ -51,7 +38,7 @@ def calibrate(
     with mistakes("" if dry_run else resumption()):
         from mfd_bayes.pipeline import commands as pipeline
 
-        options = completed(
+        options = arguments.completed(
             pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
             out,
             effort,
@@ -68,9 +55,9 @@ def calibrate(
 
 
 def check(
-    out: Run,
+    out: arguments.Run,
     every: Annotated[bool, typer.Option("--all", help="Show every check.")] = False,
-    quiet: Quiet = False,
+    quiet: arguments.Quiet = False,
 ) -> None:
     """Show convergence and predictive checks as a table; exit 1 where one fails.
 
@@ -94,8 +81,8 @@ def check(
 
 
 def report(
-    out: Run,
-    quiet: Quiet = False,
+    out: arguments.Run,
+    quiet: arguments.Quiet = False,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF too; needs a Chromium.")] = False,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
@@ -116,15 +103,15 @@ def report(
 
 
 def demo(
-    out: Run,
+    out: arguments.Run,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer draws; takes about a minute.")
     ] = False,
-    jobs: Jobs = 0,
-    scheduler: Scheduler = "",
-    seed: Seed = 1,
-    force: Force = False,
-    quiet: Quiet = False,
+    jobs: arguments.Jobs = 0,
+    scheduler: arguments.Scheduler = "",
+    seed: arguments.Seed = 1,
+    force: arguments.Force = False,
+    quiet: arguments.Quiet = False,
 ) -> None:
     """Calibrate a synthetic campaign after the MFD paper's test matrix.
 
@@ -142,7 +129,7 @@ def demo(
     with mistakes(shlex.join(resume)):
         from mfd_bayes.pipeline import commands as pipeline
 
-        options = completed(
+        options = arguments.completed(
             pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, force=force), out, effort
         )
         with progress.watch(quiet=quiet) as observe:

@@ -7,37 +7,25 @@ from typing import Annotated
 
 import typer
 
-from mfd_bayes.cli import console, progress
-from mfd_bayes.cli.arguments import (
-    Campaign,
-    Effort,
-    Force,
-    Jobs,
-    Kind,
-    NewRun,
-    Quiet,
-    Resume,
-    Run,
-    Scheduler,
-    Seed,
-    completed,
-)
+from mfd_bayes.cli import arguments, console, progress
 from mfd_bayes.cli.exits import mistakes, resumption
 
 
 def predict(
-    out: Run,
+    out: arguments.Run,
     motion: Annotated[Path, typer.Option(help="A file with time_s and displacement_in, …")],
     actuation: Annotated[str, typer.Option(help='Such as "1000 psi".')],
     bands: Annotated[Path, typer.Option("-o", "--out", help="CSV to write; a PNG beside it.")],
-    kind: Annotated[Kind, typer.Option(help="What the band is about.")] = Kind.new_test,
+    kind: Annotated[
+        arguments.Kind, typer.Option(help="What the band is about.")
+    ] = arguments.Kind.new_test,
     probability: Annotated[
         float, typer.Option(help="Probability of the equal-tailed band.")
     ] = 0.95,
     compare: Annotated[
         bool, typer.Option("--compare", help="Show the force in the motion's file beside it.")
     ] = False,
-    quiet: Quiet = False,
+    quiet: arguments.Quiet = False,
 ) -> None:
     """Predict the force of a motion at an actuation, tested or not.
 
@@ -65,18 +53,18 @@ def predict(
 
 
 def crossvalidate(
-    campaign: Campaign,
-    out: NewRun,
+    campaign: arguments.Campaign,
+    out: arguments.NewRun,
     by: Annotated[
         str, typer.Option(metavar="test|level|session", help="What to leave out in turn.")
     ] = "test",
-    resume: Resume = False,
-    force: Force = False,
-    jobs: Jobs = 0,
-    scheduler: Scheduler = "",
-    seed: Seed = 1,
-    effort: Effort = None,
-    quiet: Quiet = False,
+    resume: arguments.Resume = False,
+    force: arguments.Force = False,
+    jobs: arguments.Jobs = 0,
+    scheduler: arguments.Scheduler = "",
+    seed: arguments.Seed = 1,
+    effort: arguments.Effort = None,
+    quiet: arguments.Quiet = False,
 ) -> None:
     """Predict every part of a campaign from all the others, and score the predictions.
 
@@ -91,7 +79,7 @@ def crossvalidate(
     with mistakes(resumption()):
         from mfd_bayes.pipeline import commands as pipeline
 
-        options = completed(
+        options = arguments.completed(
             pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
             out,
             effort,
@@ -103,7 +91,7 @@ def crossvalidate(
 
 
 def compare(
-    campaign: Campaign,
+    campaign: arguments.Campaign,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of one run for each model.")],
     models: Annotated[
         str, typer.Option(help="Two or more, with commas between them.")
@@ -111,13 +99,13 @@ def compare(
     by: Annotated[
         str, typer.Option(help="Leave out each test, level or session of each model's run too.")
     ] = "",
-    resume: Resume = False,
-    force: Force = False,
-    jobs: Jobs = 0,
-    scheduler: Scheduler = "",
-    seed: Seed = 1,
-    effort: Effort = None,
-    quiet: Quiet = False,
+    resume: arguments.Resume = False,
+    force: arguments.Force = False,
+    jobs: arguments.Jobs = 0,
+    scheduler: arguments.Scheduler = "",
+    seed: arguments.Seed = 1,
+    effort: arguments.Effort = None,
+    quiet: arguments.Quiet = False,
 ) -> None:
     """Calibrate a campaign under several models and say which one its records favour.
 
@@ -133,7 +121,7 @@ def compare(
         from mfd_bayes.pipeline import commands as pipeline
 
         names = [name.strip() for name in models.split(",") if name.strip()]
-        options = completed(
+        options = arguments.completed(
             pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
             out,
             effort,
