@@ -24,38 +24,25 @@ from mfd_bayes.units import (
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """One test of a campaign.
-
-    Attributes
-    ----------
-    id : str
-        The name of its folder; no two ids differ only in the case of their letters.
-    path : Path
-        Its file, inside the campaign's folder, links resolved.
-    actuation : str or None
-        Constant actuation with its unit; None when it was measured: `columns` then has the role
-        "actuation".
-    actuation_unit : "ksi" or "kip"
-        Whether the actuation is a pressure or a force.
-    window : (float, float), s, or None
-        The part of the record that is fitted.
-    role : "calibrate" or "validate"
-    columns : dict
-        Role to the column's name and unit, where the campaign file gives them.
-    session : str
-        Tests of one session share what changes between sessions.
-    """
+    """One test of a campaign."""
 
     __test__: ClassVar[bool] = False  # pytest must not take it for a test class
 
     id: str
+    """The name of its folder; no two ids differ only in the case of their letters."""
     path: Path
+    """Its file, inside the campaign's folder, links resolved."""
     actuation: str | None
+    """Constant actuation with its unit; None where `columns` has the role "actuation"."""
     actuation_unit: ActuationUnit
+    """"ksi" where the actuation is a pressure, "kip" where it is a force."""
     window: Window | None
+    """The part of the record that is fitted, s."""
     role: Role
     columns: dict[str, tuple[str, str | None]]
+    """Role to the column's name and unit, where the campaign file gives them."""
     session: str = ""
+    """Tests of one session share what changes between sessions."""
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
@@ -66,43 +53,29 @@ class Test:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """A campaign file, checked.
-
-    Attributes
-    ----------
-    path : Path
-    folder : Path
-        The campaign file's folder, links resolved; all test files are inside it.
-    title : str
-        The campaign file's name where no title is given.
-    priors : str
-        A name, or a path relative to `folder`.
-    model, noise, start : str
-    rate : float, Hz, or None
-    area : float, in², or None
-        Area of the actuator, where the actuation is a pressure.
-    laws : dict of str to str
-        Law of every name that may have one, given or by default.
-    dependence : dict of str to tuple of str
-        Parameter to the covariates, "velocity" or "amplitude", that it depends on.
-    tests : tuple of Test
-    actuation_unit : "ksi" or "kip"
-        The same for all tests.
-    """
+    """A campaign file, checked."""
 
     path: Path
     folder: Path
+    """The campaign file's folder, links resolved; all test files are inside it."""
     title: str
+    """The campaign file's name where no title is given."""
     priors: str
+    """A name, or a path relative to `folder`."""
     model: ModelName
     noise: NoiseName
     rate: float | None
+    """Hz."""
     start: Literal["sample", "mask"]
     area: float | None
+    """Area of the actuator, in², where the actuation is a pressure."""
     laws: dict[str, str]
+    """Law of every name that may have one, given or by default."""
     dependence: dict[str, tuple[str, ...]]
+    """Parameter to the covariates, "velocity" or "amplitude", that it depends on."""
     tests: tuple[Test, ...]
     actuation_unit: ActuationUnit
+    """The same for all tests."""
 
 
 def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,22 +12,6 @@ from mfd_bayes.cli.exits import this_command
 
 if TYPE_CHECKING:
     from mfd_bayes.pipeline.commands import Options
-
-
-class EffortName(StrEnum):
-    """How many draws a calibration aims at."""
-
-    quick = "quick"
-    standard = "standard"
-    thorough = "thorough"
-
-
-class Kind(StrEnum):
-    """What a prediction band is about."""
-
-    device = "device"
-    new_test = "new_test"
-    observation = "observation"
 
 
 Run = Annotated[Path, typer.Argument(help="The run folder.")]
@@ -45,10 +28,13 @@ Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same dra
 Resume = Annotated[bool, typer.Option("--resume", help="Finish a run that was interrupted.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace a run that exists.")]
 Effort = Annotated[
-    EffortName | None,
+    Literal["quick", "standard", "thorough"] | None,
     typer.Option(
         help="How many draws to aim at; a resumed run keeps its own.", show_default="standard"
     ),
+]
+Kind = Annotated[
+    Literal["device", "new_test", "observation"], typer.Option(help="What the band is about.")
 ]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print only warnings and the verdict.")]
 

@@ -53,10 +53,18 @@ def open_console() -> Console:
     return console
 
 
-def _table(title: str, *, caption: str = "") -> Table:
+def _table(
+    title: str, folded: Iterable[str] = (), fixed: Iterable[str] = (), caption: str = ""
+) -> Table:
+    """Empty table with columns that fold long texts, then others that keep them on one line."""
     from rich.table import Table
 
-    return Table(title=clean(title), caption=clean(caption) or None)
+    table = Table(title=clean(title), caption=clean(caption) or None)
+    for name in folded:
+        table.add_column(name, overflow="fold")
+    for name in fixed:
+        table.add_column(name, no_wrap=True)
+    return table
 
 
 def _add(table: Table, *cells: object) -> None:
@@ -85,9 +93,8 @@ def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
 
 
 def _truth_table(view: CampaignView) -> Table:
-    table = _table("Truth against posterior (95 % equal-tailed interval)")
-    for name in ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data"):
-        table.add_column(name, overflow="fold")
+    heads = ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data")
+    table = _table("Truth against posterior (95 % equal-tailed interval)", heads)
     for row in view.truth:
         figures = (f"{x:.4g}" for x in (row.truth, row.lower, row.median, row.upper))
         informed = "informed" if row.informed else "prior only"
@@ -100,9 +107,9 @@ def print_derived(rows: Sequence[DerivedRow], probability: float) -> None:
     """Print the derived quantities of a prediction."""
     low, high = (f"{50 * (1 + side * probability):g} %" for side in (-1, 1))
     notes = "; ".join(f"{r.name} {r.note}" for r in rows if r.note)
-    table = _table("Derived quantities, of the damper without offset and noise", caption=notes)
-    for name in ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured"):
-        table.add_column(name, no_wrap=True)
+    heads = ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured")
+    title = "Derived quantities, of the damper without offset and noise"
+    table = _table(title, fixed=heads, caption=notes)
     for r in rows:
         figures = (r.mean, r.sd, r.lower, r.median, r.upper, r.measured)
         shown = ("–" if math.isnan(value) else f"{value:.4g}" for value in figures)
@@ -118,20 +125,10 @@ def print_comparison(found: Comparison, *, quiet: bool = False) -> None:
 
 
 def _comparison_table(found: Comparison) -> Table:
-    table = _table("Each cycle predicted from all others (leave-one-cycle-out)")
-    table.add_column("test", overflow="fold", min_width=8)
-    heads = (
-        "model",
-        "cycles",
-        "elpd ± se",
-        "p_loo",
-        "worst k",
-        "k > 0.7",
-        "difference ± se",
-        "RRSE",
-    )
-    for name in heads:
-        table.add_column(name, no_wrap=True)
+    heads = ("model", "cycles", "elpd ± se", "p_loo", "worst k", "k > 0.7", "difference ± se")
+    title = "Each cycle predicted from all others (leave-one-cycle-out)"
+    table = _table(title, ["test"], (*heads, "RRSE"))
+    table.columns[0].min_width = 8
     for r in found.rows:
         elpd = f"{r.elpd:.1f} ± {r.elpd_se:.1f}"
         difference = f"{r.difference:.1f} ± {r.difference_se:.1f}"
@@ -151,13 +148,20 @@ def print_left_out(found: LeftOutView | None, *, quiet: bool = False) -> None:
 
 
 def _left_out_table(found: LeftOutView) -> Table:
-    table = _table(f"Each test predicted without its {found.by}, scores in kip")
     parts = found.by != "test"
-    for name in ("test", *(["left out"] if parts else [])):
-        table.add_column(name, overflow="fold")
-    for name in ("50 %", "90 %", "95 %", "width (fitted)", "×", "interval", "CRPS (fitted)", "×"):
-        table.add_column(name, no_wrap=True)
-    table.add_column("RRSE", no_wrap=True)
+    heads = [
+        "50 %",
+        "90 %",
+        "95 %",
+        "width (fitted)",
+        "×",
+        "interval",
+        "CRPS (fitted)",
+        "×",
+        "RRSE",
+    ]
+    title = f"Each test predicted without its {found.by}, scores in kip"
+    table = _table(title, ["test", "left out"] if parts else ["test"], heads)
     for r in (*found.rows, found.mean):
         if r is found.mean:
             table.add_section()
@@ -176,9 +180,8 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
     shown = [c for c in view.checks if every or c.verdict == Verdict.FAIL]
     if not shown:
         return
-    table = _table("Checks" if every else "Checks that failed")
-    for name in ("subject", "check", "target", "value", "limit", "verdict"):
-        table.add_column(name, overflow="fold")
+    heads = ("subject", "check", "target", "value", "limit", "verdict")
+    table = _table("Checks" if every else "Checks that failed", heads)
     for c in shown:
         _add(table, c.subject, c.name, c.target, f"{c.value:.4g}", c.limit, c.verdict)
     open_console().print(table)
@@ -189,8 +192,7 @@ def _print_kinds(checks: Iterable[Check]) -> None:
     kinds: dict[str, Counter[str]] = {}
     for check in checks:
         kinds.setdefault(check.name, Counter())[check.verdict] += 1
-    table = _table("Checks of every test and of the population (--all shows each)")
-    table.add_column("check", overflow="fold")
+    table = _table("Checks of every test and of the population (--all shows each)", ["check"])
     for verdict in Verdict:
         table.add_column(verdict, justify="right")
     for name, count in kinds.items():

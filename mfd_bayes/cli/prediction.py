@@ -16,9 +16,7 @@ def predict(
     motion: Annotated[Path, typer.Option(help="A file with time_s and displacement_in, …")],
     actuation: Annotated[str, typer.Option(help='Such as "1000 psi".')],
     bands: Annotated[Path, typer.Option("-o", "--out", help="CSV to write; a PNG beside it.")],
-    kind: Annotated[
-        arguments.Kind, typer.Option(help="What the band is about.")
-    ] = arguments.Kind.new_test,
+    kind: arguments.Kind = "new_test",
     probability: Annotated[
         float, typer.Option(help="Probability of the equal-tailed band.")
     ] = 0.95,
@@ -38,7 +36,7 @@ def predict(
     """
     from mfd_bayes.pipeline import commands as pipeline
 
-    question = pipeline.Question(motion, actuation, kind.value, probability, bands, compare)
+    question = pipeline.Question(motion, actuation, kind, probability, bands, compare)
     with mistakes():
         band, derived = pipeline.predict(out, question)
     for remark in band.remarks:

@@ -52,15 +52,6 @@ def run_on_cluster(
     Jobs that have not ended when this ends, in whatever way, are cancelled. A job whose worker is
     lost begins again on another one from the same seed, as often as the scheduler allows.
 
-    Parameters
-    ----------
-    jobs : sequence of Job
-    out : Path
-        Run folder, on this machine.
-    address : str
-        Such as "tcp://host:8786".
-    observe : callable
-
     Raises
     ------
     StoreError
