@@ -80,13 +80,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         actuation=US.actuation(trace, run.actuation_unit),
         trace=trace,
         first=0,
-        device=None,
         observation=fan_of("observation", band.draws),
-        rows=(),
-        marginals=(),
-        chains={},
-        corner=(),
-        checks=(),
         score=score_of(name, "validate", trace, band.draws, 0),
         derived=held_out_rows(run, name, trace, damper),
     )

@@ -14,15 +14,7 @@ from mfd_bayes.population.laws import COMPARE
 def law_choices(
     scores: Sequence[Mapping[str, Any]], laws: Mapping[str, str]
 ) -> tuple[LawChoice, ...]:
-    """The laws of each quantity, best first, with a sentence.
-
-    Parameters
-    ----------
-    scores : sequence of mapping
-        Every `LawScore` of the manifest, as a dict.
-    laws : mapping of str to str
-        The campaign's.
-    """
+    """The laws of each quantity, best first, with a sentence; `laws` are the campaign's."""
     found = []
     for name in dict.fromkeys(score["quantity"] for score in scores):
         own = [score for score in scores if score["quantity"] == name]

@@ -13,13 +13,7 @@ from mfd_bayes.validation.scores import Score
 
 
 def left_out_view(stored: Mapping[str, Any] | None) -> LeftOutView | None:
-    """Scores of a cross-validation that the manifest holds; None without one.
-
-    Parameters
-    ----------
-    stored : mapping or None
-        "by", and "predictions": part, test, score and the fitted test's score of each.
-    """
+    """Scores of the cross-validation that a manifest holds; None without one."""
     if not stored:
         return None
     rows = tuple(_row(entry) for entry in stored["predictions"])

@@ -17,14 +17,7 @@ _TOKEN = re.compile(r"[A-Za-z]+")
 
 @dataclass(frozen=True)
 class System:
-    """Units of a report.
-
-    Attributes
-    ----------
-    name : {"us", "si"}
-    title : str
-    length, force, pressure : str
-    """
+    """Units of a report; `name` is "us" or "si"."""
 
     name: str
     title: str

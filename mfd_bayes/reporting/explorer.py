@@ -28,21 +28,14 @@ _COLUMNS = ("time", "displacement", "force", "median", "lower", "upper")
 
 @dataclass(frozen=True)
 class Explorer:
-    """The parts of the interactive plot.
-
-    Attributes
-    ----------
-    library : str
-        BokehJS.
-    item : str
-        JSON of the plot, without data.
-    data : str
-        JSON of the tests: little-endian float32 arrays in base64, in internal units.
-    """
+    """The parts of the interactive plot."""
 
     library: str
+    """BokehJS."""
     item: str
+    """JSON of the plot, without data."""
     data: str
+    """JSON of the tests: little-endian float32 arrays in base64, in internal units."""
 
 
 def explore(view: CampaignView) -> Explorer:

@@ -26,7 +26,10 @@ _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 
 _QUANTILES = ("mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat", "contraction")
-
+_SCORES = (
+    *("coverage_50", "coverage_90", "coverage_95", "width_95_kip"),
+    *("interval_score_95_kip", "crps_kip", "rrse"),
+)
 
 CROSSVALIDATION = "crossvalidation.csv"
 
@@ -63,28 +66,19 @@ def laws_csv(rows: Iterable[Row]) -> str:
 def checks_csv(checks: Iterable[Check]) -> str:
     """Every check: its value, its limit and its verdict."""
     head = ("subject", "check", "target", "value", "limit", "verdict")
-    return csv_text(
-        head, ((c.subject, c.name, c.target, c.value, c.limit, c.verdict) for c in checks)
-    )
+    return csv_text(head, map(dataclasses.astuple, checks))
 
 
 def scores_csv(scores: Iterable[ScoreRow]) -> str:
     """Scores of each record's observation bands against its force."""
-    head = (
-        *("test", "role", "coverage_50", "coverage_90", "coverage_95"),
-        *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
-    )
-    return csv_text(head, (dataclasses.astuple(score) for score in scores))
+    return csv_text(("test", "role", *_SCORES), map(dataclasses.astuple, scores))
 
 
 def crossvalidation_csv(found: LeftOutView) -> str:
     """Scores of each test, predicted without its part of the campaign, and their mean."""
-    head = (
-        *("part", "test", "coverage_50", "coverage_90", "coverage_95"),
-        *("width_95_kip", "interval_score_95_kip", "crps_kip", "rrse"),
-        *("fitted_width_95_kip", "fitted_crps_kip", "width_ratio", "crps_ratio"),
-    )
-    return csv_text(head, (dataclasses.astuple(row) for row in (*found.rows, found.mean)))
+    ratios = ("fitted_width_95_kip", "fitted_crps_kip", "width_ratio", "crps_ratio")
+    head = ("part", "test", *_SCORES, *ratios)
+    return csv_text(head, map(dataclasses.astuple, (*found.rows, found.mean)))
 
 
 def law_scores_csv(choices: Iterable[LawChoice]) -> str:
@@ -137,8 +131,7 @@ def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
 
 
 def _derived_cells(row: DerivedRow) -> tuple[str | float, ...]:
-    spread = (row.mean, row.sd, row.lower, row.median, row.upper)
-    return (row.name, row.unit, *spread, row.measured, row.note)
+    return (row.name, row.unit, *_spread(row), row.measured, row.note)
 
 
 def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
@@ -147,13 +140,16 @@ def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
         *("test", "model", "cycles", "elpd", "elpd_se", "p_loo", "worst_pareto_k", "share_bad_k"),
         *("share_unsettled", "elpd_difference", "elpd_difference_se", "rrse_in_sample"),
     )
-    return csv_text(head, (dataclasses.astuple(row) for row in rows))
+    return csv_text(head, map(dataclasses.astuple, rows))
 
 
 def _cells(row: Row) -> tuple[str | float, ...]:
-    spread = (row.mean, row.sd, row.lower, row.median, row.upper)
     sampler = (row.ess_bulk, row.ess_tail, row.r_hat, row.contraction)
-    return (row.subject, row.name, row.unit, *spread, *sampler, row.note)
+    return (row.subject, row.name, row.unit, *_spread(row), *sampler, row.note)
+
+
+def _spread(row: Row | DerivedRow) -> tuple[float, ...]:
+    return (row.mean, row.sd, row.lower, row.median, row.upper)
 
 
 def csv_text(head: Sequence[str], lines: Iterable[Sequence[str | float]]) -> str:

@@ -12,7 +12,8 @@ import pytest
 
 from mfd_bayes.assessment.views import CampaignView
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.figures import to_png
+from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.html import render
 from mfd_bayes.reporting.pdf import find_browser, print_page
 
@@ -257,7 +258,7 @@ def fifty(campaign, draw, write, tmp_path_factory) -> Path:
     scores = tuple(replace(campaign.scores[0], subject=test.id) for test in tests)
     drawn = draw(replace(campaign, tests=(some,)))
     images = {key: png for key, png in drawn.items() if not key.startswith("tests/")}
-    images["overview"] = figures.to_png(figures.draw_overview("loops", tests))
+    images["overview"] = to_png(draw_overview("loops", tests))
     for test in tests:  # one test's pictures for all: they are as large
         images |= {
             key.replace(some.id, test.id): png for key, png in drawn.items() if some.id in key

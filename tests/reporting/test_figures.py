@@ -7,12 +7,14 @@ import pytest
 
 from mfd_bayes.assessment.views import Marginal
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.reporting.conversion import convert_test, shown_in
 from mfd_bayes.reporting.figures import laws
 from mfd_bayes.reporting.figures.campaign import figures_of_test, shared_figures
-from mfd_bayes.reporting.figures.loops import stretches
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, stretches
+from mfd_bayes.reporting.figures.posteriors import draw_corner, draw_marginals, draw_truth
+from mfd_bayes.reporting.figures.residuals import draw_residuals
+from mfd_bayes.reporting.figures.style import to_png
 
 UNIT = re.compile(r", (in|in/s|s|kip|kip/in|ksi)$")
 
@@ -66,7 +68,7 @@ def test_residuals_are_told_apart_by_stage(campaign):
     test = campaign.tests[0]
     stage = np.tile([2, 3, 1, 1, 1], test.trace.samples // 5).astype(np.int8)
     staged = replace(test, stage=stage, travel=np.abs(test.trace.displacement))
-    figure = figures.draw_residuals("residuals", staged)
+    figure = draw_residuals("residuals", staged)
     ticks = [text.get_text() for text in figure.axes[0].get_xticklabels()]
     assert [tick.split("\n")[0] for tick in ticks] == ["stick", "build-up", "slip"]
     assert ticks[2].endswith("60%")
@@ -94,7 +96,7 @@ def test_wide_positive_priors_are_logarithmic_and_uniform_ones_are_not():
     rng = np.random.default_rng(1)
     wide, uniform = np.exp(rng.normal(size=500)), rng.uniform(size=500)
     marginals = [Marginal("k3", "kip/in", p, p[:60], 0.9) for p in (wide, uniform)]
-    figure = figures.draw_marginals("priors", marginals)
+    figure = draw_marginals("priors", marginals)
     assert [axes.get_xscale() for axes in figure.axes] == ["log", "linear"]
 
 
@@ -104,10 +106,10 @@ def test_pngs_are_the_same_each_time(campaign, images, draw):
 
 def test_the_users_settings_neither_matter_nor_change(test_view):
     test = test_view("a")
-    plain = figures.to_png(figures.draw_loops("a", test.trace, [test.observation]))
+    plain = to_png(draw_loops("a", test.trace, [test.observation]))
     with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "red"}):
         before = dict(mpl.rcParams)
-        assert figures.to_png(figures.draw_loops("a", test.trace, [test.observation])) == plain
+        assert to_png(draw_loops("a", test.trace, [test.observation])) == plain
         assert dict(mpl.rcParams) == before
 
 
@@ -122,7 +124,7 @@ def test_bands_follow_each_stretch_of_motion(test_view):
 
 def test_forward_and_backward_bands_do_not_close_the_loop(test_view):
     test = test_view("a")
-    figure = figures.draw_loops("a", test.trace, [test.observation])
+    figure = draw_loops("a", test.trace, [test.observation])
     bands = figure.axes[0].collections[0].get_paths()
     # in mid-stroke the force is near ±1 kip; no band may reach from one branch to the other
     assert not any(path.contains_point((0.0, 0.0)) for path in bands[1:])
@@ -138,22 +140,22 @@ def test_predicted_tests_have_no_band_of_the_device(drawn):
 def test_a_motion_without_a_force_can_be_drawn(test_view):
     test = test_view("a")
     trace = Trace.from_arrays(test.trace.time, test.trace.displacement, 0.8)
-    assert figures.to_png(figures.draw_loops("a", trace, [test.observation]))
-    assert figures.to_png(figures.draw_history("a", trace, [test.observation]))
-    assert figures.to_png(figures.draw_history("a", test.trace))
+    assert to_png(draw_loops("a", trace, [test.observation]))
+    assert to_png(draw_history("a", trace, [test.observation]))
+    assert to_png(draw_history("a", test.trace))
 
 
 @pytest.mark.parametrize("kind", ["device", "new_test", "observation", "prior"])
 def test_every_kind_of_band_can_be_drawn(test_view, kind):
     test = test_view("a")
     fan = replace(test.observation, kind=kind, intervals=test.observation.intervals[1:])
-    figure = figures.draw_loops("a", test.trace, [fan])
+    figure = draw_loops("a", test.trace, [fan])
     assert "95 %" in figure.legends[0].get_texts()[1].get_text()
 
 
 def test_long_records_show_the_strongest_motion(test_view):
     test = test_view("a", samples=12_000)
-    figure = figures.draw_history("a", test.trace, [test.observation], test.first)
+    figure = draw_history("a", test.trace, [test.observation], test.first)
     assert len(figure.axes) == 6
     assert all(len(line.get_xdata()) <= 4500 for axes in figure.axes for line in axes.lines)
 
@@ -161,30 +163,30 @@ def test_long_records_show_the_strongest_motion(test_view):
 def test_constant_quantities_are_left_out_of_the_corner(test_view):
     test = test_view("a")
     still = replace(test.marginals[0], posterior=np.ones(60))
-    assert figures.draw_corner("a", [still, *test.marginals[1:]], test.corner) is None
+    assert draw_corner("a", [still, *test.marginals[1:]], test.corner) is None
     wanted = ("Fc_fwd", "k3", "gamma1", "unknown")
-    assert len(figures.draw_corner("a", test.marginals, wanted).axes) == 9
-    assert len(figures.draw_corner("a", [still, *test.marginals[1:]], wanted).axes) == 4
+    assert len(draw_corner("a", test.marginals, wanted).axes) == 9
+    assert len(draw_corner("a", [still, *test.marginals[1:]], wanted).axes) == 4
 
 
 def test_names_from_files_are_text_for_matplotlib_too(test_view):
     test = test_view("$\\frac{x$ 試験 \n<script>")
-    figure = figures.draw_loops(test.id, test.trace, [test.observation])
-    assert figures.to_png(figure)
+    figure = draw_loops(test.id, test.trace, [test.observation])
+    assert to_png(figure)
 
 
 def test_truths_that_are_not_positive_are_left_out(campaign):
-    figure = figures.draw_truth("truth", campaign.truth)
+    figure = draw_truth("truth", campaign.truth)
     assert len(figure.axes[0].get_yticks()) == 2
-    assert figures.draw_truth("truth", campaign.truth[2:]) is None
+    assert draw_truth("truth", campaign.truth[2:]) is None
 
 
 def test_no_laws_no_figure():
-    assert figures.draw_laws("laws", (), "ksi") is None
+    assert laws.draw_laws("laws", (), "ksi") is None
 
 
 def test_more_tests_than_panels_are_announced(test_view):
-    figure = figures.draw_overview("all", [test_view("a", samples=30)] * 61)
+    figure = draw_overview("all", [test_view("a", samples=30)] * 61)
     assert "first 60 of 61" in figure.get_suptitle()
 
 

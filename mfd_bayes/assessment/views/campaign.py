@@ -43,7 +43,6 @@ class LeftOutView:
     ----------
     by : {"test", "level", "session"}
         What a part is.
-    rows : tuple of LeftOutRow
     mean : LeftOutRow
         Mean of each column over the tests.
     sentence : str
@@ -77,20 +76,15 @@ class CampaignView:
 
     Attributes
     ----------
-    title : str
     verdict : Verdict
         FAIL where a check failed, else PASS.
     sentence : str
         The verdict with its reason.
     actuation_unit : {"ksi", "kip"}
-    tests : tuple of TestView
     failures : mapping of str to str
         Tests without a posterior, and why.
-    laws : tuple of LawView
     law_rows : tuple of Row
         Table II: slopes, intercepts, shapes, and the scatter of each quantity.
-    checks : tuple of Check
-    scores : tuple of ScoreRow
     truth : tuple of TruthRow
         Empty for real tests.
     provenance : mapping of str to str

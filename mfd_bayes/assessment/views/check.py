@@ -30,10 +30,8 @@ class Check:
         Such as "R-hat" or "posterior predictive p-value".
     target : str
         The parameter, or the feature of the record, that is checked.
-    value : float
     limit : str
         Such as "<= 1.01".
-    verdict : Verdict
     """
 
     subject: str

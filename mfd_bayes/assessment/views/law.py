@@ -13,7 +13,6 @@ class LawView:
 
     Attributes
     ----------
-    name, unit : str
     law : str
         The law's name, or the weights of several laws.
     actuation : (m,), ksi or kip
@@ -40,7 +39,6 @@ class LawScoreRow:
 
     Attributes
     ----------
-    quantity, law : str
     chosen : bool
         Whether the campaign uses this law.
     elpd, elpd_se : float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +118,6 @@ class TestView:
 
     Attributes
     ----------
-    id : str
     role : {"calibrate", "validate"}
     actuation : str
         With its unit.
@@ -128,15 +127,10 @@ class TestView:
         First sample that was fitted.
     device : Fan or None
         Model and offset, without noise; None where the test was predicted.
-    observation : Fan
-    rows : tuple of Row
-    marginals : tuple of Marginal
     chains : mapping of str to (chain, draw)
         Sampled quantities for trace plots; a draw is the mean over walkers at a step.
     corner : tuple of str
         Quantities of the corner plot, in its order: those that the data inform.
-    checks : tuple of Check
-    score : ScoreRow
     identifiability : Identifiability or None
         None where the test was predicted.
     derived : tuple of DerivedRow
@@ -155,14 +149,14 @@ class TestView:
     actuation: str
     trace: Trace
     first: int
-    device: Fan | None
     observation: Fan
-    rows: tuple[Row, ...]
-    marginals: tuple[Marginal, ...]
-    chains: Mapping[str, Array]
-    corner: tuple[str, ...]
-    checks: tuple[Check, ...]
     score: ScoreRow
+    device: Fan | None = None
+    rows: tuple[Row, ...] = ()
+    marginals: tuple[Marginal, ...] = ()
+    chains: Mapping[str, Array] = field(default_factory=dict)
+    corner: tuple[str, ...] = ()
+    checks: tuple[Check, ...] = ()
     identifiability: Identifiability | None = None
     derived: tuple[DerivedRow, ...] = ()
     stage: NDArray[np.int8] | None = None

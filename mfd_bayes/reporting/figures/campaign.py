@@ -38,16 +38,8 @@ def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
 def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[tuple[str, bytes]]:
     """PNGs of the figures of one test, one at a time, each with its key.
 
-    Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out.
-
-    Parameters
-    ----------
-    test : TestView
-        In internal units.
-    system : System
-        Units of the figures.
-    actuation_unit : str
-        The internal one.
+    Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out. The
+    test and `actuation_unit` are in internal units, the figures in those of `system`.
     """
     return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system))
 

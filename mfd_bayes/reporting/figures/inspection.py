@@ -33,17 +33,10 @@ _MARKS = 60  # more of one kind would hide the curve
 
 @look.style()
 def draw_inspection(title: str, trace: Trace, loops: Loops, faults: Sequence[Fault] = ()) -> Figure:
-    """Loop, displacement and force over time, and energy per cycle, with faults marked.
+    """Loop, displacement and force over time, and energy per cycle of a record at its own rate.
 
-    Parameters
-    ----------
-    title : str
-    trace : Trace
-        As read, at its own rate; without a force there are no loops to draw.
-    loops : Loops
-        Of the trace.
-    faults : sequence of Fault
-        Marked at their samples, if they have any; all are named below the panels.
+    Faults are marked at their samples, if they have any, and named below the panels. Without
+    a force there is only the displacement.
     """
     marked = [fault for fault in faults if fault.samples.size]
     figure = look.new_figure(10, 5.6)

@@ -35,17 +35,10 @@ _VELOCITY_TURN = 0.02  # share of its peak-to-peak: smaller turns are noise
 
 @look.style()
 def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: System = US) -> Figure:
-    """Force against displacement and against velocity, over the bands of the model.
+    """Force against displacement and against velocity, over bands.
 
-    Parameters
-    ----------
-    title : str
-    trace : Trace
-        Its force is drawn if it has one.
-    fans : sequence of Fan
-        Drawn one over the other, so the widest first.
-    system : System
-        Units that all of them are in.
+    The fans are drawn one over the other, so the widest comes first. Trace and fans are in
+    the units of `system`.
     """
     figure = look.new_figure(10, 4.3)
     figure.suptitle(plain(title), x=0.01, ha="left")
@@ -69,18 +62,10 @@ def draw_history(
     first: int = 0,
     system: System = US,
 ) -> Figure:
-    """Displacement, force with bands, and residual (measured − median) against time.
+    """Displacement, force with bands, and residual against time.
 
-    Parameters
-    ----------
-    title : str
-    trace : Trace
-    fans : sequence of Fan
-        The residual is that of the first one's median.
-    first : int
-        Samples before this one were left out of the fit.
-    system : System
-        Units that all of them are in.
+    The residual is the force minus the first fan's median; samples before `first` were not
+    fitted. Trace and fans are in the units of `system`.
     """
     windows = _windows(trace)
     rows = 3 if fans and trace.force is not None else 2

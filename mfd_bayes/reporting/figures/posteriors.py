@@ -46,18 +46,8 @@ _CLIP = 8.0  # largest ratio to the truth on the axis
 def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str]) -> Figure | None:
     """Pairs of quantities: contours of 39, 86 and 95 % of the draws, 95 % intervals dashed.
 
-    Parameters
-    ----------
-    title : str
-    marginals : sequence of Marginal
-        Draws of the same number belong together.
-    names : sequence of str
-        Quantities to draw, the most important first; at most eight are drawn.
-
-    Returns
-    -------
-    Figure or None
-        None where fewer than two quantities have draws that vary.
+    Draws of the marginals belong together by their number. At most eight quantities are
+    drawn, the first ones of `names`; None where fewer than two have draws that vary.
     """
     chosen = _varying(marginals, names)
     if len(chosen) < 2:

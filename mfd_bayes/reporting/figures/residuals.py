@@ -22,15 +22,7 @@ _LAGS = 60
 
 @look.style()
 def draw_residuals(title: str, test: TestView, system: System = US) -> Figure:
-    """Residuals by stage, along the gap, and their autocorrelation.
-
-    Parameters
-    ----------
-    title : str
-    test : TestView
-        With its force; in the units of `system`.
-    system : System
-    """
+    """Residuals of a test, in the units of `system`: by stage, along the gap, autocorrelation."""
     kept = slice(test.first, None)
     residual = (np.asarray(test.trace.force) - test.observation.median)[kept]
     half = _half_width(test)[kept]
