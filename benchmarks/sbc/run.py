@@ -140,8 +140,10 @@ def draw(
     pictures: Sequence[tuple[str, Mapping[str, Sequence[int]], Uniformity]], path: Path
 ) -> None:
     """Write the ECDF differences of every quantity, with the bands."""
-    from mfd_bayes.reporting.figures.style import BLUE, VERMILLION, new_figure, save_png, style
+    from mfd_bayes.reporting.colours import BLUE, VERMILLION
+    from mfd_bayes.reporting.figures.style import new_figure, style, to_png
     from mfd_bayes.reporting.symbols import in_figure
+    from mfd_bayes.store.files import write_bytes
 
     names = list(pictures[0][1])
     columns = 6
@@ -169,7 +171,7 @@ def draw(
             f"Simulation-based calibration: shaded, where all curves of a colour "
             f"stay in {100 * (1 - LEVEL):g} % of cases"
         )
-    save_png(figure, path)
+    write_bytes(path, to_png(figure))
 
 
 if __name__ == "__main__":
