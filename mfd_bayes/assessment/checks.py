@@ -135,17 +135,14 @@ def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
 
 @dataclass(frozen=True, eq=False)
 class CheckedTest:
-    """What the checks of a calibrated test are computed from.
+    """A calibrated test with everything that its checks need.
 
     Attributes
     ----------
-    test : TestResult
     rows : sequence of Row
-        Its parameters, with their convergence.
+        Parameters with their convergence.
     replicas : Replicas
-        Records that the posterior predicts.
-    known : Identifiability
-        What the data tell of its parameters.
+        Artificial records that the posterior predicts.
     effort : mapping
         Targets of the sampling.
     """
@@ -158,7 +155,7 @@ class CheckedTest:
 
     @property
     def id(self) -> str:
-        """The test's."""
+        """Id of the test."""
         return self.test.id
 
 
