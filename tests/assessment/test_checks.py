@@ -73,7 +73,7 @@ def test_every_parameter_has_both_sensitivities():
 
 
 @pytest.mark.parametrize(("contraction", "verdict"), [(0.9, "pass"), (0.2, "note")])
-def test_every_contraction_is_told(contraction, verdict):
+def test_every_contraction_is_checked(contraction, verdict):
     spread = (1.0, 0.1, 0.8, 1.0, 1.2, 1.0, 900.0, 900.0)
     rows = [
         Row("p500", "k2", "kip/in", *spread, contraction),
@@ -103,7 +103,7 @@ def test_an_ensemble_that_is_stuck_fails_the_verdict():
     assert (check.target, check.value, check.verdict) == ("d2", 0.0, "fail")
 
 
-def test_modes_are_noted_with_what_they_hold():
+def test_modes_are_noted_with_their_shares_of_the_draws():
     facts = {"modes": 2, "mode_shares": [[0.9, 0.1], [0.94, 0.06]]}
     (check,) = notes("p500", [], facts)
     assert check.target == "posterior (they hold 92 %, 8 % of the draws)"

@@ -26,13 +26,13 @@ def row_of(name, draws, prior, convergence):
         ([1.0, None, 400.0], (1.0, 0.0, 400.0)),
     ],
 )
-def test_figures_that_json_has_not_fail_their_limits(stored, shown):
+def test_infinite_figures_which_json_stores_as_null_fail_their_limits(stored, shown):
     draws = np.random.default_rng(0).lognormal(size=(2, 20))
     row = row_of("Fc_fwd", draws, draws[0], stored)
     assert (row.r_hat, row.ess_bulk, row.ess_tail) == shown
 
 
-def test_what_is_fixed_has_no_contraction():
+def test_a_fixed_quantity_has_no_contraction():
     row = row_of("start", np.full((2, 20), 0.5), np.full(2000, 0.5), [1.0, 1.0, 1.0])
     assert np.isnan(row.contraction)
     assert row.note == ""

@@ -53,5 +53,5 @@ def test_a_fitted_band_without_width_has_no_ratio():
     assert math.isnan(row.crps_ratio)
 
 
-def test_nothing_is_said_of_a_campaign_that_was_not_cross_validated():
+def test_a_campaign_without_cross_validation_has_no_such_view():
     assert left_out_view(None) is None

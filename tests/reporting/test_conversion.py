@@ -31,7 +31,7 @@ def test_units_of_either_system(internal, metric, factor):
     assert (US.unit(internal), US.factor(internal)) == (internal, 1.0)
 
 
-def test_what_does_not_measure_the_same_is_not_converted():
+def test_units_of_different_kinds_are_not_converted():
     with pytest.raises(UnitError, match="'kip' cannot be given in 'mm'"):
         convert("kip", "mm")
 

@@ -51,7 +51,7 @@ def test_json_and_csv_hold_the_same(campaign):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_null(campaign, value):
+def test_figures_that_are_not_finite_are_null(campaign, value):
     rows = (replace(campaign.law_rows[0], r_hat=value),)
     text = export_tables(replace(campaign, law_rows=rows))["laws.json"]
     assert strict(text)["rows"][0]["r_hat"] is None

@@ -22,7 +22,7 @@ def test_every_figure_has_its_table(images, tables):
     assert {table_of(key) for key in images} == set(tables)
 
 
-def test_a_record_is_told_in_full(campaign, tables):
+def test_the_table_of_a_record_has_every_sample(campaign, tables):
     test = campaign.tests[0]
     rows = read(tables["tests/p800_f0.25/record.csv"])
     assert len(rows) == test.trace.samples
@@ -36,7 +36,7 @@ def test_a_record_is_told_in_full(campaign, tables):
     assert {row["fitted"] for row in held} == {"0"}
 
 
-def test_stages_are_told_where_they_are_known(campaign):
+def test_the_table_of_a_record_has_stages_where_they_are_known(campaign):
     test = campaign.tests[0]
     staged = replace(
         test, stage=np.full(test.trace.samples, 2, np.int8), travel=np.zeros(test.trace.samples)
@@ -63,7 +63,7 @@ def test_laws_hold_curves_and_tests(tables):
     assert all(float(r["lower"]) <= float(r["median"]) <= float(r["upper"]) for r in rows)
 
 
-def test_chains_are_told_apart(tables):
+def test_the_table_of_chains_has_a_number_for_each(tables):
     rows = read(tables["tests/p800_f0.25/chains.csv"])
     assert {row["chain"] for row in rows} == {"0", "1", "2", "3"}
     assert "Fc_fwd [kip]" in rows[0]

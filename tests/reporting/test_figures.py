@@ -64,7 +64,7 @@ def test_a_metric_report_is_drawn_in_metric_units(campaign, drawn):
     assert millimetres == pytest.approx([25.4 * limit for limit in inches])
 
 
-def test_residuals_are_told_apart_by_stage(campaign):
+def test_residuals_are_shown_by_stage(campaign):
     test = campaign.tests[0]
     stage = np.tile([2, 3, 1, 1, 1], test.trace.samples // 5).astype(np.int8)
     staged = replace(test, stage=stage, travel=np.abs(test.trace.displacement))

@@ -138,7 +138,7 @@ def test_the_verdict_is_worded(campaign, images, text):
     assert "R̂ is 1.2." in first(failed, images)
 
 
-def test_what_the_data_do_not_tell_is_told(text):
+def test_the_page_says_what_the_data_do_not_inform(text):
     assert "γ<sub>2</sub>/γ<sub>1</sub>" in text
     assert "equal-tailed" in text
     assert re.search(r"hold <strong>2</strong>", text)  # of the informed truths
@@ -164,7 +164,7 @@ def test_either_system_of_units_is_a_click_away(campaign, images, text):
     assert re.findall(r'id="units-(us|si)" value="\w+" checked', metric) == ["si"]
 
 
-def test_derived_quantities_stand_beside_what_was_measured(campaign, images, text):
+def test_derived_quantities_are_beside_the_measured_values(campaign, images, text):
     section = text[text.index('<h2 id="derived">') : text.index('<h2 id="laws">')]
     shown = only(section, "us")
     assert "3.210<small>[3.00, 3.40]</small><small>measured 3.300</small>" in shown
@@ -177,7 +177,7 @@ def test_derived_quantities_stand_beside_what_was_measured(campaign, images, tex
     assert 'id="derived"' not in first(replace(campaign, tests=bare), images)
 
 
-def test_values_that_are_about_their_prior_are_set_apart(campaign, images):
+def test_values_that_the_data_do_not_inform_are_in_italics(campaign, images):
     test = campaign.tests[0]
     rows = [replace(row, contraction=float("nan"), note="") for row in test.rows]
     rows[0] = replace(rows[0], note="only the ratio reaches the force")
@@ -244,7 +244,7 @@ def test_a_campaign_without_anything(campaign, draw):
     Page(first(empty, {}))
 
 
-def test_checks_of_the_sampler_are_told_from_those_of_the_fit():
+def test_checks_of_the_sampler_are_separate_from_those_of_the_fit():
     names = {
         "R-hat": True,
         "bulk ESS": True,
@@ -279,14 +279,14 @@ def test_one_statistic_is_one_line_whatever_was_observed(campaign, images):
     assert "observed 3.5" in text
 
 
-def test_what_is_told_elsewhere_is_not_told_twice(campaign, images):
+def test_checks_with_a_section_of_their_own_are_shown_once(campaign, images):
     note = Check("a", "prior variance removed", "k3", 0.1, ">= 0.5", Verdict.NOTE)
     text = first(replace(campaign, checks=(note,)), images)
     assert "prior variance removed" not in text
     assert "<b>0 of 0</b> checks failed" in text
 
 
-def test_what_a_test_informs_is_told(text):
+def test_the_page_shows_the_directions_that_a_test_informs(text):
     assert "1 of 2" in text
     assert "F<sub>c,fwd</sub> with k<sub>3</sub>" in text
     assert "20 times narrower" in text
@@ -324,7 +324,7 @@ def test_laws_are_scored_and_the_best_is_named(text):
     assert "−0.3 ± 0.8" in section
 
 
-def test_what_was_left_out_stands_with_the_tests_held_out(text, campaign, images):
+def test_cross_validation_is_in_the_section_of_tests_held_out(text, campaign, images):
     section = text[text.index('id="held-out"') : text.index('id="unknown"')]
     for words in ("Every level left out in turn", "Of 1 tests", "800 psi", "0.450"):
         assert words in section
@@ -339,7 +339,7 @@ def test_the_interval_score_stands_between_width_and_crps(text):
     assert heads[:3] == ["Width of 95\N{NO-BREAK SPACE}%", "Interval score", "CRPS"]
 
 
-def test_models_that_were_compared_are_told(campaign, images, text):
+def test_models_that_were_compared_are_shown(campaign, images, text):
     assert "mfd-bayes compare" in text
     row = ComparisonRow("all", "three_stage", 40, -10.0, 2.0, 9.0, 0.6, 0.1, 0.0, 0.0, 0.0, 0.05)
     view = replace(campaign, comparison=(row,), comparison_sentence="Three stages win.")

@@ -96,7 +96,7 @@ def test_table_one_has_a_column_for_each_calibrated_test(campaign):
     assert r"equal-tailed 95\,\% interval" in text
 
 
-def test_what_is_noted_of_a_figure_is_marked_on_it(campaign):
+def test_a_figure_with_a_note_has_its_mark(campaign):
     test, held = campaign.tests
     rows = tuple(replace(r, note="not informed") if r.name == "k3" else r for r in test.rows)
     text = parameters_tex(replace(campaign, tests=(replace(test, rows=rows), held)))

@@ -64,6 +64,6 @@ def test_labels_carry_units():
         ("dependence_d2_velocity", "dependence of d<sub>2</sub> on velocity", "on velocity"),
     ],
 )
-def test_what_is_of_the_population_is_said_in_words(name, text, meaning):
+def test_quantities_of_the_population_are_written_in_words(name, text, meaning):
     assert symbols.in_html(name) == text
     assert meaning in symbols.meaning(name)

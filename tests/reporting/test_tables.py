@@ -71,7 +71,7 @@ def test_derived_quantities_of_every_test(campaign):
     assert list(read("\n".join(table))[0]) == head.split()
 
 
-def test_what_was_left_out_ends_in_its_mean(campaign):
+def test_the_table_of_cross_validation_ends_with_the_mean(campaign):
     lines = read(crossvalidation_csv(campaign.left_out))
     assert [(line["part"], line["test"]) for line in lines] == [
         ("800 psi", "p800_f0.25"),
