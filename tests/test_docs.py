@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
@@ -228,6 +229,16 @@ def test_the_targets_of_sampling_are_the_efforts(target):
 def test_every_public_name_is_in_the_reference():
     text = PAGES["python.md"].read_text(encoding="utf-8")
     assert sorted(re.findall(r"^::: .*\.(\w+)$", text, re.MULTILINE)) == sorted(mb.__all__)
+
+
+def test_the_citation_is_that_of_the_package():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    assert {f"title: {project['name']}", f"version: {project['version']}"} <= set(lines)
+    assert f"license: {project['license']}" in lines
+    assert [f'  - name: "{author["name"]}"' for author in project["authors"]] == [
+        line for line in lines if line.startswith("  - name: ")
+    ]
 
 
 @pytest.mark.parametrize("page", sorted(PAGES))
