@@ -20,7 +20,7 @@ from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.layout import Layout, Setting, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import setting_of
-from mfd_bayes.population.sampling import JointDraws, sample_joint
+from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
 from mfd_bayes.population.test_likelihood import TestLikelihood, likelihood_of
 from mfd_bayes.records.trace import Trace
 
@@ -185,7 +185,8 @@ def draw_jointly(
         tests.append(found if way == RIGHT else _as_points(found))
     rng = np.random.default_rng([study.seed, index, 2])
     priors = campaign.tests[0].priors
-    return sample_joint(campaign.layout, tests, priors, "ksi", study.joint, rng)
+    problem = JointProblem(campaign.layout, tests, priors, "ksi")
+    return sample_joint(problem, study.joint, rng)
 
 
 def _as_points(test: TestLikelihood) -> TestLikelihood:

@@ -1,4 +1,4 @@
-"""What the chains of a population said of its tests, sweep by sweep, in bounded memory."""
+"""The state of the chains that sample a population, and the thinned states that are kept."""
 
 from __future__ import annotations
 
@@ -10,25 +10,77 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Choice = NDArray[np.intp]
+Index = NDArray[np.intp]
+
+Accepted = list[tuple[str, NDArray[np.bool_]]]
+"""What a move accepted: by name, which chains."""
 
 ROOM = 1 << 25
-"""Numbers that are held of the tests, in single precision: 128 MiB."""
+"""Most numbers of test coordinates that are kept, in single precision: 128 MiB."""
 
 FEWEST = 16
-"""Sweeps that are held, however many tests there are."""
+"""Sweeps that are kept, however many tests there are."""
+
+
+@dataclass
+class Chains:
+    """Current state of n chains.
+
+    Attributes
+    ----------
+    h : (n, dim)
+        Hyperparameters, as in `Layout`.
+    latent : (n, 1 + cells, d)
+        Levels, then the effects' independent parts.
+    x : list of (n, D)
+        Coordinates of each test in prior units: the d shared ones first, then its own.
+    log_likelihood : list of (n,)
+        Of each test at its coordinates.
+    choice : (n, L) int
+        Law of each quantity that follows the actuation.
+    ensemble : (n,) int
+        Differential evolution takes partners from a chain's own ensemble alone.
+    """
+
+    h: Array
+    latent: Array
+    x: list[Array]
+    log_likelihood: list[Array]
+    choice: Choice
+    ensemble: Index
+
+    def values(self, k: int) -> Array:
+        """Coordinate k of every test, (n, J)."""
+        return np.stack([x[:, k] for x in self.x], axis=1)
+
+    def partners(self, rng: np.random.Generator) -> list[tuple[Index, Index, Index]]:
+        """Halves of the chains, each with two different partners from its ensemble's other half."""
+        found = []
+        order = rng.permutation(len(self.h))
+        order = order[np.argsort(self.ensemble[order], kind="stable")]
+        by_ensemble = order.reshape(self.ensemble[-1] + 1, -1)
+        middle = by_ensemble.shape[1] // 2
+        halves = by_ensemble[:, :middle], by_ensemble[:, middle:]
+        for own, other in (halves, halves[::-1]):
+            first = rng.integers(other.shape[1], size=own.shape)
+            second = (first + rng.integers(1, other.shape[1], size=own.shape)) % other.shape[1]
+            rows = np.arange(len(other))[:, None]
+            found.append((own.ravel(), other[rows, first].ravel(), other[rows, second].ravel()))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
-class State:
-    """What the chains say of the tests after a sweep.
+class Snapshot:
+    """What is kept of the chains after a sweep, for the tests.
 
     Attributes
     ----------
     latent : (n, 1 + cells, d)
     products : (n, d, d)
-        Of the tests' places in the scatter, summed over the tests.
+        Products of the tests' standardised deviations, summed over tests.
     x : (n, sum of D) float32
-        Coordinates of one test after the other.
+        Coordinates of all tests, one test after the other.
     """
 
     latent: Array
@@ -37,75 +89,69 @@ class State:
 
 
 class ThinnedChains:
-    """States of sweeps evenly apart: every `step`-th, which doubles when there is no more room.
+    """Snapshots of every `step`-th sweep; the step doubles when there is no more room.
 
     Parameters
     ----------
     wanted : int
-        States that are wanted at the end, where half may be too early. Fewer are held where
-        those of many tests would take more than `ROOM`.
+        Snapshots that are wanted at the end, after half of them may be dropped as warm-up. There
+        are fewer where those of many tests would take more than `ROOM`.
     chains : int
     size : int
-        Coordinates of all tests.
+        Coordinates of all tests together.
     """
 
     def __init__(self, wanted: int, chains: int, size: int) -> None:
         room = max(FEWEST, ROOM // (chains * size))
         self.most = min(4 * wanted + 2, room)
         self.wanted, self.step = wanted, 1
-        self.states: dict[int, State] = {}
-        # taken at once: what is taken and given back bit by bit leaves holes in the memory
+        self.snapshots: dict[int, Snapshot] = {}
+        # allocated once: many small allocations would leave gaps in the memory
         self._room = np.empty((self.most, chains, size), dtype=np.float32)
         self._free = list(range(self.most))
         self._taken: dict[int, int] = {}
 
     def wants(self, sweep: int) -> bool:
-        """Whether the state after a sweep is to be added."""
+        """Whether the chains after this sweep are to be added."""
         return (sweep + 1) % self.step == 0
 
     def add(self, sweep: int, latent: Array, products: Array, x: Sequence[Array]) -> None:
-        """Take a state in; where there is no room, every other one goes first.
+        """Keep a snapshot; where there is no room, every other one is dropped first.
 
-        Parameters
-        ----------
-        sweep : int
-        latent, products
-            As of `State`.
-        x : sequence of (n, D)
-            Of each test.
+        `latent` and `products` are those of `Snapshot`, x holds each test's coordinates, (n, D).
         """
         if not self._free:
             self.step *= 2
-            for gone in [i for i in self.states if not self.wants(i)]:
-                del self.states[gone]
-                self._free.append(self._taken.pop(gone))
+            for dropped in [i for i in self.snapshots if not self.wants(i)]:
+                del self.snapshots[dropped]
+                self._free.append(self._taken.pop(dropped))
         if self.wants(sweep):
             slot = self._taken[sweep] = self._free.pop()
             np.concatenate(x, axis=1, out=self._room[slot], casting="same_kind")
-            self.states[sweep] = State(latent, products, self._room[slot])
+            self.snapshots[sweep] = Snapshot(latent, products, self._room[slot])
 
-    def since(self, sweep: int) -> dict[int, State]:
-        """States of a sweep and those after it, in their order; every so many, if too many."""
-        late = [i for i in self.states if i >= sweep]
+    def since(self, sweep: int) -> dict[int, Snapshot]:
+        """Snapshots of a sweep and later ones by sweep, thinned evenly if more than wanted."""
+        late = [i for i in self.snapshots if i >= sweep]
         apart = max(1, len(late) // self.wanted)
-        return {i: self.states[i] for i in late[::-1][::apart][::-1]}
+        return {i: self.snapshots[i] for i in late[::-1][::apart][::-1]}
 
 
 class TestDraws(Sequence[Array]):
-    """Draws of each test, (chain, draw, D), put together when asked for: they are many.
+    """Draws of each test, (chain, draw, D); they are large, so each is put together on request.
 
     Parameters
     ----------
-    states : sequence of State
+    snapshots : sequence of Snapshot
     sizes : sequence of int
         D of each test.
     ensembles : int
     """
 
-    __test__ = False
+    __test__ = False  # pytest is not to collect it
 
-    def __init__(self, states: Sequence[State], sizes: Sequence[int], ensembles: int) -> None:
-        self._states, self._ensembles = states, ensembles
+    def __init__(self, snapshots: Sequence[Snapshot], sizes: Sequence[int], ensembles: int) -> None:
+        self._snapshots, self._ensembles = snapshots, ensembles
         self._edges = [0, *np.cumsum(sizes).tolist()]
 
     def __len__(self) -> int:
@@ -120,11 +166,11 @@ class TestDraws(Sequence[Array]):
             return [self[j] for j in range(*index.indices(len(self)))]
         j = range(len(self))[index]
         own = slice(self._edges[j], self._edges[j + 1])
-        draws = by_walker([state.x[:, own] for state in self._states], self._ensembles)
+        draws = by_walker([snapshot.x[:, own] for snapshot in self._snapshots], self._ensembles)
         return np.asarray(draws, dtype=np.float64)
 
 
 def by_walker(steps: Sequence[NDArray[Any]], ensembles: int) -> NDArray[Any]:
-    """Steps of (n, …) as (chain, draw, …), a chain's draws by walker and along it by step."""
+    """Steps of (n, …) as (chain, draw, …), the draws of a chain by walker, then by step."""
     array = np.stack(steps, axis=1)  # (n, step, …)
     return array.reshape(ensembles, -1, *array.shape[2:])

@@ -25,7 +25,7 @@ from mfd_bayes.population.law_scores import (
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.predict import setting_of
-from mfd_bayes.population.sampling import JointDraws, most_sweeps, sample_joint
+from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
 from mfd_bayes.population.test_likelihood import likelihood_of
 
 
@@ -102,15 +102,9 @@ def infer_population(
         report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
     with several_processes([test.log_likelihood for test in likelihoods], jobs) as evaluate:
-        draws = sample_joint(
-            replace(layout, weights=weights),
-            likelihoods,
-            some.priors,
-            settings["actuation_unit"],
-            chosen,
-            np.random.default_rng(list(seed)),
-            tell,
-            evaluate,
+        problem = JointProblem(
+            replace(layout, weights=weights), likelihoods, some.priors, settings["actuation_unit"]
         )
+        draws = sample_joint(problem, chosen, np.random.default_rng(list(seed)), tell, evaluate)
     exponents = free_exponents(layout, likelihoods)
     return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))

@@ -1,4 +1,4 @@
-"""The population of tests: levels, laws and test-to-test scatter, from the tests' likelihoods."""
+"""Joint draws of the population and of every test: warm-up, sweeps and convergence."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.jobs.likelihoods import Evaluate
-from mfd_bayes.population.chains import TestDraws, ThinnedChains, by_walker
+from mfd_bayes.population.chains import Chains, TestDraws, ThinnedChains, by_walker
 from mfd_bayes.population.joint import Joint
+from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.lines import tune
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.sweep import Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
@@ -25,27 +26,46 @@ WALKERS = 32
 """Chains of each ensemble."""
 
 WARM_UP = 80
-"""Sweeps with Gaussians in place of the likelihoods, which are cheap."""
-
-KEPT = 1500
-"""Draws of each ensemble that are kept, about, or the effective sample size that is asked for."""
-
-ALONE = 2.0
-"""Tests without any correlation of the scatter that its prior is worth."""
+"""Warm-up sweeps with Gaussians in place of the likelihoods, which are cheap."""
 
 SETTLE = 20
-"""Sweeps after that which are not kept."""
+"""Further warm-up sweeps, with the likelihoods themselves."""
+
+KEPT = 1500
+"""Least number of draws of each ensemble that are kept, about."""
+
+ALONE = 2.0
+"""Number of tests without correlation of their scatter that its prior is worth."""
 
 LATE = (0.1, 0.25, 0.5)
-"""Shares of the sweeps after those that may be left out, as too early."""
+"""Shares of the sweeps that may be dropped as further warm-up."""
 
 SWEEPS = {100.0: 240, 400.0: 2000, 2000.0: 6000}
-"""Sweeps at most, by the effective sample size that is asked for."""
+"""Largest number of sweeps, by the effective sample size that is asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointProblem:
+    """A population and its tests, before sampling.
+
+    Attributes
+    ----------
+    layout : Layout
+        Of these tests.
+    tests : sequence of TestLikelihood
+    priors : mapping of str to Prior
+    actuation_unit : str
+    """
+
+    layout: Layout
+    tests: Sequence[TestLikelihood]
+    priors: Mapping[str, Prior]
+    actuation_unit: str
 
 
 @dataclass(frozen=True, eq=False)
 class JointDraws:
-    """A population, and its tests' coordinates after layout.
+    """Draws of a population, and of its tests' coordinates given all tests.
 
     Attributes
     ----------
@@ -53,7 +73,7 @@ class JointDraws:
     tests : sequence of (chain, draw, D)
         In prior units, as in `TestLikelihood`.
     accepted : mapping of str to float
-        Share of accepted proposals, by kind.
+        Acceptance rates, by kind of proposal.
     sweeps : int
     """
 
@@ -64,10 +84,7 @@ class JointDraws:
 
 
 def sample_joint(
-    layout: Layout,
-    tests: Sequence[TestLikelihood],
-    priors: Mapping[str, Prior],
-    actuation_unit: str,
+    problem: JointProblem,
     effort: Effort,
     rng: np.random.Generator,
     report: Callable[[int, Convergence], None] = lambda _, __: None,
@@ -77,86 +94,114 @@ def sample_joint(
 
     Parameters
     ----------
-    layout : Layout
-        Of these tests.
-    tests : sequence of TestLikelihood
-    priors : mapping of str to Prior
-    actuation_unit : str
+    problem : JointProblem
     effort : Effort
         Its R̂ and effective sample size are asked of everything in h and of the levels.
     rng : numpy.random.Generator
     report : callable, optional
-        Called with the sweeps done and the convergence, now and then.
+        Called now and then with the number of sweeps and the convergence.
     evaluate : callable, optional
-        Computes the tests' likelihoods, as in several processes.
+        Computes the tests' likelihoods, in several processes.
     """
-    n = effort.ensembles * WALKERS
-    approximate = Joint(layout, [test.approximated() for test in tests], rng)
-    chains = approximate.begin(n, layout.draw_choice(n), effort.ensembles)
+    run = _Run(problem, effort, *_warm_up(problem, effort.ensembles, rng, evaluate))
+    for end in _looks(most_sweeps(effort)):
+        run.sweep_until(end)
+        dropped, convergence = run.converge()
+        report(end, convergence)
+        if convergence.reached(effort.r_hat, effort.ess):
+            break
+    return run.draws(dropped, convergence)
+
+
+def _warm_up(
+    problem: JointProblem, ensembles: int, rng: np.random.Generator, evaluate: Evaluate | None
+) -> tuple[Sampler, Chains]:
+    """A tuned sampler and its chains: with Gaussian likelihoods first, then with the tests' own."""
+    layout, tests = problem.layout, problem.tests
+    sampler = Sampler(Joint(layout, [test.approximated() for test in tests]), rng)
+    chains = sampler.start(ensembles * WALKERS, ensembles)
     for i in range(WARM_UP):
         if i in (WARM_UP // 3, 2 * WARM_UP // 3):
-            approximate.tune(tune(layout, approximate.tests, chains))
-        approximate.sweep(chains)
-    joint = approximate
-    if not all(test.gaussian for test in tests):
-        joint = Joint(layout, tests, rng, evaluate)
-        joint.tune(tune(layout, approximate.tests, chains))
-        joint.resume(chains)
-        for i in range(SETTLE):
-            if i == SETTLE // 2:
-                joint.tune(tune(layout, tests, chains))
-            joint.sweep(chains)
-        joint.settle()
-    hyper: list[Array] = []
-    levels: list[Array] = []
-    sizes = [x.shape[1] for x in chains.x]
-    history = ThinnedChains(-(-max(KEPT, int(effort.ess)) // WALKERS), n, sum(sizes))
-    for end in _looks(most_sweeps(effort)):
-        for i in range(len(hyper), end):
-            joint.sweep(chains)
-            hyper.append(chains.h.copy())
-            levels.append(chains.latent[:, 0].copy())
-            if history.wants(i):
-                history.add(i, chains.latent.copy(), joint.products(chains), chains.x)
-        late, found = _settled(layout, hyper, levels, effort)
-        report(end, found)
-        if found.reached(effort.r_hat, effort.ess):
-            break
-    kept = history.since(late)
-    states = list(kept.values())
-    h = by_walker([hyper[i] for i in kept], effort.ensembles)
-    choice = np.repeat(chains.choice[:, None], len(states), axis=1)
-    population = Population(
-        layout=layout,
-        h=h,
-        latent=by_walker([state.latent for state in states], effort.ensembles),
-        choice=choice.reshape(*h.shape[:2], -1),
-        together=_correlate(by_walker([state.products for state in states], effort.ensembles)),
-        priors=priors,
-        actuation_unit=actuation_unit,
-        walkers=WALKERS,
-        convergence=found,
-    )
-    accepted = {name: float(np.mean(shares)) for name, shares in joint.accepted.items()}
-    return JointDraws(population, TestDraws(states, sizes, effort.ensembles), accepted, end)
+            sampler.tune(chains)
+        sampler.sweep(chains)
+    if all(test.gaussian for test in tests):
+        return sampler, chains
+    sampler = Sampler(Joint(layout, tests, evaluate), rng)
+    sampler.tune(chains)
+    sampler.take_over(chains)
+    for i in range(SETTLE):
+        if i == SETTLE // 2:
+            sampler.tune(chains)
+        sampler.sweep(chains)
+    sampler.choose_moves()
+    return sampler, chains
 
 
-def _settled(
-    layout: Layout, hyper: Sequence[Array], levels: Sequence[Array], effort: Effort
-) -> tuple[int, Convergence]:
-    """The first share of `LATE` after which all has converged, or else best has, in sweeps."""
-    tried = []
-    for share in LATE:
-        late = int(share * len(hyper))
-        found = _measure(layout, hyper[late:], levels[late:], effort.ensembles)
-        if found.reached(effort.r_hat, effort.ess):
-            return late, found
-        tried.append((late, found))
-    return min(tried, key=lambda look: look[1].worst_r_hat)
+class _Run:
+    """The sweeps after warm-up, and what is kept of them."""
+
+    def __init__(
+        self, problem: JointProblem, effort: Effort, sampler: Sampler, chains: Chains
+    ) -> None:
+        self.problem, self.effort, self.sampler, self.chains = problem, effort, sampler, chains
+        self.hyper: list[Array] = []
+        self.levels: list[Array] = []
+        self.sizes = [x.shape[1] for x in chains.x]
+        wanted = -(-max(KEPT, int(effort.ess)) // WALKERS)
+        self.kept = ThinnedChains(wanted, len(chains.h), sum(self.sizes))
+
+    def sweep_until(self, end: int) -> None:
+        """Sweep up to this number of sweeps."""
+        chains = self.chains
+        for i in range(len(self.hyper), end):
+            self.sampler.sweep(chains)
+            self.hyper.append(chains.h.copy())
+            self.levels.append(chains.latent[:, 0].copy())
+            if self.kept.wants(i):
+                products = self.sampler.joint.products(chains)
+                self.kept.add(i, chains.latent.copy(), products, chains.x)
+
+    def converge(self) -> tuple[int, Convergence]:
+        """Sweeps to drop, and convergence of the rest: the first in `LATE` to do, else the best."""
+        tried = []
+        for share in LATE:
+            dropped = int(share * len(self.hyper))
+            found = self._measure(dropped)
+            if found.reached(self.effort.r_hat, self.effort.ess):
+                return dropped, found
+            tried.append((dropped, found))
+        return min(tried, key=lambda look: look[1].worst_r_hat)
+
+    def _measure(self, dropped: int) -> Convergence:
+        hyper, levels = self.hyper[dropped:], self.levels[dropped:]
+        everything = np.concatenate([np.stack(hyper), np.stack(levels)], axis=2)
+        shaped = everything.reshape(len(hyper), self.effort.ensembles, -1, everything.shape[2])
+        return measure(np.swapaxes(shaped, 0, 1)[..., _active(self.problem.layout)])
+
+    def draws(self, dropped: int, convergence: Convergence) -> JointDraws:
+        """What is kept after the dropped sweeps."""
+        kept, ensembles = self.kept.since(dropped), self.effort.ensembles
+        snapshots = list(kept.values())
+        h = by_walker([self.hyper[i] for i in kept], ensembles)
+        choice = np.repeat(self.chains.choice[:, None], len(snapshots), axis=1)
+        population = Population(
+            layout=self.problem.layout,
+            h=h,
+            latent=by_walker([snapshot.latent for snapshot in snapshots], ensembles),
+            choice=choice.reshape(*h.shape[:2], -1),
+            together=_correlate(by_walker([snap.products for snap in snapshots], ensembles)),
+            priors=self.problem.priors,
+            actuation_unit=self.problem.actuation_unit,
+            walkers=WALKERS,
+            convergence=convergence,
+        )
+        rates = {name: float(np.mean(r)) for name, r in self.sampler.accepted.items()}
+        tests = TestDraws(snapshots, self.sizes, ensembles)
+        return JointDraws(population, tests, rates, len(self.hyper))
 
 
 def _looks(limit: int) -> list[int]:
-    """Sweeps after which convergence is looked at, each half as many again; the limit last."""
+    """Numbers of sweeps at which convergence is measured, each half as many again as the last."""
     looks = [min(40, limit)]
     while looks[-1] < limit:
         looks.append(min(looks[-1] + max(20, looks[-1] // 2), limit))
@@ -164,46 +209,30 @@ def _looks(limit: int) -> list[int]:
 
 
 def most_sweeps(effort: Effort) -> int:
-    """Sweeps after which an inference stops in any case."""
+    """Largest number of sweeps after warm-up, converged or not."""
     return SWEEPS.get(effort.ess, int(2 * effort.ess))
 
 
 def _correlate(products: Array) -> Array:
-    """Cholesky factors of the correlations of the tests' places in the scatter.
+    """Cholesky factors of the correlations of the tests' scatter, (chain, draw, d, d).
 
-    Tests differ in several quantities together; the scatter's sds are sampled, how it is
-    correlated is read off the tests in each joint draw, as if `ALONE` tests more had shown none.
+    The sds of the scatter are sampled; its correlation is that of the tests of each joint draw,
+    shrunk as if `ALONE` more tests had shown none.
 
     Parameters
     ----------
     products : (chain, draw, d, d)
-        Of the standardised places, (x − mean)/scatter, summed over the tests.
-
-    Returns
-    -------
-    (chain, draw, d, d)
+        Of the standardised deviations, (x − mean)/scatter, summed over tests.
     """
-    d = products.shape[-1]
-    shrunk = products + ALONE * np.eye(d)
+    shrunk = products + ALONE * np.eye(products.shape[-1])
     sd = np.sqrt(np.diagonal(shrunk, axis1=-2, axis2=-1))
     correlation = shrunk / (sd[..., :, None] * sd[..., None, :])
     factors = np.linalg.cholesky(correlation)
     return np.asarray(factors.astype(np.float32), dtype=np.float64)  # as it is stored
 
 
-def _measure(
-    layout: Layout, hyper: Sequence[Array], levels: Sequence[Array], ensembles: int
-) -> Convergence:
-    everything = np.concatenate([np.stack(hyper), np.stack(levels)], axis=2)
-    active = _active(layout)
-    shaped = everything.reshape(len(hyper), ensembles, -1, everything.shape[2])
-    return measure(np.swapaxes(shaped, 0, 1)[..., active])
-
-
 def _active(layout: Layout) -> NDArray[np.intp]:
-    """Coordinates of h, and levels, that some law of weight depends on."""
-    from mfd_bayes.population.laws import LAWS
-
+    """Coordinates of h, and levels, that some law of positive weight depends on."""
     begin = len(layout.names) + len(layout.effects)
     idle = [
         begin + i

@@ -1,9 +1,10 @@
-"""What one test tells of the population: its likelihood, and a Gaussian that is close to it."""
+"""The likelihood of one test in the coordinates of the population, and a Gaussian close to it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,34 +16,34 @@ from mfd_bayes.population.layout import Layout
 Array = NDArray[np.float64]
 
 ROOM = 1 << 25
-"""Numbers that are held of the stored draws of all tests, in single precision: 128 MiB."""
+"""Most numbers of stored draws of all tests that are held, in single precision: 128 MiB."""
 
 FEWEST = 500
 """Draws of a test that are held, however many tests there are."""
 
 ORDINARY = 20.0
-"""Coordinates nearer to 0 than this have a finite prior density, whatever the prior."""
+"""Coordinates nearer to 0 than this have a finite prior density under every prior."""
 
 LEAST_INFORMATION = 1e-3
-"""Precision, in prior units, below which a test is taken to say nothing about a direction."""
+"""Precision, in prior units, below which a test counts as uninformative in a direction."""
 
 
 @dataclass(frozen=True, eq=False)
 class TestLikelihood:
-    """One test, in prior units: its pooled coordinates first, then those of its own.
+    """Likelihood of one test, in prior units: the d shared coordinates first, then its own.
 
     Attributes
     ----------
     log_likelihood : callable
         Of (n, D) coordinates, (n,).
     log_interim_prior : callable
-        Log density of (n, d) pooled coordinates under the prior of the test by itself, (n,).
+        Log density of (n, d) shared coordinates under the prior of the test by itself, (n,).
     log_own_prior : callable
         Log prior density of the D − d coordinates of its own, (n, D − d) -> (n,).
     draws : (S, D) float32
         Draws of the test's posterior under the interim prior.
     draws_log_prior : (S,)
-        Log density of their pooled coordinates under the interim prior.
+        Log density of their shared coordinates under the interim prior.
     mean, covariance : (D,), (D, D)
         Gaussian close to the likelihood: the draws' moments without the interim prior.
     gaussian : bool
@@ -60,13 +61,22 @@ class TestLikelihood:
 
     __test__ = False  # pytest is not to collect it
 
+    @cached_property
+    def precision(self) -> Array:
+        """Precision of the Gaussian, (D, D)."""
+        return np.asarray(np.linalg.inv(self.covariance))
+
+    @cached_property
+    def root(self) -> Array:
+        """Cholesky factor of the precision, (D, D)."""
+        return np.asarray(np.linalg.cholesky(self.precision))
+
     def approximated(self) -> TestLikelihood:
-        """The same with the Gaussian in place of the likelihood."""
-        precision = np.linalg.inv(self.covariance)
+        """The same test with the Gaussian in place of the likelihood."""
 
         def log_likelihood(x: Array) -> Array:
             away = x - self.mean
-            density: Array = -0.5 * np.einsum("ni,ij,nj->n", away, precision, away)
+            density: Array = -0.5 * np.einsum("ni,ij,nj->n", away, self.precision, away)
             return density
 
         return replace(self, log_likelihood=log_likelihood, gaussian=True)
@@ -74,33 +84,33 @@ class TestLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class LogLikelihood:
-    """Log likelihood of one test's coordinates in prior units; it can be sent to a process.
+    """Log likelihood of one test's coordinates in prior units; a process can be sent it.
 
     Attributes
     ----------
     posterior : Posterior
     coordinates : Coordinates
-        Of the pooled quantities, which are the first.
+        Of the shared quantities, which come first.
     middle, scale : (D,)
-        Origin and length of the units.
-    back : tuple of int
-        Where each of the posterior's coordinates is.
+        Origin and length of the prior units.
+    order : tuple of int
+        Column of each of the posterior's coordinates.
     """
 
     posterior: Posterior
     coordinates: Coordinates
     middle: Array
     scale: Array
-    back: tuple[int, ...]
+    order: tuple[int, ...]
 
     def __call__(self, x: Array) -> Array:
-        """Log likelihood of (n, D) coordinates, (n,); −inf out of the priors' support."""
+        """Log likelihood of (n, D) coordinates, (n,); −inf outside the support of the priors."""
         q = self.middle + self.scale * x
         d = len(self.coordinates.names)
         q[:, :d] = self.coordinates.to_own(q[:, :d])
-        q = q[:, self.back]
+        q = q[:, self.order]
         density = np.full(len(q), -np.inf)
-        inside = np.all(np.abs(q) < ORDINARY, axis=1)  # of all priors, so they need not be asked
+        inside = np.all(np.abs(q) < ORDINARY, axis=1)  # no need to evaluate the priors
         beyond = ~inside & np.all(np.isfinite(q), axis=1)
         inside[beyond] = np.isfinite(self.posterior.log_prior_own(q[beyond]))
         if np.any(inside):
@@ -112,21 +122,16 @@ class LogLikelihood:
 def likelihood_of(
     layout: Layout, posterior: Posterior, values: Mapping[str, Array]
 ) -> TestLikelihood:
-    """What a calibrated test tells, from its stored draws by name, (S,) each.
+    """Likelihood of a calibrated test, from its posterior's stored draws by name, (S,) each.
 
-    Of those of many tests fewer are held, evenly apart, so that all take no more than `ROOM`.
+    Of many tests the draws are thinned, so that all together take no more than `ROOM`.
     """
     own = [name for name in posterior.names if name not in layout.names]
     order = [*layout.names, *own]
-    back = [order.index(name) for name in posterior.names]
+    units = [_prior_units(posterior, name) for name in own]
+    middle = np.array([*layout.centre, *(centre for centre, _ in units)])
+    scale = np.array([*layout.spread, *(spread for _, spread in units)])
     d = len(layout.names)
-    centre, spread = [*layout.centre], [*layout.spread]
-    for name in own:
-        prior = posterior.priors[name]
-        drawn = prior.coordinate(prior.draw(np.random.default_rng(0), 4000))
-        centre.append(float(drawn.mean()))
-        spread.append(float(drawn.std()))
-    middle, scale = np.array(centre), np.array(spread)
 
     def log_own_prior(x: Array) -> Array:
         total = np.zeros(len(x))
@@ -140,18 +145,24 @@ def likelihood_of(
     coordinates = [layout.coordinates.of(values)]
     coordinates += [posterior.priors[name].coordinate(values[name])[:, None] for name in own]
     draws = (np.concatenate(coordinates, axis=1) - middle) / scale
-    mean, covariance = without_prior(draws)
     most = max(FEWEST, ROOM // (len(layout.settings) * draws.shape[1]))
-    draws = draws[:: -(-len(draws) // most)].astype(np.float32)
+    thinned = draws[:: -(-len(draws) // most)].astype(np.float32)
+    back = tuple(order.index(name) for name in posterior.names)
     return TestLikelihood(
-        LogLikelihood(posterior, layout.coordinates, middle, scale, tuple(back)),
+        LogLikelihood(posterior, layout.coordinates, middle, scale, back),
         log_interim_prior,
         log_own_prior,
-        draws,
-        log_interim_prior(draws[:, :d].astype(np.float64)),
-        mean,
-        covariance,
+        thinned,
+        log_interim_prior(thinned[:, :d].astype(np.float64)),
+        *without_prior(draws),
     )
+
+
+def _prior_units(posterior: Posterior, name: str) -> tuple[float, float]:
+    """Mean and sd of a quantity's coordinate under its prior."""
+    prior = posterior.priors[name]
+    drawn = prior.coordinate(prior.draw(np.random.default_rng(0), 4000))
+    return float(drawn.mean()), float(drawn.std())
 
 
 def without_prior(draws: Array) -> tuple[Array, Array]:

@@ -1,15 +1,15 @@
-"""States of sweeps evenly apart in bounded memory, and the draws that they become."""
+"""Snapshots of sweeps evenly apart in bounded memory, and the draws that they become."""
 
 import numpy as np
 import pytest
 
 from mfd_bayes.population import chains
-from mfd_bayes.population.chains import State, TestDraws, ThinnedChains, by_walker
+from mfd_bayes.population.chains import Snapshot, TestDraws, ThinnedChains, by_walker
 
 
 def state(sweep, chains=4, size=3):
     x = (100 * sweep + np.arange(chains * size)).reshape(chains, size).astype(np.float32)
-    return State(np.zeros((chains, 1, 2)), np.zeros((chains, 2, 2)), x)
+    return Snapshot(np.zeros((chains, 1, 2)), np.zeros((chains, 2, 2)), x)
 
 
 def fill(wanted, size, sweeps):
@@ -18,7 +18,7 @@ def fill(wanted, size, sweeps):
         if kept.wants(sweep):
             x = [np.full((4, 1), sweep), np.full((4, size - 1), sweep + 0.5)]
             kept.add(sweep, np.zeros((4, 1, 2)), np.zeros((4, 2, 2)), x)
-        assert len(kept.states) <= kept.most
+        assert len(kept.snapshots) <= kept.most
     return kept
 
 
@@ -40,9 +40,9 @@ def test_enough_states_are_left_evenly_apart(wanted, sweeps):
 def test_the_states_of_many_tests_are_fewer(monkeypatch):
     monkeypatch.setattr(chains, "ROOM", 4000)
     few, many, most = (fill(47, size, 500) for size in (5, 25, 2500))
-    assert len(few.states) >= 47
-    assert len(many.states) <= 40 < len(few.states)
-    assert chains.FEWEST / 2 <= len(most.states) <= chains.FEWEST
+    assert len(few.snapshots) >= 47
+    assert len(many.snapshots) <= 40 < len(few.snapshots)
+    assert chains.FEWEST / 2 <= len(most.snapshots) <= chains.FEWEST
 
 
 def test_draws_of_tests_are_their_columns_by_chain_and_walker():

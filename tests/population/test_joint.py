@@ -1,4 +1,4 @@
-"""Every kernel of a sweep leaves a linear-Gaussian joint posterior as it is; broken ones do not."""
+"""Every move of a sweep leaves a linear-Gaussian joint posterior as it is; broken ones do not."""
 
 from dataclasses import replace
 from functools import partial
@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from mfd_bayes.population import lines
-from mfd_bayes.population.joint import Chains, Joint
+from mfd_bayes.population.chains import Chains
+from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.lines import Lines, _Profile, redraw, transport
+from mfd_bayes.population.moves import one_test
+from mfd_bayes.population.moves.hyperparameters import draw_latent, evolve_hyperparameters
+from mfd_bayes.population.moves.lines import Lines, transport
+from mfd_bayes.population.moves.redraw import Profile, redraw
+from mfd_bayes.population.sweep import Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
 CHAINS = 4096
@@ -75,13 +79,18 @@ def features(chains: Chains) -> np.ndarray:
     return np.concatenate([first, centred**2, centred[:, :1] * centred[:, 1:]], axis=1)
 
 
-def shift(case: Case, kernel, times: int = 30, joint: Joint | None = None) -> float:
-    """Largest change of a moment by a kernel, in standard errors."""
+def sampler_of(case: Case, tests=None, layout=None) -> Sampler:
+    joint = Joint(layout or case.linear.layout, tests or case.tests)
+    return Sampler(joint, np.random.default_rng(4))
+
+
+def shift(case: Case, move, times: int = 30, sampler: Sampler | None = None) -> float:
+    """Largest change of a moment by a move, in standard errors."""
     chains = case.chains()
     before = features(chains)
-    told = joint or Joint(case.linear.layout, case.tests, np.random.default_rng(4))
+    sampler = sampler or sampler_of(case)
     for _ in range(times):
-        kernel(told, chains)
+        move(sampler, chains)
     after = features(chains)
     assert np.any(after != before)
     # both are of the same n chains, and independent of each other at the most
@@ -89,44 +98,52 @@ def shift(case: Case, kernel, times: int = 30, joint: Joint | None = None) -> fl
     return float(np.max(np.abs(after.mean(axis=0) - before.mean(axis=0)) / error))
 
 
-def near_and_evolve(part: str):
+def of_one_test(move):
     """Update of all tests' coordinates by one kind of proposal."""
 
-    def kernel(joint: Joint, chains: Chains) -> None:
-        layout = joint.layout
-        means = layout.offsets(chains.h, chains.choice)
-        means = means + np.einsum("jm,nmk->njk", layout.design(), chains.latent)
-        getattr(joint, part)(chains, means, layout.scatter(chains.h))
+    def kernel(sampler: Sampler, chains: Chains) -> None:
+        given = sampler.joint.conditional(chains)
+        sampler._note(move(sampler.joint, chains, sampler.rng, given))
 
     return kernel
 
 
-def hyper(joint: Joint, chains: Chains) -> None:
+def latent(sampler: Sampler, chains: Chains) -> None:
+    """Levels and effects."""
+    draw_latent(sampler.joint, chains, sampler.rng)
+
+
+def hyper(sampler: Sampler, chains: Chains) -> None:
     """Scatter and shapes, and levels, which are integrated out meanwhile."""
-    joint._evolve_hyper(chains)
-    joint._draw_latent(chains)
+    evolve_hyperparameters(sampler.joint, chains, sampler.rng)
+    latent(sampler, chains)
+
+
+def together(move, sampler: Sampler, chains: Chains, k: int = 0):
+    """One move of a quantity's scatter and level with its tests, and what it accepted."""
+    return move(sampler.joint, chains, sampler.rng, sampler.tuning, k)[0][1]
 
 
 def along_lines(move):
     """Scatter and level of each quantity in turn, with the tests' values of it."""
 
-    def kernel(joint: Joint, chains: Chains) -> None:
-        for k in range(joint.d):
-            assert np.any(move(joint, chains, k))
+    def kernel(sampler: Sampler, chains: Chains) -> None:
+        for k in range(sampler.joint.d):
+            assert np.any(together(move, sampler, chains, k))
 
     return kernel
 
 
-KERNELS = {
+MOVES = {
     "hyper": hyper,
-    "latent": lambda joint, chains: joint._draw_latent(chains),
-    "stored": near_and_evolve("_try_stored"),
-    "near": near_and_evolve("_step_near"),
-    "evolution": near_and_evolve("_evolve_tests"),
+    "latent": latent,
+    "stored": of_one_test(one_test.choose_stored),
+    "near": of_one_test(one_test.step_near),
+    "evolution": of_one_test(one_test.evolve_tests),
     "transport": along_lines(transport),
     "redraw": along_lines(redraw),
-    "together": lambda joint, chains: joint._move_together(chains),
-    "sweep": lambda joint, chains: joint.sweep(chains),
+    "together": lambda sampler, chains: sampler.move_together(chains),
+    "sweep": lambda sampler, chains: sampler.sweep(chains),
 }
 
 
@@ -134,22 +151,22 @@ FULL = {"redraw": 10, "together": 10, "sweep": 10}
 """Times of those kernels that move everything far at once."""
 
 
-@pytest.mark.parametrize("name", KERNELS)
-def test_a_kernel_leaves_the_posterior_as_it_is(case, name):
-    assert shift(case, KERNELS[name], FULL.get(name, 30)) < FAR
+@pytest.mark.parametrize("name", MOVES)
+def test_a_move_leaves_the_posterior_as_it_is(case, name):
+    assert shift(case, MOVES[name], FULL.get(name, 30)) < FAR
 
 
 @pytest.mark.parametrize("name", ["hyper", "stored", "near", "transport", "redraw", "sweep"])
-def test_a_kernel_keeps_quantities_that_are_known_together(pair, name):
-    assert shift(pair, KERNELS[name], FULL.get(name, 20)) < FAR
+def test_a_move_keeps_quantities_that_are_known_together(pair, name):
+    assert shift(pair, MOVES[name], FULL.get(name, 20)) < FAR
 
 
 @pytest.mark.parametrize("name", ["stored", "near", "transport", "redraw", "sweep"])
-def test_a_kernel_keeps_tests_that_tell_little(vague, name):
-    assert shift(vague, KERNELS[name], FULL.get(name, 20)) < FAR
+def test_a_move_keeps_tests_that_tell_little(vague, name):
+    assert shift(vague, MOVES[name], FULL.get(name, 20)) < FAR
 
 
-def broken_prior(case: Case) -> Joint:
+def broken_prior(case: Case) -> Sampler:
     """With the Jacobian of the logarithms of sds three times."""
 
     class Wrong(Layout):
@@ -161,28 +178,17 @@ def broken_prior(case: Case) -> Joint:
 
     layout = object.__new__(Wrong)
     vars(layout).update(vars(case.linear.layout))
-    return Joint(layout, case.tests, np.random.default_rng(4))
+    return sampler_of(case, layout=layout)
 
 
-def broken_weights(case: Case) -> Joint:
+def broken_weights(case: Case) -> Sampler:
     """Stored draws that are not weighed by the prior they were drawn under."""
     tests = [replace(t, draws_log_prior=np.zeros(len(t.draws))) for t in case.tests]
     tests = [replace(t, log_interim_prior=lambda x: np.zeros(len(x))) for t in tests]
-    return Joint(case.linear.layout, tests, np.random.default_rng(4))
+    return sampler_of(case, tests)
 
 
-def broken_correction(case: Case) -> Joint:
-    """Proposals near a Gaussian of which the density is forgotten."""
-
-    class Wrong(Joint):
-        def _near(self, *given):
-            proposed, correction = super()._near(*given)
-            return proposed, 0.0 * correction
-
-    return Wrong(case.linear.layout, case.tests, np.random.default_rng(4))
-
-
-def broken_scatter(case: Case) -> Joint:
+def broken_scatter(case: Case) -> Sampler:
     """Scatter half of what it is."""
 
     class Wrong(Layout):
@@ -191,7 +197,7 @@ def broken_scatter(case: Case) -> Joint:
 
     layout = object.__new__(Wrong)
     vars(layout).update(vars(case.linear.layout))
-    return Joint(layout, case.tests, np.random.default_rng(4))
+    return sampler_of(case, layout=layout)
 
 
 @pytest.mark.parametrize(
@@ -200,44 +206,50 @@ def broken_scatter(case: Case) -> Joint:
         ("hyper", broken_prior),
         ("hyper", broken_scatter),
         ("latent", broken_scatter),
-        ("near", broken_correction),
         ("transport", broken_prior),
         ("redraw", broken_prior),
     ],
 )
-def test_a_broken_kernel_does_not(case, name, wrong):
-    assert shift(case, KERNELS[name], 2 * FULL.get(name, 50), joint=wrong(case)) > 1.5 * FAR
+def test_a_broken_move_does_not(case, name, wrong):
+    assert shift(case, MOVES[name], 2 * FULL.get(name, 50), sampler=wrong(case)) > 1.5 * FAR
+
+
+def test_proposals_near_a_gaussian_whose_density_is_forgotten_do_not(case, monkeypatch):
+    square = one_test.GaussianConditional.square
+    monkeypatch.setattr(
+        one_test.GaussianConditional, "square", lambda self, away: 0.0 * square(self, away)
+    )
+    assert shift(case, MOVES["near"], 100) > 1.5 * FAR
 
 
 def test_transport_that_forgets_how_it_spreads_the_tests_does_not(vague, monkeypatch):
     gaussian = Lines.gaussian
 
-    def narrow(lines, log_scatter, level):
-        centre, sd, weight = gaussian(lines, log_scatter, level)
+    def narrow(lines, at):
+        centre, sd, weight = gaussian(lines, at)
         return centre, np.ones_like(sd), weight
 
-    assert shift(vague, KERNELS["transport"], 20) < FAR
+    assert shift(vague, MOVES["transport"], 20) < FAR
     monkeypatch.setattr(Lines, "gaussian", narrow)  # keeps distances: no Jacobian, still exact
-    assert shift(vague, KERNELS["transport"], 20) < FAR
-    monkeypatch.setattr(lines, "_accept", forgetful(lines._accept))
-    assert shift(vague, KERNELS["transport"], 40) > 1.5 * FAR
+    assert shift(vague, MOVES["transport"], 20) < FAR
+    monkeypatch.setattr(Lines, "accept", forgetful(Lines.accept))
+    assert shift(vague, MOVES["transport"], 40) > 1.5 * FAR
 
 
 def forgetful(accept):
     """Moves that are weighed as if the population's density of the tests did not matter."""
 
-    def wrong(moved, chains, there, new, ratio, chance):
-        here = chains.h[:, moved.k], chains.latent[:, 0, moved.k]
-        old = np.stack([x[:, moved.k] for x in chains.x], axis=1)
-        lost = moved.of_population(new, *there) - moved.of_population(old, *here)
-        return accept(moved, chains, there, new, ratio - lost.sum(axis=1), chance)
+    def wrong(lines, new, t, log_ratio, log_uniform):
+        lost = lines.log_population(t, new)
+        lost = lost - lines.log_population(lines.chains.values(lines.k), lines.here)
+        return accept(lines, new, t, log_ratio - lost.sum(axis=1), log_uniform)
 
     return wrong
 
 
 def test_redraws_whose_densities_are_forgotten_do_not(vague, monkeypatch):
-    monkeypatch.setattr(_Profile, "log_density", lambda self, t, *_: np.zeros_like(t))
-    assert shift(vague, KERNELS["redraw"], 20) > 1.5 * FAR
+    monkeypatch.setattr(Profile, "log_density", lambda self, t, *_: np.zeros_like(t))
+    assert shift(vague, MOVES["redraw"], 20) > 1.5 * FAR
 
 
 def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
@@ -251,16 +263,15 @@ def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
         return replace(test, log_likelihood=log_likelihood)
 
     tests = [bent(test) for test in vague.tests]
-    joint, chains = Joint(vague.linear.layout, tests, np.random.default_rng(4)), vague.chains()
-    joint.resume(chains)
+    sampler, chains = sampler_of(vague, tests), vague.chains()
+    sampler.take_over(chains)
     for _ in range(60):  # to the joint posterior of these, without what is tested
-        joint._evolve_hyper(chains)
-        joint._draw_latent(chains)
-        near_and_evolve("_step_near")(joint, chains)
-        transport(joint, chains, 0)
+        hyper(sampler, chains)
+        MOVES["near"](sampler, chains)
+        together(transport, sampler, chains)
     before = features(chains)
     for _ in range(20):
-        redraw(joint, chains, 0)
+        together(redraw, sampler, chains)
     after = features(chains)
     error = np.sqrt((before.var(axis=0) + after.var(axis=0)) / CHAINS)
     assert np.max(np.abs(after.mean(axis=0) - before.mean(axis=0)) / error) < FAR
@@ -277,40 +288,38 @@ def test_redraws_are_taken_where_lines_are_smooth(vague):
         return replace(test, log_likelihood=log_likelihood)
 
     for tests, least in ((vague.tests, 0.95), ([smooth(test) for test in vague.tests], 0.6)):
-        joint = Joint(vague.linear.layout, tests, np.random.default_rng(4))
-        chains = vague.chains()
-        joint.resume(chains)
-        shares = [redraw(joint, chains, 0).mean() for _ in range(5)]
+        sampler, chains = sampler_of(vague, tests), vague.chains()
+        sampler.take_over(chains)
+        shares = [together(redraw, sampler, chains).mean() for _ in range(5)]
         assert np.mean(shares) > least
 
 
 def test_a_quantity_whose_redraws_are_refused_is_transported(case):
-    joint = Joint(case.linear.layout, case.tests, np.random.default_rng(4))
-    joint.accepted["redraw Fc_fwd"] = [0.05, 0.1]
-    joint.settle()
-    joint._move_together(case.chains())
-    assert joint.accepted["transport Fc_fwd"]
+    sampler = sampler_of(case)
+    sampler.accepted["redraw Fc_fwd"] = [0.05, 0.1]
+    sampler.choose_moves()
+    sampler.move_together(case.chains())
+    assert sampler.accepted["transport Fc_fwd"]
 
 
 def test_stored_draws_with_wrong_weights_do_not(vague):
-    assert shift(vague, KERNELS["stored"], joint=broken_weights(vague)) > 2 * FAR
+    assert shift(vague, MOVES["stored"], sampler=broken_weights(vague)) > 2 * FAR
 
 
 def test_proposals_near_a_gaussian_likelihood_are_all_taken(case):
     tests = [test.approximated() for test in case.tests]
-    joint = Joint(case.linear.layout, tests, np.random.default_rng(4))
-    chains = case.chains()
+    sampler, chains = sampler_of(case, tests), case.chains()
     for j, test in enumerate(tests):
         chains.log_likelihood[j] = test.log_likelihood(chains.x[j])
-    near_and_evolve("_step_near")(joint, chains)
-    assert all(np.mean(joint.accepted[f"near {j}"]) == 1.0 for j in range(len(tests)))
+    MOVES["near"](sampler, chains)
+    assert all(np.mean(sampler.accepted[f"near {j}"]) == 1.0 for j in range(len(tests)))
 
 
 def test_stored_likelihoods_are_those_of_the_coordinates(case):
     chains = case.chains()
-    joint = Joint(case.linear.layout, case.tests, np.random.default_rng(4))
+    sampler = sampler_of(case)
     for _ in range(5):
-        joint.sweep(chains)
+        sampler.sweep(chains)
     for test, x, density in zip(case.tests, chains.x, chains.log_likelihood, strict=True):
         np.testing.assert_allclose(density, test.log_likelihood(x), rtol=1e-9, atol=1e-9)
 
@@ -328,20 +337,19 @@ def test_chains_never_leave_the_support_of_a_test(case):
         return replace(test, log_likelihood=log_likelihood, draws=draws, draws_log_prior=prior)
 
     tests = [bounded(case.tests[0]), *case.tests[1:]]
-    joint, chains = Joint(case.linear.layout, tests, np.random.default_rng(4)), case.chains()
+    sampler, chains = sampler_of(case, tests), case.chains()
     assert np.any(chains.x[0] <= edge)
-    joint.resume(chains)
+    sampler.take_over(chains)
     for _ in range(10):
-        joint.sweep(chains)
+        sampler.sweep(chains)
     assert np.all(chains.x[0] > edge)
     assert all(np.all(np.isfinite(density)) for density in chains.log_likelihood)
 
 
 def test_partners_are_two_others_of_the_same_ensemble(case):
     chains = case.chains()
-    joint = Joint(case.linear.layout, case.tests, np.random.default_rng(4))
     everyone = []
-    for own, first, second in joint._partners(chains):
+    for own, first, second in chains.partners(np.random.default_rng(4)):
         assert np.all(first != second)
         assert not np.isin(first, own).any()
         for other in (first, second):
@@ -352,8 +360,7 @@ def test_partners_are_two_others_of_the_same_ensemble(case):
 
 def test_products_are_of_the_standardised_places_summed_over_tests(pair):
     chains, layout = pair.chains(), pair.linear.layout
-    joint = Joint(layout, pair.tests, np.random.default_rng(4))
-    found = joint.products(chains)
+    found = Joint(layout, pair.tests).products(chains)
     for i in (0, 7):
         mean = chains.latent[i, 0] + layout.offsets(chains.h[i : i + 1], chains.choice[:1])[0]
         tau = np.exp(chains.h[i, :2]) / layout.spread
@@ -366,16 +373,16 @@ def test_tests_are_drawn_from_the_density_that_is_said(vague):
     chains = vague.chains()
     for array in (chains.h, chains.latent, *chains.x, *chains.log_likelihood):
         array[:] = array[:1]
-    joint = Joint(vague.linear.layout, vague.tests, np.random.default_rng(4))
-    through = Lines.through(joint, chains, 0)
-    profile = _Profile.of(through, chains)
+    sampler = sampler_of(vague)
+    through = Lines.through(sampler.joint, chains, sampler.tuning, 0)
+    profile = Profile.along(through, sampler.tuning)
     profile.coefficients[..., 1:4] += (0.4, -0.5, 0.2)  # skewed and heavy, as real ones may be
-    here = chains.h[:, 0], chains.latent[:, 0, 0]
-    drawn, told = profile.draw(*here, np.random.default_rng(5))
-    np.testing.assert_allclose(profile.log_density(drawn, *here), told, rtol=1e-6, atol=1e-9)
-    centre, sd, _ = through.gaussian(*here)
+    here = through.here
+    drawn, told = profile.draw(here, np.random.default_rng(5))
+    np.testing.assert_allclose(profile.log_density(drawn, here), told, rtol=1e-6, atol=1e-9)
+    centre, sd, _ = through.gaussian(here)
     grid = centre + sd * np.linspace(-5.0, 5.0, CHAINS)[:, None]
-    density = np.exp(profile.log_density(grid, *here))
+    density = np.exp(profile.log_density(grid, here))
     for j in range(len(vague.tests)):
         steps = np.diff(grid[:, j]) * 0.5 * (density[1:, j] + density[:-1, j])
         shares = np.append(0.0, np.cumsum(steps))
@@ -386,10 +393,10 @@ def test_tests_are_drawn_from_the_density_that_is_said(vague):
 
 def test_scatter_and_level_have_their_priors_in_a_move(vague):
     chains = vague.chains()
-    joint = Joint(vague.linear.layout, vague.tests, np.random.default_rng(4))
+    joint = Joint(vague.linear.layout, vague.tests)
     h, level = chains.h.copy(), np.linspace(-3.0, 3.0, CHAINS)
     h[:, 0] = np.linspace(-4.0, 1.0, CHAINS)
     expected = joint.layout.log_prior(h).sum(axis=1) + norm.logpdf(level)
-    found = lines._prior(joint, chains, 0, h[:, 0], level)
+    found = joint.log_prior_of_quantity(0, chains.h, h[:, 0], level)
     np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-12)
-    assert np.all(lines._prior(joint, chains, 0, np.full(CHAINS, 16.0), level) == -np.inf)
+    assert np.all(joint.log_prior_of_quantity(0, chains.h, np.full(CHAINS, 16.0), level) == -np.inf)

@@ -10,7 +10,7 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.population import sampling
 from mfd_bayes.population.layout import Setting, lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.sampling import WALKERS, _correlate, sample_joint
+from mfd_bayes.population.sampling import WALKERS, JointProblem, _correlate, sample_joint
 
 EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
 MEAN, SPREAD = 0.1, 0.1
@@ -19,9 +19,8 @@ MEAN, SPREAD = 0.1, 0.1
 def run(linear, priors, tests=None, layout=None, effort=EFFORT, seed=5):
     tests = linear.likelihoods(np.random.default_rng(6)) if tests is None else tests
     chosen = linear.layout if layout is None else layout
-    return sample_joint(
-        chosen, tests, priors.parameters, "ksi", effort, np.random.default_rng(seed)
-    )
+    problem = JointProblem(chosen, tests, priors.parameters, "ksi")
+    return sample_joint(problem, effort, np.random.default_rng(seed))
 
 
 def deviations(linear, draws):

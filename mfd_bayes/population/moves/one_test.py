@@ -1,0 +1,179 @@
+"""Moves of the coordinates of one test after the other, given the population."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.population.chains import Accepted, Chains, Index
+from mfd_bayes.population.joint import Conditional, Joint
+from mfd_bayes.population.test_likelihood import TestLikelihood
+
+Array = NDArray[np.float64]
+
+TRIES = 30
+"""Stored draws of each test among which every chain chooses in a sweep."""
+
+STEPS = (1.0, 1.0, 0.8, 0.6)
+"""Sizes of Crank–Nicolson steps; 1 is a proposal that does not depend on the current point."""
+
+EVOLVED = 0.25
+"""Share of sweeps in which a test is also moved by differential evolution."""
+
+
+def choose_stored(
+    joint: Joint, chains: Chains, rng: np.random.Generator, given: Conditional
+) -> Accepted:
+    """Choice among some stored draws and the current point, by importance weights.
+
+    The likelihood stands in the weight and in the density of the stored draws, and cancels.
+    """
+    accepted: Accepted = []
+    for j, test in enumerate(joint.tests):
+        if test.gaussian:  # the Gaussian proposal below is exact for it
+            continue
+        n, x, mean = len(given.scatter), chains.x[j], given.means[:, j]
+        picks = rng.integers(len(test.draws), size=(TRIES, n))
+        standard = (test.draws[picks, : joint.d] - mean) / given.scatter  # (TRIES, n, d)
+        stored = -0.5 * np.einsum("tnk,tnk->tn", standard, standard)
+        stored -= test.draws_log_prior[picks]
+        standard = (x[:, : joint.d] - mean) / given.scatter
+        current = -0.5 * np.einsum("nk,nk->n", standard, standard)
+        current -= test.log_interim_prior(x[:, : joint.d])
+        # the largest of log weight + Gumbel noise is a draw in proportion to the weights
+        noisy = np.concatenate([current[None], stored]) + rng.gumbel(size=(TRIES + 1, n))
+        chosen = np.argmax(noisy, axis=0)
+        moved = chosen > 0
+        latest = picks[chosen[moved] - 1, np.flatnonzero(moved)]
+        x[moved] = test.draws[latest]
+        chains.log_likelihood[j][moved] = joint.stored_likelihoods[j][latest]
+        accepted.append((f"stored {j}", moved))
+    return accepted
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianConditional:
+    """Conditional density of a test's coordinates with a Gaussian in place of its likelihood.
+
+    Attributes
+    ----------
+    information : (D, D)
+        Precision of the Gaussian in place of the likelihood.
+    prior : (n, D)
+        Diagonal of the precision of the prior given the population.
+    mean, noise : (n, D)
+        Mean of the density, and one draw from it less the mean.
+    """
+
+    information: Array
+    prior: Array
+    mean: Array
+    noise: Array
+
+    @classmethod
+    def of(
+        cls, test: TestLikelihood, mean: Array, scatter: Array, rng: np.random.Generator
+    ) -> GaussianConditional:
+        """Given the population's mean and scatter of the test, (n, d) each."""
+        size, d = len(test.mean), mean.shape[1]
+        prior = np.ones((len(mean), size))
+        prior[:, :d] = 1.0 / scatter**2
+        precision = np.repeat(test.precision[None], len(mean), axis=0)
+        precision[:, range(size), range(size)] += prior
+        pull = np.repeat((test.precision @ test.mean)[None], len(mean), axis=0)
+        pull[:, :d] += prior[:, :d] * mean
+        swing = rng.standard_normal(pull.shape) @ test.root.T
+        swing += np.sqrt(prior) * rng.standard_normal(pull.shape)  # of covariance `precision`
+        solved = np.asarray(np.linalg.solve(precision, np.stack([pull, swing], axis=2)))
+        return cls(test.precision, prior, solved[..., 0], solved[..., 1])
+
+    def square(self, away: Array) -> Array:
+        """Squared deviations from the mean (n, D), weighted by the precision, (n,)."""
+        total: Array = np.sum((away @ self.information + self.prior * away) * away, axis=1)
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """New coordinates of test j for some chains.
+
+    Attributes
+    ----------
+    j : int
+    chains : (n,) int
+    x : (n, D)
+    log_ratio : (n,) or float
+        Log proposal density of the current point less that of the new one.
+    log_uniform : (n,)
+        Logarithm of the uniform number that decides on acceptance.
+    """
+
+    j: int
+    chains: Index
+    x: Array
+    log_ratio: Array | float
+    log_uniform: Array
+
+
+def step_near(
+    joint: Joint, chains: Chains, rng: np.random.Generator, given: Conditional
+) -> Accepted:
+    """Crank–Nicolson steps around the Gaussian near the conditional density of each test."""
+    everyone = np.arange(len(given.scatter))
+
+    def propose() -> Iterator[Proposal]:
+        for j, test in enumerate(joint.tests):
+            beta = rng.choice((1.0,) if test.gaussian else STEPS, size=everyone.size)
+            near = GaussianConditional.of(test, given.means[:, j], given.scatter, rng)
+            away = chains.x[j] - near.mean
+            moved = np.sqrt(1.0 - beta**2)[:, None] * away + beta[:, None] * near.noise
+            log_ratio = 0.5 * (near.square(moved) - near.square(away))
+            log_uniform = np.log(rng.random(everyone.size))
+            yield Proposal(j, everyone, near.mean + moved, log_ratio, log_uniform)
+
+    return _accept(joint, chains, given, propose(), "near")
+
+
+def evolve_tests(
+    joint: Joint, chains: Chains, rng: np.random.Generator, given: Conditional
+) -> Accepted:
+    """Differential evolution of some of the tests."""
+    share = rng.random(len(joint.tests))
+    evolved = [j for j, t in enumerate(joint.tests) if not t.gaussian and share[j] < EVOLVED]
+    accepted: Accepted = []
+    for half, first, second in chains.partners(rng):
+
+        def propose(
+            half: Index = half, first: Index = first, second: Index = second
+        ) -> Iterator[Proposal]:
+            for j in evolved:
+                x = chains.x[j]
+                shorter = rng.choice([1.0, 0.4], size=(len(half), 1))
+                jump = 2.38 / np.sqrt(2 * x.shape[1]) * shorter * (x[first] - x[second])
+                new = x[half] + jump + 1e-4 * rng.standard_normal(jump.shape)
+                yield Proposal(j, half, new, 0.0, np.log(rng.random(len(half))))
+
+        accepted += _accept(joint, chains, given, propose(), "evolution")
+    return accepted
+
+
+def _accept(
+    joint: Joint, chains: Chains, given: Conditional, proposals: Iterable[Proposal], name: str
+) -> Accepted:
+    """Accept or reject proposals of different tests (Metropolis–Hastings)."""
+    accepted: Accepted = []
+    for proposal, likelihood in joint.with_likelihoods(proposals):
+        j, which = proposal.j, proposal.chains
+        prior = given.means[which, j], given.scatter[which]
+        gain = joint.log_prior_of_test(j, proposal.x, *prior)
+        gain -= joint.log_prior_of_test(j, chains.x[j][which], *prior)
+        threshold = proposal.log_uniform - gain - proposal.log_ratio
+        threshold += chains.log_likelihood[j][which]
+        yes = np.isfinite(gain) & (threshold < likelihood)
+        chains.x[j][which[yes]] = proposal.x[yes]
+        chains.log_likelihood[j][which[yes]] = likelihood[yes]
+        accepted.append((f"{name} {j}", yes))
+    return accepted

@@ -1,0 +1,130 @@
+"""Sweeps over the joint posterior: the order of the moves, their tuning and acceptance rates.
+
+A sweep
+
+1.  updates scatter, effects' sd and shapes given the tests, with levels and effects integrated
+    out, by differential evolution;
+2.  draws levels and effects from their Gaussian conditional density;
+3.  updates every test's coordinates given the population: a choice among stored draws, proposals
+    of a Gaussian near the conditional density, and differential evolution;
+4.  moves scatter and level of one quantity together with its tests' coordinates.
+
+Every move leaves the joint posterior as it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.population.chains import Accepted, Chains
+from mfd_bayes.population.joint import Joint
+from mfd_bayes.population.laws import draw_shape
+from mfd_bayes.population.moves.hyperparameters import draw_latent, evolve_hyperparameters
+from mfd_bayes.population.moves.lines import Tuning, transport
+from mfd_bayes.population.moves.one_test import (
+    GaussianConditional,
+    choose_stored,
+    evolve_tests,
+    step_near,
+)
+from mfd_bayes.population.moves.redraw import redraw
+
+Array = NDArray[np.float64]
+
+EVOLUTIONS = 4
+"""Updates of scatter and shapes in a sweep."""
+
+NEAR = 2
+"""Proposals near the conditional density in a sweep, for every test."""
+
+TOGETHER = 2
+"""Moves of scatter and level together with the tests in a sweep."""
+
+LOW_ACCEPTANCE = 0.1
+"""Acceptance rate of `redraw` below which `transport` takes its place."""
+
+
+class Sampler:
+    """Samples a joint posterior sweep by sweep.
+
+    Attributes
+    ----------
+    accepted : dict of str to list of float
+        Acceptance rates by kind of proposal, in the order of the sweeps.
+    transported : (d,) bool
+        Quantities that are moved by `transport`, the others by `redraw`.
+    """
+
+    def __init__(self, joint: Joint, rng: np.random.Generator) -> None:
+        self.joint, self.rng = joint, rng
+        self.accepted: dict[str, list[float]] = {}
+        self.transported = np.full(joint.d, all(test.gaussian for test in joint.tests))
+        self._tune(Tuning.by_prior(joint.layout, joint.tests))
+
+    def start(self, n: int, ensembles: int) -> Chains:
+        """Chains with scatter near half of its prior scale, and tests from their Gaussians."""
+        joint, layout, rng = self.joint, self.joint.layout, self.rng
+        sd = layout.sd_scale
+        log_sd = np.log(0.5 * sd) + 0.5 * rng.standard_normal((n, len(sd)))
+        shapes = [draw_shape(shape, rng.random(n)) for _, shape in layout.shapes]
+        h = np.concatenate([log_sd, np.reshape(shapes, (-1, n)).T], axis=1)
+        latent = np.zeros((n, joint.design.shape[1], joint.d))
+        ensemble = np.repeat(np.arange(ensembles), n // ensembles)
+        chains = Chains(h, latent, [], [], layout.draw_choice(n), ensemble)
+        mean, scatter = np.zeros((n, joint.d)), np.ones((n, joint.d))
+        for test in joint.tests:
+            near = GaussianConditional.of(test, mean, scatter, rng)
+            chains.x.append(near.mean + near.noise)
+            chains.log_likelihood.append(test.log_likelihood(chains.x[-1]))
+        draw_latent(joint, chains, rng)
+        return chains
+
+    def take_over(self, chains: Chains) -> None:
+        """Go on with chains that sampled another density of the same layout."""
+        for j, test in enumerate(self.joint.tests):
+            density = test.log_likelihood(chains.x[j])
+            lost = ~np.isfinite(density)
+            if np.any(lost):  # a Gaussian also covers points without any likelihood
+                picks = self.rng.integers(len(test.draws), size=int(lost.sum()))
+                chains.x[j][lost] = test.draws[picks]
+                density[lost] = test.log_likelihood(chains.x[j][lost])
+            chains.log_likelihood[j] = density
+
+    def sweep(self, chains: Chains) -> None:
+        """One sweep over everything, in place."""
+        given = self.joint, chains, self.rng
+        for _ in range(EVOLUTIONS):
+            self._note(evolve_hyperparameters(*given))
+        draw_latent(*given)
+        conditional = self.joint.conditional(chains)
+        self._note(choose_stored(*given, conditional))
+        for _ in range(NEAR):
+            self._note(step_near(*given, conditional))
+        self._note(evolve_tests(*given, conditional))
+        for _ in range(TOGETHER):
+            self.move_together(chains)
+
+    def move_together(self, chains: Chains) -> None:
+        """Move scatter and level of one quantity, with its tests' values, in place."""
+        k = int(self.rng.choice(self.joint.d, p=self.weights))
+        move = transport if self.transported[k] else redraw
+        self._note(move(self.joint, chains, self.rng, self.tuning, k))
+
+    def tune(self, chains: Chains) -> None:
+        """Tune proposals to the chains. It must not be called once chains are kept."""
+        self._tune(Tuning.by_chains(self.joint.layout, self.joint.tests, chains))
+
+    def _tune(self, tuning: Tuning) -> None:
+        self.tuning = tuning
+        self.weights = tuning.missing / tuning.missing.sum()
+
+    def choose_moves(self) -> None:
+        """Choose `transport` or `redraw` by acceptance rate, before chains are kept."""
+        for k, name in enumerate(self.joint.layout.names):
+            rates = self.accepted.get(f"redraw {name}", [1.0])
+            self.transported[k] |= bool(np.mean(rates) < LOW_ACCEPTANCE)
+
+    def _note(self, accepted: Accepted) -> None:
+        for name, yes in accepted:
+            self.accepted.setdefault(name, []).append(float(np.mean(yes)))
