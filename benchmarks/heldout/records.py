@@ -13,7 +13,7 @@ from scipy import optimize, signal
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.lugre import LuGre
-from mfd_bayes.population.inference import infer_population
+from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 
@@ -103,7 +103,7 @@ def join(runs: dict, effort: str):
     sessions = {"36lb": "2023-04", "30lb": "2023-04"}
     named = {key: {"session": sessions.get(s := key.split(" ")[0], s)} for key in tests}
     settings = some.manifest["settings"] | {"tests": named}
-    inference = infer_population(tests, some.priors, settings, effort, (1, 3))
+    inference = infer_population(tests, some.priors, InferenceSettings.of(settings, effort, (1, 3)))
     return inference.draws.population, next(iter(tests.values())).posterior
 
 

@@ -34,7 +34,7 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options
-from mfd_bayes.population.predict import Forecast, predict
+from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.folds import folds_of, run_folds
 from mfd_bayes.validation.scores import Score, score
@@ -183,8 +183,8 @@ def semi_active(runs: dict[str, Run], options: argparse.Namespace) -> None:
         rows = [row for row in csv.DictReader(file) if row["kind"] == "semi-active"]
     for row in rows:
         trace = records.semi_active_trace(options.data / "brfd" / row["file"])
-        forecast = Forecast("observation", draws=DRAWS)
-        band = predict(population, some.model, some.noise, trace, forecast, session=row["session"])
+        forecast = Forecast("observation", draws=DRAWS, session=row["session"])
+        band = Predictor(population, some.model, some.noise).predict(trace, forecast)
         found = score(band.draws, np.asarray(trace.force))
         low, high = np.quantile(1000.0 * np.asarray(trace.actuation), [0.05, 0.95])
         line(Path(row["file"]).stem[8:], found, f"tension {low:.0f} to {high:.0f} lb")

@@ -17,10 +17,10 @@ from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.population.layout import Layout, Setting, lay_out
+from mfd_bayes.population.layout import Layout, lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import setting_of
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
+from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.test_likelihood import TestLikelihood, likelihood_of
 from mfd_bayes.records.trace import Trace
 

@@ -14,8 +14,8 @@ from mfd_bayes.assessment.views import LawView, Row
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
-from mfd_bayes.population.layout import Setting
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.setting import Setting
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.inference import infer_population
+from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
     MANIFEST,
@@ -146,11 +146,10 @@ def _infer_population(
     inference = infer_population(
         results,
         plan.priors,
-        manifest["settings"],
-        options.effort,
-        (options.seed, 0),
+        InferenceSettings.of(
+            manifest["settings"], options.effort, (options.seed, 0), options.processes
+        ),
         lambda progress: observe(Step("population", "sampling", progress)),
-        jobs=options.processes,
     )
     joint = inference.draws
     population = joint.population

@@ -27,7 +27,8 @@ from mfd_bayes.jobs.dispatch import Workplace, check_workers
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.predict import Band, setting_of
+from mfd_bayes.population.predict import Band
+from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
 from mfd_bayes.records.record import read_record

@@ -24,7 +24,7 @@ from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.layout import lay_out
-from mfd_bayes.population.predict import setting_of
+from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of

@@ -1,16 +1,16 @@
-"""The population of a set of calibrated tests: laws compared, then everything inferred at once."""
+"""The population of a set of calibrated tests: laws are compared, then everything is sampled."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.effort import find_effort
+from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.jobs.job import Progress
@@ -24,14 +24,51 @@ from mfd_bayes.population.law_scores import (
 )
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.layout import lay_out
-from mfd_bayes.population.predict import setting_of
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
+from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.test_likelihood import likelihood_of
+
+
+@dataclass(frozen=True)
+class InferenceSettings:
+    """How a population is inferred.
+
+    Attributes
+    ----------
+    laws : mapping of str to str
+        Law of each quantity that follows the actuation, or "compare".
+    dependence : mapping of str to sequence of str
+        Covariates that quantities follow.
+    actuation_unit : str
+    sessions : mapping of str to str
+        Session of each test; none where it is missing.
+    effort : str
+    seed : sequence of int
+    jobs : int
+        Processes that compute the tests' likelihoods; the draws are the same.
+    """
+
+    laws: Mapping[str, str]
+    actuation_unit: str
+    effort: str
+    seed: Sequence[int]
+    dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    sessions: Mapping[str, str] = field(default_factory=dict)
+    jobs: int = 1
+
+    @classmethod
+    def of(
+        cls, settings: Mapping[str, Any], effort: str, seed: Sequence[int], jobs: int = 1
+    ) -> InferenceSettings:
+        """Settings by those of a run's manifest."""
+        sessions = {name: test.get("session", "") for name, test in settings["tests"].items()}
+        laws, dependence = settings["laws"], settings.get("dependence") or {}
+        return cls(laws, settings["actuation_unit"], effort, seed, dependence, sessions, jobs)
 
 
 @dataclass(frozen=True, eq=False)
 class Inference:
-    """What a set of tests says together.
+    """What is inferred from a set of tests.
 
     Attributes
     ----------
@@ -41,7 +78,7 @@ class Inference:
     exponents : mapping of str to (float, float, float)
         Quantiles of each proportional law's exponent, were it free.
     dependence : tuple of DependenceScore
-        Of speed and stroke, for each quantity that follows the actuation.
+        On speed and stroke, for each quantity that follows the actuation.
     """
 
     draws: JointDraws
@@ -53,12 +90,8 @@ class Inference:
 def infer_population(
     tests: Mapping[str, TestResult],
     priors: PriorFile,
-    settings: Mapping[str, Any],
-    effort: str,
-    seed: Sequence[int],
+    settings: InferenceSettings,
     report: Callable[[Progress], None] = lambda _: None,
-    *,
-    jobs: int = 1,
 ) -> Inference:
     """Population of calibrated tests.
 
@@ -66,14 +99,9 @@ def infer_population(
     ----------
     tests : mapping of str to TestResult
     priors : PriorFile
-    settings : mapping
-        Those of the run's manifest: laws, dependence, actuation_unit, and each test's session.
-    effort : str
-    seed : sequence of int
+    settings : InferenceSettings
     report : callable, optional
-        Told now and then where the sampling stands.
-    jobs : int
-        Processes that compute the tests' likelihoods; the draws are the same.
+        Called now and then with the progress of the sampling.
 
     Raises
     ------
@@ -81,30 +109,34 @@ def infer_population(
         When a law, a prior or an actuation does not allow it.
     """
     some = next(iter(tests.values())).posterior
-    under = [
-        setting_of(test.trace, settings["tests"][name].get("session", ""))
-        for name, test in tests.items()
-    ]
-    layout = lay_out(priors, some.names, under, settings["laws"], settings.get("dependence"))
+    under = [setting_of(t.trace, settings.sessions.get(name, "")) for name, t in tests.items()]
+    layout = lay_out(priors, some.names, under, settings.laws, settings.dependence)
     likelihoods = [likelihood_of(layout, t.posterior, t.stored.values()) for t in tests.values()]
     scores = compare_laws(layout, likelihoods)
     weights = dict(layout.weights)
     for name, law in layout.laws.items():
         if law == COMPARE and scores:
             weights[name] = {s.law: s.weight for s in scores if s.quantity == name}
-    chosen = find_effort(effort)
-    began, limit = time.perf_counter(), most_sweeps(chosen)
+    problem = JointProblem(
+        replace(layout, weights=weights), likelihoods, some.priors, settings.actuation_unit
+    )
+    effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
+    with several_processes([t.log_likelihood for t in likelihoods], settings.jobs) as evaluate:
+        draws = sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
+    exponents = free_exponents(layout, likelihoods)
+    return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))
+
+
+def _reporter(
+    effort: Effort, report: Callable[[Progress], None]
+) -> Callable[[int, Convergence], None]:
+    """Turns sweeps and convergence into progress."""
+    began, limit = time.perf_counter(), most_sweeps(effort)
 
     def tell(sweeps: int, found: Convergence) -> None:
         seconds = time.perf_counter() - began
         worst = found.worst_r_hat, found.worst_ess
-        share = found.share(chosen.r_hat, chosen.ess)
+        share = found.share(effort.r_hat, effort.ess)
         report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
-    with several_processes([test.log_likelihood for test in likelihoods], jobs) as evaluate:
-        problem = JointProblem(
-            replace(layout, weights=weights), likelihoods, some.priors, settings["actuation_unit"]
-        )
-        draws = sample_joint(problem, chosen, np.random.default_rng(list(seed)), tell, evaluate)
-    exponents = free_exponents(layout, likelihoods)
-    return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))
+    return tell

@@ -1,14 +1,14 @@
-"""Which law the tests support: each one's prediction of levels of actuation that were left out.
+"""Scores of the laws: how well each predicts levels of actuation that were left out.
 
-One quantity at a time, its tests' likelihoods as Gaussians. A law stands alone here, with scatter
-but without the smooth deviation that predictions allow it, which would excuse any law. Scatter
-and shapes are integrated over their priors by a quasi-random sample, levels in closed form, so
-that the scores need no sampler and are always the same.
+Each quantity is scored by itself, with Gaussians in place of the tests' likelihoods. A law has
+scatter here, but not the effect of the level that predictions allow it, which would excuse any
+law. Scatter and shapes are integrated over their priors by a quasi-random sample, levels in closed
+form: no sampler is needed, and the scores are always the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from scipy import optimize, special
 from scipy.stats import qmc
 
+from mfd_bayes.population.effects import LEVELS
 from mfd_bayes.population.laws import COMPARE, LAWS, draw_shape, ratio, value_of
-from mfd_bayes.population.layout import LEVELS, Layout, levels_of
+from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.setting import levels_of
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
 TESTS = 4
-"""Fewest tests from which a dependence on speed or stroke is scored."""
+"""Fewest tests with which a dependence on speed or stroke is scored."""
 
 COVARIATES = ("velocity", "amplitude")
 
@@ -31,20 +33,21 @@ POINTS = 1 << 13
 """Points of the quasi-random sample."""
 
 AT_ONCE = 1 << 19
-"""Points times tests that are computed at once."""
+"""Points times tests that are computed at once, to bound the memory."""
 
 
 @dataclass(frozen=True)
 class LawScore:
-    """How one law predicts one quantity's levels that were left out.
+    """Score of one law for one quantity.
 
     Attributes
     ----------
     quantity, law : str
     elpd : float
-        Sum over levels of the log predictive density of its tests, in prior units.
+        Sum over levels of the log predictive density of the level's tests given the other
+        levels, in prior units.
     se : float
-        Standard error of the sum, from its spread over levels.
+        Standard error of the sum, from the spread of its terms.
     weight : float
         Stacking weight among the laws.
     levels : tuple of float
@@ -61,7 +64,7 @@ class LawScore:
 
 @dataclass(frozen=True)
 class DependenceScore:
-    """How well one quantity's tests are predicted if it follows a covariate besides the actuation.
+    """Score of one quantity that follows a covariate besides the actuation.
 
     Attributes
     ----------
@@ -71,7 +74,7 @@ class DependenceScore:
     elpd : float
         Sum over tests of the log predictive density of each from the others, in prior units.
     difference, se : float
-        From that of neither, and its standard error over tests.
+        Difference from the score of neither, and its standard error over tests.
     """
 
     quantity: str
@@ -83,44 +86,43 @@ class DependenceScore:
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """Points of a law's hyperparameters, n of them, and the tests' distribution at each.
+    """Points of a law's hyperparameters, n of them, and the tests' density at each.
 
-    Tests differ by what is their own and by effects that they have in common: their covariance
-    is a diagonal and a matrix of low rank, so that n points take n·J·m² operations.
+    The tests' covariance is a diagonal (error and scatter of each test) plus a matrix of low rank
+    (level and effects), so that n points take n·J·m² operations.
 
     Attributes
     ----------
-    away : (n, J)
-        Tests from the law.
+    residuals : (n, J)
+        Tests less the law.
     variances : (n, J)
-        Of what is a test's own: its error and its scatter.
+        The diagonal.
     rows : (J, m)
-        What each test has of the effects' independent parts, the level's first.
+        Weights of the level and of the effects' independent parts in each test.
     sds : (n, m)
-        Of these parts.
-    shape : (n,)
-        Exponent of the law.
+        Of level and parts.
+    exponent : (n,)
     """
 
-    away: Array
+    residuals: Array
     variances: Array
     rows: Array
     sds: Array
-    shape: Array
+    exponent: Array
 
     def sums(self, those: Sequence[int] | slice) -> tuple[Array, Array, Array]:
-        """What some tests add to the normal density: gram (n, m, m), pull (n, m), rest (n,)."""
+        """Terms of some tests in the log density: gram (n, m, m), pull (n, m), rest (n,)."""
         rows, weights = self.rows[those], 1.0 / self.variances[:, those]
-        away, m = self.away[:, those], self.rows.shape[1]
+        residuals, m = self.residuals[:, those], self.rows.shape[1]
         products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
         gram = (weights @ products).reshape(-1, m, m)
         gram *= self.sds[:, :, None] * self.sds[:, None, :]
-        pull = ((weights * away) @ rows) * self.sds
-        rest = np.sum(away**2 * weights - np.log(weights) + np.log(2 * np.pi), axis=1)
+        pull = ((weights * residuals) @ rows) * self.sds
+        rest = np.sum(residuals**2 * weights - np.log(weights) + np.log(2 * np.pi), axis=1)
         return gram, pull, rest
 
     def log_density(self, sums: tuple[Array, Array, Array]) -> Array:
-        """Log density of the tests whose sums these are, (n,)."""
+        """Log density of the tests with these sums, (n,)."""
         gram, pull, rest = sums
         factor = np.linalg.cholesky(gram + np.eye(gram.shape[-1]))
         standard = np.linalg.solve(factor, pull[..., None])[..., 0]
@@ -136,13 +138,13 @@ class _Sample:
         share = np.einsum("jk,nkl,jl->nj", self.rows, inverse, self.rows, optimize=True)
         precision = (1.0 - share / self.variances) / self.variances
         pulled = np.einsum("nkl,nl->nk", inverse, pull / self.sds) @ self.rows.T
-        standing = (self.away - pulled) / self.variances
+        standing = (self.residuals - pulled) / self.variances
         density: Array = 0.5 * (np.log(precision) - standing**2 / precision - np.log(2 * np.pi))
         return density
 
 
 def compare_laws(layout: Layout, tests: Sequence[TestLikelihood]) -> tuple[LawScore, ...]:
-    """Every law's score for each quantity that follows the actuation, by leave-one-level-out.
+    """Score of every law for each quantity that follows the actuation, by leave-one-level-out.
 
     Empty where tests are at fewer than `LEVELS` levels.
     """
@@ -155,39 +157,36 @@ def compare_laws(layout: Layout, tests: Sequence[TestLikelihood]) -> tuple[LawSc
         terms = {law: _left_out(_samples(layout, tests, k, law), folds) for law in LAWS}
         weights = stack(np.stack(list(terms.values()), axis=1))
         for (law, found), weight in zip(terms.items(), weights, strict=True):
-            se = float(np.sqrt(len(found)) * found.std(ddof=1))
-            scores.append(
-                LawScore(name, law, float(found.sum()), se, float(weight), tuple(found.tolist()))
-            )
+            total, se, levels = float(found.sum()), _error(found), tuple(found.tolist())
+            scores.append(LawScore(name, law, total, se, float(weight), levels))
     return tuple(scores)
 
 
 def compare_dependence(
     layout: Layout, tests: Sequence[TestLikelihood]
 ) -> tuple[DependenceScore, ...]:
-    """Scores of what follows speed or stroke, by leaving out one test after another.
+    """Scores of dependences on speed or stroke, by leave-one-test-out.
 
     For each quantity that follows the actuation, under its own law ("power" where laws are
-    compared). Empty where there are fewer than `TESTS` tests, or a covariate hardly varies.
+    compared). Empty where there are fewer than `TESTS` tests, or where no covariate varies.
     """
     if len(tests) < TESTS:
         return ()
     scores = []
+    varied = [covariate for covariate in COVARIATES if _varies(layout, covariate)]
     for name, law in layout.laws.items():
-        k = layout.names.index(name)
-        terms = {}
-        for covariate in ("", *COVARIATES):
-            if covariate and not _varies(layout, covariate):
-                continue
-            follows = (covariate,) if covariate else ()
-            samples = _samples(layout, tests, k, "power" if law == COMPARE else law, follows)
-            terms[covariate] = _each_left_out(samples)
+        given = layout, tests, layout.names.index(name), "power" if law == COMPARE else law
+        terms = {c: _each_left_out(_samples(*given, [c] if c else [])) for c in ("", *varied)}
         for covariate, found in terms.items():
             better = found - terms[""]
-            se = float(np.sqrt(len(found)) * better.std(ddof=1))
-            score = float(found.sum()), float(better.sum()), se
+            score = float(found.sum()), float(better.sum()), _error(better)
             scores.append(DependenceScore(name, covariate, *score))
-    return tuple(scores) if len(scores) > len(layout.laws) else ()
+    return tuple(scores) if varied else ()
+
+
+def _error(terms: Array) -> float:
+    """Standard error of the sum of terms."""
+    return float(np.sqrt(len(terms)) * terms.std(ddof=1))
 
 
 def _varies(layout: Layout, covariate: str) -> bool:
@@ -205,15 +204,12 @@ def free_exponents(
     if len(levels_of(layout.settings)) < LEVELS:
         return {}
     found = {}
-    for name, law in layout.laws.items():
-        if law != "proportional":
-            continue
-        k = layout.names.index(name)
-        shapes, densities = [], []
-        for sample in _samples(layout, tests, k, "power"):
-            shapes.append(sample.shape)
+    for name in (name for name, law in layout.laws.items() if law == "proportional"):
+        drawn, densities = [], []
+        for sample in _samples(layout, tests, layout.names.index(name), "power"):
+            drawn.append(sample.exponent)
             densities.append(sample.log_density(sample.sums(slice(None))))
-        exponents, weights = np.concatenate(shapes), special.softmax(np.concatenate(densities))
+        exponents, weights = np.concatenate(drawn), special.softmax(np.concatenate(densities))
         order = np.argsort(exponents)
         mass = np.cumsum(weights[order])
         low, middle, high = np.interp([0.025, 0.5, 0.975], mass, exponents[order])
@@ -222,7 +218,7 @@ def free_exponents(
 
 
 def stack(scores: Array) -> Array:
-    """Weights that predict best together what was left out (Yao et al., 2018), (laws,).
+    """Stacking weights: those of the mixture that predicts best (Yao et al., 2018), (laws,).
 
     Parameters
     ----------
@@ -249,47 +245,52 @@ def _samples(
     law: str,
     follows: Sequence[str] | None = None,
 ) -> Iterator[_Sample]:
-    """Points of a law for one quantity, which follows its own covariates if not others.
+    """Points of a law for quantity k, which follows its own covariates if none are given.
 
-    In parts, so that many tests take no more memory than few.
+    They come in parts, so that many tests take no more memory than few.
     """
-    name = layout.names[k]
-    shapes = LAWS[law].shapes
     effects = [e for e in layout.effects if k in e.members and e.name != "level"]
-    follows = layout.dependence.get(name, ()) if follows is None else follows
-    dim = 1 + len(effects) + len(shapes) + len(follows)
+    follows = layout.dependence.get(layout.names[k], ()) if follows is None else follows
+    begin = 1 + len(effects)
+    dim = begin + len(LAWS[law].shapes) + len(follows)
     points = qmc.Sobol(dim, scramble=True, rng=np.random.default_rng(0)).random(POINTS)
     points = np.clip(points, 1e-9, 1.0 - 1e-9)
     noise = np.array([test.covariance[k, k] for test in tests])
     data = np.array([test.mean[k] for test in tests])
     rows = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
-    relative = np.array([s.actuation for s in layout.settings]) / layout.reference
     for part in np.array_split(points, -(-POINTS * len(tests) // AT_ONCE)):
         sd = layout.scatter_sd[k] / layout.spread[k] * special.ndtri(0.5 + 0.5 * part)
         sds = [np.ones((len(part), 1))]
         sds += [np.repeat(sd[:, [1 + i]], len(e.cells), axis=1) for i, e in enumerate(effects)]
-        begin = 1 + len(effects)
-        free = {s: value_of(s, draw_shape(s, part[:, begin + i])) for i, s in enumerate(shapes)}
-        given: Mapping[str, float | None] = {
-            "share": LAWS[law].share,
-            "exponent": LAWS[law].exponent,
-        }
-        share, exponent = (
-            free[s] if s in free else np.full(len(part), given[s]) for s in ("share", "exponent")
-        )
-        followed = ratio(relative, share[:, None], exponent[:, None])
-        means = np.log(np.maximum(followed, 1e-300)) / layout.spread[k]
-        for i, covariate in enumerate(follows):
-            folds = np.log([s.covariates[covariate] for s in layout.settings])
-            slope = draw_shape(covariate, part[:, begin + len(shapes) + i])
-            means = means + slope[:, None] * (folds - folds.mean()) / layout.spread[k]
+        means, exponent = _means(layout, k, law, follows, part[:, begin:])
         yield _Sample(
-            away=data - means,
+            residuals=data - means,
             variances=noise + sd[:, :1] ** 2,
             rows=np.concatenate(rows, axis=1),
             sds=np.concatenate(sds, axis=1),
-            shape=exponent,
+            exponent=exponent,
         )
+
+
+def _means(
+    layout: Layout, k: int, law: str, follows: Sequence[str], uniform: Array
+) -> tuple[Array, Array]:
+    """Law and dependences of quantity k for the tests, (n, J), and the exponents, (n,)."""
+    shapes = LAWS[law].shapes
+    share, exponent = (
+        value_of(s, draw_shape(s, uniform[:, shapes.index(s)]))
+        if s in shapes
+        else np.full(len(uniform), getattr(LAWS[law], s))
+        for s in ("share", "exponent")
+    )
+    relative = np.array([s.actuation for s in layout.settings]) / layout.reference
+    followed = ratio(relative, share[:, None], exponent[:, None])
+    means = np.log(np.maximum(followed, 1e-300)) / layout.spread[k]
+    for i, covariate in enumerate(follows, start=len(shapes)):
+        folds = np.log([s.covariates[covariate] for s in layout.settings])
+        slope = draw_shape(covariate, uniform[:, i])
+        means = means + slope[:, None] * (folds - folds.mean()) / layout.spread[k]
+    return means, exponent
 
 
 def _left_out(samples: Iterable[_Sample], folds: Sequence[Sequence[int]]) -> Array:

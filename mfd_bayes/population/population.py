@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.laws import ratio
-from mfd_bayes.population.layout import Choice, Layout, Setting
+from mfd_bayes.population.layout import Choice, Layout
+from mfd_bayes.population.setting import Setting
 
 Array = NDArray[np.float64]
 
@@ -30,11 +31,11 @@ class Population:
     choice : (chain, draw, L) int
         Law of each quantity that follows the actuation.
     together : (chain, draw, d, d)
-        Cholesky factor of the correlation of the scatter: how quantities differ together.
+        Cholesky factor of the correlation of the scatter between quantities.
     priors : mapping of str to Prior
     actuation_unit : str
     walkers : int
-        A chain's draws are ordered by walker.
+        Walkers of each chain, by which its draws are ordered.
     convergence : Convergence
         Of scatter, effects' sd, shapes and levels.
     """
@@ -56,20 +57,20 @@ class Population:
 
     @property
     def levels(self) -> Array:
-        """Pooled coordinates of the medians at the reference actuation, (chain, draw, d)."""
+        """Shared coordinates of the medians at the reference actuation, (chain, draw, d)."""
         return self.layout.centre + self.layout.spread * self.latent[:, :, 0]
 
     @property
     def scatters(self) -> dict[str, Array]:
-        """Test-to-test scatter of each quantity, (chain, draw); sd of its coordinate.
+        """Test-to-test scatter of each quantity, (chain, draw).
 
-        That is of the logarithm of what is positive, in kip for the offset.
+        It is the sd of the logarithm of a positive quantity, and in kip for the offset.
         """
         return {name: np.exp(self.h[..., k]) for k, name in enumerate(self.layout.names)}
 
     @property
     def effect_sds(self) -> dict[str, Array]:
-        """Sd of each effect of cells, by "name_group", (chain, draw)."""
+        """Sd of each effect, by "name_group", (chain, draw)."""
         begin = len(self.layout.names)
         return {
             f"{effect.name}_{self.layout.groups[effect.group]}": np.exp(self.h[..., begin + i])
@@ -102,16 +103,13 @@ class Population:
         return ratio(relative, share[..., None], exponent[..., None])
 
     def median(self, name: str, actuation: Array) -> Array:
-        """Median over tests of a quantity that follows a law, at each actuation.
-
-        (chain, draw, m); of others their median at the reference actuation.
-        """
+        """Median over tests of a quantity at each actuation, (chain, draw, m)."""
         level = self.layout.coordinates.values(self.levels.reshape(self.size, -1))[name]
         return level.reshape(*self.h.shape[:2], 1) * self.ratio(name, actuation)
 
     @property
     def slopes(self) -> dict[str, Array]:
-        """The paper's constants, as far as the laws are the paper's, (chain, draw) each.
+        """The paper's constants of those laws that are the paper's, (chain, draw) each.
 
         K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of
         actuation, `sigma0_0` in kip/in.
@@ -153,23 +151,21 @@ class Population:
         Parameters
         ----------
         setting : Setting
-            Of a calibrated test's cell or of a new one.
+            Of calibrated tests or a new one.
         index : (n,) int
-            Draws of the hyperparameters to take.
+            Number of the draw of the hyperparameters for each.
         rng : numpy.random.Generator
         scattered : bool
-            Whether they are tests with their scatter, or the median over tests.
+            Whether to add test-to-test scatter; without it, the median over tests.
         """
-        layout = self.layout
-        h = self.h.reshape(self.size, -1)[index]
+        layout, h = self.layout, self.h.reshape(self.size, -1)[index]
         latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
-        x = latent[:, 0].copy()
         choice = self.choice.reshape(self.size, -1)[index]
+        x = latent[:, 0].copy()
         x += layout.offsets(h, choice, [setting])[:, 0]
-        sd = layout.effect_sd(h)
-        begin = 0
+        sd, begin = layout.effect_sd(h), 0
         for effect in layout.effects:
-            row, new = effect.row(layout.cell_of(effect, setting))
+            row, new = effect.row(effect.cell_of(setting, layout.settings))
             parts = latent[:, 1 + begin : 1 + begin + len(row)]
             for k in effect.members:
                 x[:, k] += parts[:, :, k] @ row
@@ -178,6 +174,6 @@ class Population:
             begin += len(row)
         if scattered:
             factor = self.together.reshape(self.size, *self.together.shape[2:])[index]
-            swing = np.einsum("nij,nj->ni", factor, rng.standard_normal(x.shape))
-            x += layout.scatter(h) * swing
+            deviation = np.einsum("nij,nj->ni", factor, rng.standard_normal(x.shape))
+            x += layout.scatter(h) * deviation
         return layout.coordinates.values(layout.centre + layout.spread * x)

@@ -12,19 +12,27 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.layout import Setting
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
 
 KINDS = ("device", "new_test", "observation")
-"""Parameters' uncertainty; plus test-to-test scatter; plus offset and noise of the record."""
+"""The parameters' uncertainty; plus test-to-test scatter; plus the record's offset and noise."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What is asked of a prediction.
+    """Settings of a prediction.
+
+    Attributes
+    ----------
+    kind : {"device", "new_test", "observation"}
+    probability : float
+    draws, seed : int
+    session : str
+        Of the predicted test, where the campaign declares sessions.
 
     Raises
     ------
@@ -36,6 +44,7 @@ class Forecast:
     probability: float = 0.95
     draws: int = 500
     seed: int = 0
+    session: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -53,16 +62,16 @@ class Band:
     Attributes
     ----------
     time, lower, median, upper : (T,), s and kip
-        Bounds hold for each sample by itself.
+        The probability holds for each sample by itself.
     draws : (n, T), kip
     kind : str
     probability : float
     source : str
-        Where the parameters are from.
+        Where the parameters come from.
     values : mapping of str to (n,)
         Quantities of each draw, by name.
     remarks : tuple of str
-        Why it should be trusted less, in sentences.
+        Reasons to trust it less, in sentences.
     """
 
     time: Array
@@ -81,103 +90,95 @@ class Band:
 def band_of(
     time: Array,
     draws: Array,
-    kind: str,
-    probability: float,
+    forecast: Forecast,
     source: str,
     values: Mapping[str, Array] | None = None,
 ) -> Band:
     """Band of force draws (n, T), kip."""
-    tail = 0.5 * (1.0 - probability)
+    tail = 0.5 * (1.0 - forecast.probability)
     lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
-    return Band(time, lower, median, upper, draws, kind, probability, source, values or {})
+    asked = forecast.kind, forecast.probability
+    return Band(time, lower, median, upper, draws, *asked, source, values or {})
 
 
-def predict(
-    population: Population,
-    model: Model,
-    noise: Noise,
-    trace: Trace,
-    forecast: Forecast,
-    tested: Mapping[str, Array] | None = None,
-    session: str = "",
-) -> Band:
-    """Band of the force under a motion and an actuation, seen or not.
+@dataclass(frozen=True, eq=False)
+class Predictor:
+    """Predicts forces of a damper.
 
-    Parameters
+    Attributes
     ----------
     population : Population
     model : Model
     noise : Noise
-    trace : Trace
-        With its actuation, constant or a history.
-    forecast : Forecast
-    tested : mapping of str to (m,), optional
-        Posterior draws of the tests at this very level, for the kind `device`. Without
-        them `device` is the laws' own uncertainty.
-    session : str, optional
-        That of the test that is predicted, where the campaign declares sessions.
-
-    Raises
-    ------
-    FitError
-        When the trace has no actuation.
-    RecordError
-        When the force would be beyond all range, as far from what was tested.
     """
-    rng = np.random.default_rng(forecast.seed)
-    index = rng.choice(population.size, size=forecast.draws)
-    if forecast.kind == "device" and tested is not None:
-        pick = rng.choice(len(next(iter(tested.values()))), size=forecast.draws)
-        values = {name: column[pick] for name, column in tested.items()}
-        source = "posterior draws of the tests at this actuation"
-    else:
-        scattered = forecast.kind != "device"
-        setting = setting_of(trace, session)
-        values = population.draw_test(setting, index, rng, scattered=scattered)
-        source = "population laws" + (" with scatter" if scattered else "")
-    values |= _unknown(population, forecast.draws, rng)
-    with np.errstate(over="ignore", invalid="ignore"):  # it is refused right below
-        theta = model.theta(values)
+
+    population: Population
+    model: Model
+    noise: Noise
+
+    def predict(
+        self, trace: Trace, forecast: Forecast, tested: Mapping[str, Array] | None = None
+    ) -> Band:
+        """Band of the force under a motion and an actuation, tested or not.
+
+        Parameters
+        ----------
+        trace : Trace
+            With its actuation, constant or a history.
+        forecast : Forecast
+        tested : mapping of str to (m,), optional
+            Posterior draws of the tests at this very level, for the kind `device`. Without
+            them `device` is the laws' own uncertainty.
+
+        Raises
+        ------
+        FitError
+            When the trace has no actuation.
+        RecordError
+            When the force is too large for a number, as far from what was tested.
+        """
+        rng = np.random.default_rng(forecast.seed)
+        index = rng.choice(self.population.size, size=forecast.draws)
+        if forecast.kind == "device" and tested is not None:
+            pick = rng.choice(len(next(iter(tested.values()))), size=forecast.draws)
+            values = {name: column[pick] for name, column in tested.items()}
+            source = "posterior draws of the tests at this actuation"
+        else:
+            scattered = forecast.kind != "device"
+            setting = setting_of(trace, forecast.session)
+            values = self.population.draw_test(setting, index, rng, scattered=scattered)
+            source = "population laws" + (" with scatter" if scattered else "")
+        values |= _unknown(self.population, forecast.draws, rng)
+        with np.errstate(over="ignore", invalid="ignore"):  # refused right below
+            force = self._force(trace, values, index)
+            if forecast.kind == "observation":
+                travel = self._travel(trace, values) if self.noise.needs_travel else None
+                noise = self.noise.draw(rng, trace.time, values, travel)
+                force = force + values["offset"][:, None] + noise
+        check_magnitude("the predicted force", force)
+        return band_of(trace.time, force, forecast, source, values)
+
+    def _force(self, trace: Trace, values: Mapping[str, Array], index: NDArray[np.intp]) -> Array:
+        """Force draws, (n, T), kip."""
+        theta = self.model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
-        force = model.force(
-            theta,
-            trace,
-            values.get("start"),
-            scales=_scales(population, trace, index) if trace.varying else None,
-        )
-        if forecast.kind == "observation":
-            travel = model.travel(theta, trace, values.get("start")) if noise.needs_travel else None
-            force = force + values["offset"][:, None] + noise.draw(rng, trace.time, values, travel)
-    check_magnitude("the predicted force", force)
-    return band_of(trace.time, force, forecast.kind, forecast.probability, source, values)
+        scales = _scales(self.population, trace, index) if trace.varying else None
+        return self.model.force(theta, trace, values.get("start"), scales=scales)
 
-
-def setting_of(trace: Trace, session: str = "") -> Setting:
-    """Setting under which a trace was made, or is to be predicted.
-
-    Raises
-    ------
-    FitError
-        When the trace has no actuation.
-    """
-    if not np.isfinite(trace.reference_actuation):
-        raise FitError("a prediction needs the trace's actuation, in ksi (pressure) or kip (force)")
-    covariates = {
-        "velocity": float(np.quantile(np.abs(trace.velocity), 0.98)),
-        "amplitude": 0.5 * float(np.ptp(trace.displacement)),
-    }
-    return Setting(trace.reference_actuation, session, covariates)
+    def _travel(self, trace: Trace, values: Mapping[str, Array]) -> Array:
+        """Travel since the last turn, (n, T), in."""
+        return self.model.travel(self.model.theta(values), trace, values.get("start"))
 
 
 def _unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
-    """What no earlier test tells: the place in the gap at the start, the scale γ1, fixed ones."""
-    pooled = set(population.layout.names)
-    unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in pooled}
+    """Prior draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
+    shared = set(population.layout.names)
+    unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
 
 def _scales(population: Population, trace: Trace, index: NDArray[np.intp]) -> dict[str, Array]:
-    """Factors along a history of actuation of what follows it, by its law, (n, T) each."""
+    """Factors of the quantities with a law along a history of actuation, (n, T) each."""
     history = np.asarray(trace.actuation)
     level = np.array([trace.reference_actuation])
     scales = {}

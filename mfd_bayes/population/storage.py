@@ -13,9 +13,11 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.errors import StoreError
 from mfd_bayes.population.coordinates import Coordinates
+from mfd_bayes.population.effects import Effect
 from mfd_bayes.population.laws import LAWS
-from mfd_bayes.population.layout import Effect, Layout, Setting
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.stored import check_draws, check_facts
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import StoreError
-from mfd_bayes.population.layout import SAME_LEVEL, same_level
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Band, Forecast, predict
+from mfd_bayes.population.predict import Band, Forecast, Predictor
+from mfd_bayes.population.setting import SAME_LEVEL, same_level
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import (
     POPULATION,
@@ -114,10 +114,10 @@ class Run:
         FitError
             When the trace has no actuation, or kind or probability make no sense.
         """
-        forecast = Forecast(kind=kind, probability=probability, draws=draws, seed=seed)
+        forecast = Forecast(kind, probability, draws, seed, session)
         some = next(iter(self.tests.values())).posterior
-        at_level = self._at_level(trace)
-        band = predict(self.population, some.model, some.noise, trace, forecast, at_level, session)
+        predictor = Predictor(self.population, some.model, some.noise)
+        band = predictor.predict(trace, forecast, self._at_level(trace))
         return replace(band, remarks=self._remarks(trace))
 
     def _remarks(self, trace: Trace) -> tuple[str, ...]:

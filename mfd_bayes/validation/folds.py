@@ -20,9 +20,9 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.layout import Setting, levels_of
-from mfd_bayes.population.predict import Forecast, predict, setting_of
+from mfd_bayes.population.inference import InferenceSettings, infer_population
+from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.setting import Setting, levels_of, setting_of
 from mfd_bayes.runs.folder import MANIFEST, check_stored
 from mfd_bayes.runs.manifest import read_predictions_of
 from mfd_bayes.runs.run import Run, open_run
@@ -213,27 +213,20 @@ def leave_out(
         When the others do not make a population.
     """
     others = {name: run.tests[name] for name in fold.kept}
-    settings = run.manifest["settings"]
     inference = infer_population(
         others,
         run.priors,
-        settings,
-        fold.effort,
-        (fold.seed, 2),
+        InferenceSettings.of(run.manifest["settings"], fold.effort, (fold.seed, 2)),
         lambda progress: observe(Step(fold.id, "sampling", progress)),
     )
     found = []
     for name in fold.left_out:
         test = run.tests[name]
         posterior = test.posterior
-        band = predict(
-            inference.draws.population,
-            posterior.model,
-            posterior.noise,
-            test.trace,
-            Forecast("observation", draws=DRAWS, seed=fold.seed),
-            session=run.session(name),
-        )
+        predictor = Predictor(inference.draws.population, posterior.model, posterior.noise)
+        session = run.session(name)
+        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=session)
+        band = predictor.predict(test.trace, forecast)
         force = np.asarray(test.trace.force)
         found.append(Prediction(fold.part, name, score(band.draws, force), _fitted(test)))
     return tuple(found)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.population.layout import Layout, Setting, lay_out
+from mfd_bayes.population.layout import Layout, lay_out
+from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.test_likelihood import TestLikelihood, without_prior
 
 Array = NDArray[np.float64]

@@ -15,7 +15,8 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
     stack,
 )
-from mfd_bayes.population.layout import Setting, lay_out
+from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.setting import Setting
 
 LEVELS = (0.5, 0.5, 0.8, 1.5)
 MANY = tuple(np.repeat([0.4, 0.6, 0.9, 1.4, 2.0], 2))

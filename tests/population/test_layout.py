@@ -8,7 +8,8 @@ from scipy import stats
 
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.laws import COMPARE, LAWS
-from mfd_bayes.population.layout import LAW_NAMES, Setting, lay_out, levels_of, same_level
+from mfd_bayes.population.layout import LAW_NAMES, lay_out
+from mfd_bayes.population.setting import Setting, levels_of, same_level
 
 NAMES = ("Fc_fwd", "Fc_bwd", "sigma0", "k3", "offset")
 LEVELS = (0.5, 0.8, 0.8, 1.5)
@@ -131,9 +132,9 @@ def test_the_design_gives_tests_their_covariance(priors):
 def test_a_setting_near_a_level_belongs_to_its_cell(priors):
     layout = lay_out(priors, NAMES, settings())
     effect = level_of(layout)
-    assert layout.cell_of(effect, Setting(0.803)) == ("", 0.8)
-    assert layout.cell_of(effect, Setting(0.9)) == ("", 0.9)
-    assert layout.cell_of(effect, Setting(0.8, "b")) == ("b", 0.8)
+    assert effect.cell_of(Setting(0.803), layout.settings) == ("", 0.8)
+    assert effect.cell_of(Setting(0.9), layout.settings) == ("", 0.9)
+    assert effect.cell_of(Setting(0.8, "b"), layout.settings) == ("b", 0.8)
 
 
 def test_offsets_are_the_logarithms_of_the_laws(priors):

@@ -10,9 +10,10 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.layout import Setting, lay_out
+from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import KINDS, Forecast, band_of, predict, setting_of
+from mfd_bayes.population.predict import KINDS, Forecast, Predictor, band_of
+from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.records.trace import Trace
 
 MEDIANS = {
@@ -81,7 +82,11 @@ def population():
 
 def ask(population, actuation, tested=None, session="", **forecast):
     trace = Trace.from_arrays(TIME, MOTION, actuation)
-    return predict(population, ThreeStage(), NOISE, trace, Forecast(**forecast), tested, session)
+    return predict(population, trace, Forecast(**forecast, session=session), tested)
+
+
+def predict(population, trace, forecast, tested=None):
+    return Predictor(population, ThreeStage(), NOISE).predict(trace, forecast, tested)
 
 
 def width(population, actuation=1.0, **forecast):
@@ -108,9 +113,9 @@ def test_a_run_without_a_gap_predicts_what_the_gap_does_not_need(population):
     known = {n: p for n, p in population.priors.items() if n not in ("gamma1", "start")}
     device = Forecast("device", draws=20)
     trace = Trace.from_arrays(TIME, MOTION, 1.0)
-    without = predict(replace(population, priors=known), ThreeStage(), NOISE, trace, device)
+    without = predict(replace(population, priors=known), trace, device)
     np.testing.assert_array_equal(without.values["start"], 0.5)
-    fixed = predict(population, ThreeStage(), NOISE, trace, device)
+    fixed = predict(population, trace, device)
     late = TIME > 2.0  # of the start nothing is left
     np.testing.assert_allclose(without.draws[:, late], fixed.draws[:, late], rtol=1e-9, atol=1e-9)
 
@@ -148,7 +153,7 @@ def test_bounds_are_the_quantiles_of_the_draws(population):
     np.testing.assert_allclose(band.lower, low)
     np.testing.assert_allclose(band.median, mid)
     np.testing.assert_allclose(band.upper, high)
-    again = band_of(band.time, band.draws, band.kind, 0.9, band.source)
+    again = band_of(band.time, band.draws, Forecast(band.kind, 0.9), band.source)
     np.testing.assert_array_equal(again.upper, band.upper)
 
 
@@ -250,7 +255,7 @@ def test_ten_draws_make_a_band():
 def test_a_prediction_needs_an_actuation(population):
     trace = Trace.from_arrays(TIME, MOTION)
     with pytest.raises(FitError, match=r"needs the trace's actuation.*ksi"):
-        predict(population, ThreeStage(), NOISE, trace, Forecast())
+        predict(population, trace, Forecast())
 
 
 def test_a_prediction_beyond_all_range_ends_in_a_sentence():

@@ -8,9 +8,10 @@ import pytest
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.population import sampling
-from mfd_bayes.population.layout import Setting, lay_out
+from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import WALKERS, JointProblem, _correlate, sample_joint
+from mfd_bayes.population.setting import Setting
 
 EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
 MEAN, SPREAD = 0.1, 0.1

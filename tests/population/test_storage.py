@@ -11,9 +11,10 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.population.layout import Layout, Setting, lay_out
+from mfd_bayes.population.layout import Layout, lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Forecast, predict
+from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.storage import load_population, save_population, save_test_draws
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_arrays
@@ -115,9 +116,9 @@ def test_predictions_are_the_same(population, back, kind, actuation):
     time = np.arange(120) / 40
     level = np.linspace(0.5, 1.5, 120) if actuation == "history" else actuation
     trace = Trace.from_arrays(time, np.sin(np.pi * time), level)
-    forecast = Forecast(kind, draws=20, seed=3)
+    forecast = Forecast(kind, draws=20, seed=3, session="b")
     first, again = (
-        predict(p, ThreeStage(), find_noise("ou"), trace, forecast, session="b")
+        Predictor(p, ThreeStage(), find_noise("ou")).predict(trace, forecast)
         for p in (population, back)
     )
     np.testing.assert_array_equal(first.draws, again.draws)

@@ -7,7 +7,8 @@ import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.population import test_likelihood
-from mfd_bayes.population.layout import Setting, lay_out
+from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.test_likelihood import likelihood_of, without_prior
 from mfd_bayes.records.trace import Trace
 

@@ -1,0 +1,106 @@
+"""Effects: deviations from the laws that the tests of a session or of a level have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from mfd_bayes.population.setting import Setting, same_level
+
+Array = NDArray[np.float64]
+Cell = tuple[str, float]
+"""Session and actuation of tests that share an effect; the actuation is 0 where it is for all."""
+
+ALIKE = float(np.log(2.0))
+"""Correlation length of a level's effect, along the logarithm of the actuation."""
+
+LEVELS = 3
+"""Fewest levels at which a deviation from a law can be told from the law."""
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """Deviation that tests have in common, for the quantities of one scatter group.
+
+    Tests of one session share an effect. So do those of one level of actuation, and effects of
+    near levels are similar: over the logarithm of the actuation they are a Gaussian process of
+    correlation exp(−|log p − log p'| / log 2), within a session.
+
+    Attributes
+    ----------
+    name : "level" or "session"
+    group : int
+    members : tuple of int
+        Quantities that have it.
+    cells : tuple of (str, float)
+    home : tuple of int
+        Index of each test's cell.
+    """
+
+    name: str
+    group: int
+    members: tuple[int, ...]
+    cells: tuple[Cell, ...]
+    home: tuple[int, ...]
+
+    @cached_property
+    def root(self) -> Array:
+        """Cholesky factor of the cells' correlation, (cells, cells)."""
+        return np.asarray(np.linalg.cholesky(self._correlation(self.cells)))
+
+    def _correlation(self, others: Sequence[Cell]) -> Array:
+        """Correlation of the effect between other cells and its own, (others, cells)."""
+        if self.name == "session":
+            return np.array([[float(a == b) for b in self.cells] for a in others])
+        sessions = np.array([[a[0] == b[0] for b in self.cells] for a in others])
+        with np.errstate(divide="ignore"):  # no actuation is infinitely far from every level
+            at = np.log(np.array([[actuation] for _, actuation in others]))
+        apart = np.abs(at - np.log(np.array([actuation for _, actuation in self.cells])))
+        return np.asarray(sessions * np.exp(-apart / ALIKE))
+
+    def row(self, cell: Cell) -> tuple[Array, float]:
+        """Weights of the independent parts in a cell's effect, (cells,), and sd of the rest."""
+        if cell in self.cells:
+            return self.root[self.cells.index(cell)], 0.0
+        row = solve_triangular(self.root, self._correlation([cell])[0], lower=True)
+        return row, float(np.sqrt(np.maximum(1.0 - row @ row, 0.0)))
+
+    def cell_of(self, setting: Setting, others: Sequence[Setting]) -> Cell:
+        """Cell of a setting: its session, and the actuation of others at its level, if any."""
+        return _cell(self.name, setting, others)
+
+
+def _cell(effect: str, setting: Setting, others: Sequence[Setting]) -> Cell:
+    if effect == "session":
+        return setting.session, 0.0
+    near = [o.actuation for o in others if same_level(o.actuation, setting.actuation)]
+    return setting.session, near[0] if near else setting.actuation
+
+
+def effects_of(
+    settings: Sequence[Setting],
+    names: tuple[str, ...],
+    member: NDArray[np.intp],
+    laws: Mapping[str, str],
+) -> tuple[Effect, ...]:
+    """Effects of levels, on quantities with a law, and of sessions, on every quantity.
+
+    Only those that the settings can tell: of `LEVELS` levels, or of two sessions.
+    """
+    followers = [names.index(name) for name in laws]
+    found = []
+    for name, members in (("level", followers), ("session", list(range(len(names))))):
+        keys = [_cell(name, setting, settings) for setting in settings]
+        cells = tuple(dict.fromkeys(keys))
+        if len(cells) < (LEVELS if name == "level" else 2):
+            continue
+        home = tuple(cells.index(key) for key in keys)
+        for group in dict.fromkeys(member[members].tolist()):
+            those = tuple(k for k in members if member[k] == group)
+            found.append(Effect(name, group, those, cells, home))
+    return tuple(found)

@@ -1,0 +1,66 @@
+"""The setting of a test: the conditions under which it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+SAME_LEVEL = 0.01
+"""Tests whose actuation differs by less than this share are at one level."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Conditions of a test.
+
+    Attributes
+    ----------
+    actuation : float, ksi or kip
+    session : str
+        Tests of one session share what changes between sessions; "" where none is declared.
+    covariates : mapping of str to float
+        What parameters may follow besides the actuation: "velocity" (in/s, its peak) and
+        "amplitude" (in, half the stroke).
+    """
+
+    actuation: float
+    session: str = ""
+    covariates: Mapping[str, float] = field(default_factory=dict)
+
+
+def setting_of(trace: Trace, session: str = "") -> Setting:
+    """Setting under which a trace was made, or is to be predicted.
+
+    Raises
+    ------
+    FitError
+        When the trace has no actuation.
+    """
+    if not np.isfinite(trace.reference_actuation):
+        raise FitError("a prediction needs the trace's actuation, in ksi (pressure) or kip (force)")
+    covariates = {
+        "velocity": float(np.quantile(np.abs(trace.velocity), 0.98)),
+        "amplitude": 0.5 * float(np.ptp(trace.displacement)),
+    }
+    return Setting(trace.reference_actuation, session, covariates)
+
+
+def same_level(actuation: float, other: float) -> bool:
+    """Whether two actuations are at one level."""
+    return abs(actuation - other) <= SAME_LEVEL * max(actuation, other)
+
+
+def levels_of(settings: Sequence[Setting]) -> list[list[int]]:
+    """Indices of the tests at each level of actuation, lowest level first."""
+    folds: list[list[int]] = []
+    for j in np.argsort([setting.actuation for setting in settings]).tolist():
+        if folds and same_level(settings[folds[-1][0]].actuation, settings[j].actuation):
+            folds[-1].append(j)
+        else:
+            folds.append([j])
+    return folds
