@@ -15,19 +15,12 @@ from mfd_bayes.jobs.workers import run_in_processes
 
 @dataclass(frozen=True)
 class Workplace:
-    """Where jobs are done.
-
-    Attributes
-    ----------
-    jobs : int
-        Number of processes of this machine; 0 for one per processor.
-    scheduler : str
-        Address of a dask.distributed scheduler whose workers do the jobs, such as
-        "tcp://host:8786"; "" for processes of this machine.
-    """
+    """Where jobs are done."""
 
     jobs: int = 0
+    """Number of processes of this machine; 0 for one per processor."""
     scheduler: str = ""
+    """Address of a dask.distributed scheduler whose workers do the jobs, as "tcp://host:8786"."""
 
     @property
     def processes(self) -> int:

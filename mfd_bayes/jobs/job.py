@@ -26,19 +26,11 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Step:
-    """News of a piece of work: that it waits, what it is at, or that it has ended.
-
-    Attributes
-    ----------
-    id : str
-    stage : State or str
-        A `State`; in between what the work is at, such as "sampling".
-    progress : Progress or None
-    message : str
-    """
+    """News of a piece of work: that it waits, what it is at, or that it has ended."""
 
     id: str
     stage: str
+    """A `State`; in between what the work is at, such as "sampling"."""
     progress: Progress | None = None
     message: str = ""
 
@@ -55,10 +47,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a sampling: steps done, the limit, and the worst diagnostics so far.
-
-    `share` estimates the fraction of the needed steps that is done; NaN where it is unknown.
-    """
+    """Progress of a sampling: steps done, the limit, and the worst diagnostics so far."""
 
     steps: int
     limit: int
@@ -66,6 +55,7 @@ class Progress:
     ess: float
     seconds: float
     share: float = math.nan
+    """Estimated fraction of the needed steps that is done; NaN where it is unknown."""
 
 
 class Job(Protocol):

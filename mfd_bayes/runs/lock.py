@@ -39,26 +39,16 @@ _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 @dataclass(frozen=True)
 class Owner:
-    """The owner of a lock: a process that works in a run folder.
-
-    Attributes
-    ----------
-    host : str
-        Name of its machine.
-    boot : str
-        Linux's id of the running system, the same in each container of a machine; "" where the
-        system has none.
-    pid : int
-    command : str
-    since : str
-        Date and time, UTC.
-    """
+    """The owner of a lock: a process that works in a run folder."""
 
     host: str
+    """Name of its machine."""
     boot: str
+    """Linux's id of the running system, the same in each container of a machine; or ""."""
     pid: int
     command: str
     since: str
+    """Date and time, UTC."""
 
     def __str__(self) -> str:
         """Sentence part that a process is shown when it is refused."""
