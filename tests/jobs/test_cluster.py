@@ -25,6 +25,7 @@ from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.workers import run_in_processes
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.runs.folder import posterior_of
 from mfd_bayes.validation.folds import folds_of, run_folds
 
 pytestmark = [
@@ -132,7 +133,7 @@ def campaign(tmp_path_factory):
 def tasks(campaign):
     """The jobs of the tests, one with a name full of special characters."""
     first, second = plan_campaign(campaign, Options(effort="quick")).tasks
-    return replace(first, id=ODD), second
+    return replace(first, id=ODD, file=posterior_of(ODD)), second
 
 
 @pytest.fixture(scope="module")
