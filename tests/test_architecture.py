@@ -33,7 +33,7 @@ ROOT = {"__init__", "__main__", "errors", "units"}
 """The files that have no room."""
 
 HOMES = {
-    "emcee": ("mfd_bayes.calibration.sampling", "mfd_bayes.calibration.moves"),
+    "emcee": ("mfd_bayes.calibration.ensembles", "mfd_bayes.calibration.moves"),
     "arviz": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
     "arviz_stats": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
     "xarray": ("mfd_bayes.store.netcdf", "mfd_bayes.calibration.result"),

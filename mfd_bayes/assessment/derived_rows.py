@@ -32,7 +32,8 @@ def calibrated_rows(run: Run, test: TestResult, replicas: Replicas) -> tuple[Der
     trace, first, values = test.trace, test.posterior.first, replicas.values
     force = replicas.force - values["offset"][:, None]
     drawn = derive_from_force(force, trace, first=first)
-    drawn |= derive_from_parameters(values, trace.reference_actuation, _area(run))
+    level, model = trace.reference_actuation, test.posterior.model
+    drawn |= derive_from_parameters(model, values, level, _area(run))
     known = _measured(trace, float(np.median(values["offset"])), first)
     cycles = count_cycles(trace, first=first)
     return _rows((test.id, "calibrate"), drawn, known, cycles)
@@ -73,7 +74,8 @@ def predicted_rows(run: Run, trace: Trace, band: Band) -> tuple[DerivedRow, ...]
 
 def _drawn(run: Run, trace: Trace, band: Band) -> dict[str, Array]:
     """Derived quantities of a band's draws."""
-    of_parameters = derive_from_parameters(band.values, trace.reference_actuation, _area(run))
+    level, model = trace.reference_actuation, next(iter(run.tests.values())).posterior.model
+    of_parameters = derive_from_parameters(model, band.values, level, _area(run))
     return derive_from_force(band.draws, trace) | of_parameters
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -63,15 +64,18 @@ def derive_from_force(force: ArrayLike, trace: Trace, *, first: int = 0) -> dict
 
 
 def derive_from_parameters(
-    values: Mapping[str, Array], pressure: float = float("nan"), area: float | None = None
+    model: Model,
+    values: Mapping[str, Array],
+    pressure: float = float("nan"),
+    area: float | None = None,
 ) -> dict[str, Array]:
     """Gap width and self-energizing factors by name, (n,) each, as far as they are known.
 
     Parameters
     ----------
+    model : Model
     values : mapping of str to (n,)
-        Draws of the parameters. Without `d2` and `d3`, as in a model without a gap, there is
-        no gap width.
+        Draws of its parameters.
     pressure : float, ksi
         The level that the draws belong to.
     area : float, in², or None
@@ -80,19 +84,16 @@ def derive_from_parameters(
     Returns
     -------
     dict
-        `gap`, D = d2 + d3, in, the drum's travel from one side of the gap to the other;
-        `C_fwd` and `C_bwd`, C = F_c/(p A), the brake's kinetic friction (Bouc-Wen's yield
-        force) over the actuator's thrust: by so much the shoes energize themselves in that
-        direction (model.md section 7).
+        `gap`, in, the drum's travel from one side of the gap to the other; `C_fwd` and `C_bwd`,
+        C = F_c/(p A), the friction force in slip over the actuator's thrust: by so much the
+        shoes energize themselves in that direction (model.md section 7).
     """
-    found = {}
-    if "d2" in values and "d3" in values:
-        found["gap"] = values["d2"] + values["d3"]
+    gap = model.gap(values)
+    found = {} if gap is None else {"gap": gap}
     if area is not None and pressure > 0.0:
-        for side in ("fwd", "bwd"):
-            friction = values.get(f"Fc_{side}", values.get(f"Fy_{side}"))
-            if friction is not None:
-                found[f"C_{side}"] = friction / (pressure * area)
+        thrust = pressure * area
+        sides = zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False)
+        found |= {name: values[force] / thrust for name, force in sides}
     return found
 
 

@@ -98,3 +98,17 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
         self._proposed += moved.size
         self._accepted += int(moved.sum())
         return state, moved
+
+
+def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves.Move, float]]:
+    """Moves of differential evolution in each ensemble with their weights.
+
+    One step in five goes by the whole difference of two walkers, so that it can change modes.
+
+    emcee 3.1.6's DESnookerMove does not sample the target and is not used.
+    """
+    usual = 2.38 / np.sqrt(2 * dim)
+    return [
+        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=usual), ensembles), 0.8 * weight),
+        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), ensembles), 0.2 * weight),
+    ]

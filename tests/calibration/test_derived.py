@@ -9,6 +9,8 @@ from mfd_bayes.calibration.derived import (
     equivalent_damping,
 )
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 
@@ -136,18 +138,19 @@ def test_gap_and_self_energizing_factors_follow_from_the_parameters():
         "Fc_fwd": np.array([1.0, 2.0]),
         "Fc_bwd": np.array([3.0, 4.0]),
     }
-    derived = derive_from_parameters(values, pressure=0.5, area=2.0)
+    derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=2.0)
     np.testing.assert_allclose(derived["gap"], [0.15, 0.3])
     np.testing.assert_allclose(derived["C_fwd"], [1.0, 2.0])
     np.testing.assert_allclose(derived["C_bwd"], [3.0, 4.0])
-    assert set(derive_from_parameters(values)) == {"gap"}
-    assert set(derive_from_parameters(values, pressure=0.0, area=2.0)) == {"gap"}
-    assert derive_from_parameters({"Fc_fwd": values["Fc_fwd"]}) == {}
+    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap"}
+    assert set(derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)) == {"gap"}
+    assert derive_from_parameters(LuGre(), values) == {}
 
 
 def test_a_yield_force_stands_for_kinetic_friction_where_there_is_none():
-    derived = derive_from_parameters({"Fy_fwd": np.array([3.0])}, pressure=0.5, area=2.0)
-    assert {name: value.item() for name, value in derived.items()} == {"C_fwd": 3.0}
+    values = {"Fy_fwd": np.array([3.0]), "Fy_bwd": np.array([2.0])}
+    derived = derive_from_parameters(BoucWen(), values, pressure=0.5, area=2.0)
+    assert {name: value.item() for name, value in derived.items()} == {"C_fwd": 3.0, "C_bwd": 2.0}
 
 
 def test_a_force_of_another_motion_is_refused():

@@ -8,9 +8,9 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import autocorrelation_time
+from mfd_bayes.calibration.ensembles import JUMPS
 from mfd_bayes.calibration.mixture import Mixture, learn
-from mfd_bayes.calibration.moves import Apart, Independent
-from mfd_bayes.calibration.sampling import JUMPS, _evolution
+from mfd_bayes.calibration.moves import Apart, Independent, evolution
 
 DIM, ENSEMBLES, WALKERS, STEPS = 5, 4, 40, 3000
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])
@@ -44,7 +44,7 @@ NARROW = Mixture.of(
 
 
 def those_of_the_sampler():
-    return [(Independent(LEARNED), JUMPS), *_evolution(DIM, ENSEMBLES, 1.0 - JUMPS)]
+    return [(Independent(LEARNED), JUMPS), *evolution(DIM, ENSEMBLES, 1.0 - JUMPS)]
 
 
 class Forgetful(Independent):

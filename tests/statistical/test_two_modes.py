@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.map_fit import climb
-from mfd_bayes.calibration.sampling import mode_shares, sample_density
+from mfd_bayes.calibration.sampling import mode_shares
 
 DIM, APART, MINOR = 5, 9.0, 0.2
 EFFORT = Effort(ess=400, limit=3000)

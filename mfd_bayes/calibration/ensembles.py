@@ -1,0 +1,289 @@
+"""Chains of a density by emcee: ensembles of walkers that run until they agree."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.diagnostics import Convergence, autocorrelation_time, measure
+from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.map_fit import Density, Mode
+from mfd_bayes.calibration.mixture import Either, Proposal, learn
+from mfd_bayes.calibration.moves import Independent, evolution
+from mfd_bayes.calibration.starts import around_modes, disperse
+from mfd_bayes.jobs.job import Progress
+
+Array = NDArray[np.float64]
+
+STORED = 3000
+"""Steps of each walker that are stored at most: beyond it, every second, third, … one."""
+
+ROUND = 20
+"""Steps after which the proposal is learned anew while the sampler warms up."""
+
+ROUNDS = 12
+"""Such rounds at most; fewer where they no longer help."""
+
+HEAT = (0.3, 0.3, 0.4, 0.4, 0.5, 0.5, 0.65, 0.8)
+"""Powers of the density in the first rounds, so that walkers see its tails and other modes."""
+
+BROAD = 0.5
+"""The power at which a proposal is learned that stays a part of all later ones."""
+
+PATIENCE = 4
+"""Rounds in a row that may accept no more than the best before the warm-up ends."""
+
+SLOW = 40.0
+"""Autocorrelation time, steps, from which the proposal is worth learning again. No walk is taken
+to be quicker either: a far tail is visited more seldom than the figures can tell."""
+
+PARTS = 6
+"""Student-t densities of a learned proposal at most, besides its wide part."""
+
+REQUIRED = 200
+"""Draws, which are correlated, that each of them takes per dimension."""
+
+JUMPS = 0.7
+"""Share of the steps that are independence proposals; the others are differential evolution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Draws of a density, ensembles as chains.
+
+    Attributes
+    ----------
+    q : (chain, draw, dim)
+        A chain's draws are ordered by walker, and along a walker by step, so that the
+        autocorrelation of a chain is that of its walkers.
+    log_prob : (chain, draw)
+    walkers : int
+    steps, thin, discarded : int
+        Steps of each ensemble; the interval of steps at which draws are kept (thinning); steps
+        of the warm-up at the start, in which the proposal was learned and none is kept.
+    acceptance : (chain,)
+    autocorrelation : (dim,)
+        Integrated autocorrelation time, steps.
+    convergence : Convergence
+        Of the coordinates, the log density, and what is derived, in this order.
+    """
+
+    q: Array
+    log_prob: Array
+    walkers: int
+    steps: int
+    thin: int
+    discarded: int
+    acceptance: Array
+    autocorrelation: Array
+    convergence: Convergence
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What is followed while chains grow.
+
+    Attributes
+    ----------
+    derived : callable, optional
+        Other quantities that must converge too, (n, dim) -> (n, m).
+    report : callable, optional
+        Called with a `Progress` each time that the convergence is measured.
+    """
+
+    derived: Callable[[Array], Array] | None = None
+    report: Callable[[Progress], None] | None = None
+
+
+def sample_density(
+    density: Density,
+    modes: Sequence[Mode],
+    effort: Effort,
+    rng: np.random.Generator,
+    watch: Watch | None = None,
+) -> Chains:
+    """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes.
+
+    Walkers start at a power of the density below 1, which is raised round by round, and a
+    mixture of Student-t densities is learned from where they are. It is then frozen; what is
+    kept comes after that, from independence proposals of the mixture together with
+    differential evolution. Should those mix slowly, or much be left to do, the mixture is
+    learned again from what they found, and what is kept starts again.
+
+    Parameters
+    ----------
+    density : callable
+    modes : sequence of Mode
+    effort : Effort
+    rng : numpy.random.Generator
+    watch : Watch, optional
+    """
+    watch = watch or Watch()
+    walk = _Walk(density, modes, effort, rng, watch.derived)
+    walk.warm_up()
+    wait = ROUND
+    while True:
+        walk.run(max(1, min(wait, effort.limit - walk.steps)))
+        chains = walk.chains()
+        found = chains.convergence
+        if watch.report is not None:
+            watch.report(walk.progress(chains))
+        slowest = float(np.max(chains.autocorrelation))
+        reached = walk.length(chains) >= 1.0 and found.reached(effort.r_hat, effort.ess)
+        if reached or walk.steps >= effort.limit:
+            return chains
+        if found.worst_ess < 0.5 * effort.ess or slowest > SLOW:
+            walk.learn_again()
+        wait = max(4 * ROUND, walk.fresh // 2)
+
+
+class _Walk:
+    """The walkers of all ensembles in lock-step, their proposal, and where they have been."""
+
+    def __init__(
+        self,
+        density: Density,
+        modes: Sequence[Mode],
+        effort: Effort,
+        rng: np.random.Generator,
+        derived: Callable[[Array], Array] | None = None,
+    ) -> None:
+        dim = len(modes[0].q)
+        self._derived = derived
+        self._effort, self._rng, self._began = effort, rng, time.perf_counter()
+        self._walkers = 2 * max(effort.walkers // 2, dim + 3)
+        self._power = HEAT[0]
+
+        def powered(q: Array) -> Array:
+            return self._power * density(q)
+
+        self._anchors: Proposal = around_modes(modes, self._power)
+        self._independent = Independent(self._anchors)
+        self._sampler = emcee.EnsembleSampler(
+            effort.ensembles * self._walkers,
+            dim,
+            powered,
+            moves=[(self._independent, JUMPS), *evolution(dim, effort.ensembles, 1.0 - JUMPS)],
+            vectorize=True,
+        )
+        # emcee takes a RandomState's state and silently ignores anything else
+        twister = np.random.RandomState(int(rng.integers(2**32)))
+        begin = disperse(powered, self._anchors, self._sampler.nwalkers, twister)
+        self._state = emcee.State(begin, random_state=twister.get_state())
+        self.steps = self._learned = 0
+        self._freeze()
+
+    def warm_up(self) -> None:
+        """Learn the proposal in rounds, until a round accepts hardly more than the best one."""
+        for power in HEAT:
+            if self.steps >= self._effort.limit // 4:
+                break
+            self._raise(power)
+            self.run(ROUND)
+            self._learn(0.75)
+            if power == BROAD:
+                both = (self._anchors, self._independent.source)
+                self._anchors = Either(np.array([0.3, 0.7]), both)
+        self._raise(1.0)
+        best, waited = 0.0, 0
+        for _ in range(ROUNDS):
+            self._independent.forget()
+            self.run(ROUND)
+            accepted = self._independent.acceptance
+            self._learn(0.5)
+            waited = 0 if accepted > 1.05 * best else waited + 1
+            best = max(best, accepted)
+            if waited >= PATIENCE or self.steps >= self._effort.limit // 4:
+                break
+        self._freeze()
+
+    def _raise(self, power: float) -> None:
+        """Go on with a power of the density, and forget where the walkers were before."""
+        state = emcee.State(self._state, copy=True)
+        if state.log_prob is not None:  # as at the start
+            state.log_prob *= power / self._power
+        self._state, self._power = state, power
+        self._freeze()
+
+    def learn_again(self) -> None:
+        """Learn the proposal from what was kept, if that is plenty; keep what comes after."""
+        if len(self._coords) * self._stride >= 4 * self._learned:
+            self._learn(0.75)
+            self._freeze()
+
+    def _learn(self, share: float) -> None:
+        """Learn the proposal from the last of the stored steps."""
+        late = self._coords[-math.ceil(share * len(self._coords)) :]
+        self._learned = len(late) * self._stride
+        draws = np.concatenate(late)
+        parts = int(np.clip(len(draws) // (REQUIRED * draws.shape[1]), 1, PARTS))
+        self._independent.source = learn(draws, parts, self._rng, self._anchors)
+
+    def _freeze(self) -> None:
+        """Forget where the walkers have been: what is kept must come from one proposal."""
+        self.fresh, self._stride = 0, 1
+        self._coords: list[Array] = []
+        self._log_prob: list[Array] = []
+        self._moved = np.zeros(self._sampler.nwalkers)
+
+    def run(self, steps: int) -> None:
+        """Go on for some steps, and store every stride-th of them."""
+        for state in self._sampler.sample(
+            self._state, iterations=steps, store=False, skip_initial_state_check=True
+        ):
+            self._moved += np.any(state.coords != self._state.coords, axis=1)
+            self._state = emcee.State(state, copy=True)
+            self.fresh += 1
+            if self.fresh % self._stride == 0:
+                self._coords.append(self._state.coords)
+                self._log_prob.append(self._state.log_prob)
+            if len(self._coords) >= STORED:
+                self._coords, self._log_prob = self._coords[1::2], self._log_prob[1::2]
+                self._stride *= 2
+        self.steps += steps
+
+    def length(self, chains: Chains) -> float:
+        """Steps that are kept over those that the effort asks for."""
+        slowest = max(float(np.max(chains.autocorrelation)), SLOW)
+        asked = self._effort.length * slowest
+        return self.fresh / asked if asked > 0.0 else math.inf
+
+    def progress(self, chains: Chains) -> Progress:
+        """Where the sampling stands."""
+        effort, found = self._effort, chains.convergence
+        reached = min(found.share(effort.r_hat, effort.ess), self.length(chains))
+        left = self.fresh * (1.0 / reached - 1.0) if reached > 0.0 else math.inf
+        share = self.steps / max(self.steps, min(self.steps + left, effort.limit))
+        seconds = time.perf_counter() - self._began
+        worst = found.worst_r_hat, found.worst_ess
+        return Progress(self.steps, effort.limit, *worst, seconds, share)
+
+    def chains(self) -> Chains:
+        """Draws since the proposal was frozen, thinned, and what they say of convergence."""
+        ensembles, walkers = self._effort.ensembles, self._walkers
+        shape = (len(self._coords), ensembles, walkers)
+        full = np.swapaxes(np.reshape(self._coords, (*shape, -1)), 0, 1)
+        log_prob = np.swapaxes(np.reshape(self._log_prob, shape), 0, 1)
+        thin = max(1, len(self._coords) * walkers // self._effort.kept)
+        kept, kept_log_prob = full[:, thin - 1 :: thin], log_prob[:, thin - 1 :: thin]
+        watched = [kept, kept_log_prob[..., None]]
+        if self._derived is not None:
+            others = self._derived(kept.reshape(-1, kept.shape[-1]))
+            watched.append(others.reshape(*kept.shape[:-1], -1))
+        return Chains(
+            q=np.swapaxes(kept, 1, 2).reshape(ensembles, -1, full.shape[-1]),
+            log_prob=np.swapaxes(kept_log_prob, 1, 2).reshape(ensembles, -1),
+            walkers=walkers,
+            steps=self.steps,
+            thin=thin * self._stride,
+            discarded=self.steps - self.fresh,
+            acceptance=np.reshape(self._moved, (ensembles, walkers)).mean(axis=1) / self.fresh,
+            autocorrelation=self._stride * autocorrelation_time(full),
+            convergence=measure(np.concatenate(watched, axis=-1)),
+        )
