@@ -15,7 +15,7 @@ MOST_SAMPLES = 6000  # most samples of a trace at the default rate
 
 
 def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
-    """Signal from sample `first` to `last` at a lower rate, without delay.
+    """Signal, (N,), from sample `first` to `last` at a lower rate, without delay.
 
     A symmetric low-pass filter, flat to 0.7 of the new Nyquist frequency and at least 40 dB
     down above it. The filter also uses the samples before `first` and after `last`; beyond the
@@ -28,10 +28,6 @@ def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
         New rate over old, at most 1.
     first, last : int
         `first` is the first sample of the result; no sample of the result is after `last`.
-
-    Returns
-    -------
-    (N,)
     """
     from scipy.signal import firwin, resample_poly
 
@@ -56,7 +52,7 @@ def default_rate(
     *,
     rate: float | None = None,
 ) -> float:
-    """Lowest sampling rate that resolves the crossing of a gap and the half-cycles.
+    """Lowest sampling rate, Hz, that resolves the crossing of a gap and the half-cycles.
 
     At least 20 samples per crossing of the gap after a turning point, by the lower quartile of
     the crossing times, and 40 per median half-cycle, if the record has them; then the next
@@ -72,10 +68,6 @@ def default_rate(
     gap : float, in
     rate : float, Hz, optional
         The record's; by default from `time`.
-
-    Returns
-    -------
-    float, Hz
     """
     record_rate = (time.size - 1) / float(time[-1] - time[0]) if rate is None else rate
     crossings = crossing_times(time, displacement, turns, gap)

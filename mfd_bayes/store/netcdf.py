@@ -16,7 +16,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.hdf5 import UnsafeError, check_objects
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.files import json_text, write_atomically
+from mfd_bayes.store.files import json_text, write_bytes
 
 if TYPE_CHECKING:
     import h5py
@@ -76,7 +76,7 @@ def save_test(path: Path, test: CalibratedTest) -> None:
         ),
         **_trace_groups(test.trace),
     }
-    write_atomically(path, lambda part: _write_groups(part, groups))
+    _write_groups(path, groups)
 
 
 def load_test(path: Path) -> StoredTest:
@@ -103,7 +103,7 @@ def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
     """Write the trace of a test that is predicted and not fitted."""
     groups = _trace_groups(trace)
     groups["constant_data"].attrs["facts"] = json_text(facts)
-    write_atomically(path, lambda part: _write_groups(part, groups))
+    _write_groups(path, groups)
 
 
 def load_trace(path: Path) -> tuple[Trace, dict[str, Any]]:
@@ -126,8 +126,7 @@ def save_arrays(
     units: Mapping[str, str] | None = None,
 ) -> None:
     """Write draws, (chain, draw, …) each, as a posterior group."""
-    groups = {"posterior": _posterior(arrays, units or {}, facts)}
-    write_atomically(path, lambda part: _write_groups(part, groups))
+    _write_groups(path, {"posterior": _posterior(arrays, units or {}, facts)})
 
 
 def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -201,7 +200,7 @@ def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     with h5netcdf.File(memory, "w") as file:
         for name, dataset in groups.items():
             dataset.dump_to_store(H5NetCDFStore(file, group=name, mode="a"))
-    path.write_bytes(memory.getbuffer())
+    write_bytes(path, memory.getbuffer())
 
 
 def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:

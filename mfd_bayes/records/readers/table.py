@@ -14,27 +14,13 @@ from mfd_bayes.records.readers.bounds import check_names
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of a file; a column that is not used may hold anything.
-
-    Attributes
-    ----------
-    path : Path
-    names : tuple of str
-        Names of the columns, in the file's order.
-    load : callable
-        Takes names that exist; returns their numbers, checked cell by cell.
-    place : callable
-        Takes a row, from 0; returns its place in the file: ``"line 17"``.
-    units : mapping
-        Column to unit, as the file's row of units or the channel's properties spell it;
-        without columns that the file gives no unit.
-    """
+    """Columns of a file; a column that is not used may hold anything."""
 
     path: Path
-    names: tuple[str, ...]
-    load: Callable[[Sequence[str]], dict[str, Array]]
-    place: Callable[[int], str]
-    units: Mapping[str, str] = field(default_factory=dict)
+    names: tuple[str, ...]  # in the file's order
+    load: Callable[[Sequence[str]], dict[str, Array]]  # of names that exist; checks every cell
+    place: Callable[[int], str]  # of a row, from 0: "line 17"
+    units: Mapping[str, str] = field(default_factory=dict)  # by column, where the file gives one
 
     def __post_init__(self) -> None:
         check_names(self.path, self.names)
