@@ -6,7 +6,6 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
@@ -39,7 +38,7 @@ from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.resumption import prepare_folder
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.store.files import write_json
+from mfd_bayes.store.files import json_text, write_json
 from mfd_bayes.store.netcdf import CalibratedTest, load_trace, save_test, save_trace
 from mfd_bayes.validation.folds import Fold, read_predictions
 
@@ -105,7 +104,7 @@ def write_run(folder: Path, *, small: bool = False) -> None:
     write_json(folder / "crossvalidation" / _fold().file, stored)
     names = [p.relative_to(folder).as_posix() for p in folder.rglob("*.*") if p.suffix != ".json"]
     about = _about(plan, predictions) | {"files": hash_stored(folder, names)}
-    write_json(folder / MANIFEST, plan.manifest | about)
+    write_json(folder / MANIFEST, {**plan.manifest.content, **about})
 
 
 def _write_posterior(path: Path, posterior: Posterior, rng: Rng) -> None:
@@ -150,7 +149,7 @@ def _about(plan: Plan, predictions: list[dict[str, Any]]) -> dict[str, Any]:
     done = {"status": "done", "seconds": 1.0}
     tests = {
         name: entry | (done if entry["role"] == "calibrate" else {"status": "held out"})
-        for name, entry in plan.manifest["tests"].items()
+        for name, entry in plan.manifest.content["tests"].items()
     }
     law = {"quantity": "Fc_fwd", "elpd": 2.0, "se": 1.0, "weight": 0.5}
     compared = {"subject": "a", "cycles": 6, "elpd": 2.0, "elpd_se": 1.0, "p_loo": 3.0}
@@ -196,7 +195,7 @@ def read_report(path: Path) -> object:
     out = next(folder for folder in path.parents if (folder / MANIFEST).is_file())
     run = open_run(out)
     view = assess(run)
-    written = json.dumps(run.manifest | {"verdicts": verdicts(view)})
+    written = json_text(run.manifest.changed(verdicts=verdicts(view)).content)
     tables = report_tables(view) | export_tables(view)
     return [len(text.encode()) for text in (written, *tables.values())]
 
@@ -206,7 +205,7 @@ def read_shown(path: Path) -> object:
     before, view = _opened(path.parent)
     run = replace(before, manifest=read_manifest(path.parent))
     shown = put_together(run, list(view.tests), view.law_rows, view.laws)
-    return json.dumps(run.manifest), verdicts(shown), report_tables(shown)
+    return json_text(run.manifest.content), verdicts(shown), report_tables(shown)
 
 
 @cache
@@ -238,9 +237,9 @@ def read_resumed(path: Path) -> object:
     """A run folder, as `--resume` reads it."""
     plan = plan_of(small=True)
     effort_of(path.parent, None, resume=True)
-    manifest, home = deepcopy(plan.manifest), plan.campaign.folder
-    before = prepare_folder(manifest, home, path.parent, resume=True, force=False)
-    return json.dumps(manifest), before.keys()
+    home = plan.campaign.folder
+    manifest, before = prepare_folder(plan.manifest, home, path.parent, resume=True, force=False)
+    return json_text(manifest.content), before and before.content.keys()
 
 
 def read_fold(path: Path) -> object:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy import optimize, signal
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.lugre import LuGre
-from mfd_bayes.population.inference import InferenceSettings, infer_population
+from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 
@@ -101,9 +102,9 @@ def join(runs: dict, effort: str):
     tests = {f"{s} {name}": t for s, run in runs.items() for name, t in run.tests.items()}
     some = next(iter(runs.values()))
     sessions = {"36lb": "2023-04", "30lb": "2023-04"}
-    named = {key: {"session": sessions.get(s := key.split(" ")[0], s)} for key in tests}
-    settings = some.manifest["settings"] | {"tests": named}
-    inference = infer_population(tests, some.priors, InferenceSettings.of(settings, effort, (1, 3)))
+    named = {key: sessions.get(s := key.split(" ")[0], s) for key in tests}
+    settings = replace(some.manifest.settings.inference(effort, (1, 3)), sessions=named)
+    inference = infer_population(tests, some.priors, settings)
     return inference.draws.population, next(iter(tests.values())).posterior
 
 

@@ -33,11 +33,12 @@ import numpy as np
 from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.pipeline.calibration import calibrate
-from mfd_bayes.pipeline.plan import Options
+from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.runs.results import Score
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.folds import folds_of, run_folds
-from mfd_bayes.validation.scores import Score, score
+from mfd_bayes.validation.scores import score
 
 DRAWS = 800
 PUBLISHED = {
@@ -90,7 +91,8 @@ def finished(folder: Path, session: str, noise: str, options: argparse.Namespace
     place = folder / f"campaign_{out.name}"
     campaign = records.lay_out(options.data / "brfd", place, session, noise)
     chosen = Options(effort=options.effort, seed=1, jobs=options.jobs, resume=out.exists())
-    return calibrate(campaign, out, chosen, lambda s: print(s.id, s.stage, file=sys.stderr))
+    plan = plan_campaign(campaign, chosen)
+    return calibrate(plan, out, lambda s: print(s.id, s.stage, file=sys.stderr))
 
 
 def mean(scores: list[Score]) -> Score:
@@ -102,7 +104,7 @@ def mean(scores: list[Score]) -> Score:
 
 def one_level(run: Run, options: argparse.Namespace, judged: bool) -> None:
     """The 36 lb session: each test left out, and the earthquakes."""
-    noise = run.manifest["settings"]["noise"]
+    noise = run.manifest.settings.noise
     title = f"36 lb, 2023: each harmonic test from the others; earthquakes ({noise} noise)"
     header(title, "published", "fitted width", "MAE of LuGre")
     found, fitted, lugre = {}, {}, {}
@@ -142,7 +144,7 @@ def one_level(run: Run, options: argparse.Namespace, judged: bool) -> None:
 
 def many_levels(run: Run, options: argparse.Namespace, judged: bool) -> None:
     """The 2022 session: each tension left out, and each test whose tension another has."""
-    noise = run.manifest["settings"]["noise"]
+    noise = run.manifest.settings.noise
     header(f"2022: each tension from the others ({noise} noise)", "fitted width", "fitted CRPS")
     folds = folds_of(run, "level", options.fold_effort)
     predictions = run_folds(run, folds, Options(jobs=options.jobs), lambda _: None)

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from mfd_bayes.assessment.views import Fan, Interval, ScoreRow
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.validation.scores import Score, score
+from mfd_bayes.runs.results import Score
+from mfd_bayes.validation.scores import score
 
 Array = NDArray[np.float64]
 

@@ -18,6 +18,7 @@ from mfd_bayes.assessment.views import (
     Check,
     Row,
 )
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.predictive import PredictiveCheck, Replicas, check_predictive
 from mfd_bayes.calibration.result import TestResult
@@ -38,7 +39,7 @@ SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""
 
 
-def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, Any]) -> list[Check]:
+def convergence_checks(subject: str, rows: Iterable[Row], effort: Effort) -> list[Check]:
     """R-hat and effective sample sizes against the effort's targets.
 
     A quantity that is not sampled has NaN for R-hat, and no check; an infinite R-hat fails.
@@ -46,21 +47,21 @@ def convergence_checks(subject: str, rows: Iterable[Row], effort: Mapping[str, A
     checks = []
     for row in (row for row in rows if not np.isnan(row.r_hat)):
         for name, value, limit, good in (
-            ("R-hat", row.r_hat, f"<= {effort['r_hat']:g}", row.r_hat <= effort["r_hat"]),
-            ("bulk ESS", row.ess_bulk, f">= {effort['ess']:g}", row.ess_bulk >= effort["ess"]),
-            ("tail ESS", row.ess_tail, f">= {effort['ess']:g}", row.ess_tail >= effort["ess"]),
+            ("R-hat", row.r_hat, f"<= {effort.r_hat:g}", row.r_hat <= effort.r_hat),
+            ("bulk ESS", row.ess_bulk, f">= {effort.ess:g}", row.ess_bulk >= effort.ess),
+            ("tail ESS", row.ess_tail, f">= {effort.ess:g}", row.ess_tail >= effort.ess),
         ):
             checks.append(Check(subject, name, row.name, value, limit, Verdict.of(good)))
     return checks
 
 
-def length_check(subject: str, facts: Mapping[str, Any], effort: Mapping[str, Any]) -> Check:
+def length_check(subject: str, facts: Mapping[str, Any], effort: Effort) -> Check:
     """Kept steps over the longest autocorrelation time, against the effort's target."""
     times = {n: np.inf if t is None else t for n, t in facts["autocorrelation"].items()}  # of JSON
     slowest, time = max(times.items(), key=lambda item: item[1])
     lengths = (facts["steps"] - facts["discarded"]) / time
-    good = Verdict.of(lengths >= effort["length"])
-    return Check(subject, LENGTH, slowest, lengths, f">= {effort['length']:g}", good)
+    good = Verdict.of(lengths >= effort.length)
+    return Check(subject, LENGTH, slowest, lengths, f">= {effort.length:g}", good)
 
 
 def predictive_check(subject: str, check: PredictiveCheck) -> Check:
@@ -151,7 +152,7 @@ class CheckedTest:
     rows: Sequence[Row]
     replicas: Replicas
     known: Identifiability
-    effort: Mapping[str, Any]
+    effort: Effort
 
     @property
     def id(self) -> str:

@@ -53,8 +53,7 @@ def held_out_rows(run: Run, name: str, trace: Trace, damper: Band) -> tuple[Deri
     damper : Band
         Of kind "new_test": the force without offset and noise.
     """
-    offsets = [np.median(test.stored.values()["offset"]) for test in run.tests.values()]
-    known = _measured(trace, float(np.median(offsets)))
+    known = _measured(trace, run.offset)
     drawn = _drawn(run, trace, damper)
     return _rows((name, "validate"), drawn, known, count_cycles(trace))
 
@@ -81,7 +80,7 @@ def _drawn(run: Run, trace: Trace, band: Band) -> dict[str, Array]:
 
 def _area(run: Run) -> float | None:
     """The actuator's area, in², where it is given and the actuation is a pressure."""
-    return run.manifest["settings"].get("area") if run.actuation_unit == "ksi" else None
+    return run.manifest.settings.area if run.actuation_unit == "ksi" else None
 
 
 def _measured(trace: Trace, offset: float = 0.0, first: int = 0) -> dict[str, float]:

@@ -3,42 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from mfd_bayes.assessment.views import LawChoice, LawScoreRow
+from mfd_bayes.population.law_scores import LawScore
 from mfd_bayes.population.laws import COMPARE
 
 
-def law_choices(
-    scores: Sequence[Mapping[str, Any]], laws: Mapping[str, str]
-) -> tuple[LawChoice, ...]:
+def law_choices(scores: Sequence[LawScore], laws: Mapping[str, str]) -> tuple[LawChoice, ...]:
     """The laws of each quantity, best first, with a sentence; `laws` are the campaign's."""
     found = []
-    for name in dict.fromkeys(score["quantity"] for score in scores):
-        own = [score for score in scores if score["quantity"] == name]
+    for name in dict.fromkeys(score.quantity for score in scores):
+        own = [score for score in scores if score.quantity == name]
         rows = _rows(own, laws.get(name, ""))
-        found.append(LawChoice(name, rows, _sentence(rows, len(own[0]["levels"]), laws.get(name))))
+        found.append(LawChoice(name, rows, _sentence(rows, len(own[0].levels), laws.get(name))))
     return tuple(found)
 
 
-def _rows(scores: Sequence[Mapping[str, Any]], chosen: str) -> tuple[LawScoreRow, ...]:
-    ordered = sorted(scores, key=lambda score: -score["elpd"])
-    best = np.array(ordered[0]["levels"])
+def _rows(scores: Sequence[LawScore], chosen: str) -> tuple[LawScoreRow, ...]:
+    ordered = sorted(scores, key=lambda score: -score.elpd)
+    best = np.array(ordered[0].levels)
     rows = []
     for score in ordered:
-        apart = np.array(score["levels"]) - best
+        apart = np.array(score.levels) - best
         rows.append(
             LawScoreRow(
-                quantity=score["quantity"],
-                law=score["law"],
-                chosen=score["law"] == chosen,
-                elpd=score["elpd"],
-                elpd_se=score["se"],
+                quantity=score.quantity,
+                law=score.law,
+                chosen=score.law == chosen,
+                elpd=score.elpd,
+                elpd_se=score.se,
                 difference=float(apart.sum()),
                 difference_se=float(np.sqrt(apart.size) * apart.std(ddof=1)),
-                weight=score["weight"],
+                weight=score.weight,
             )
         )
     return tuple(rows)

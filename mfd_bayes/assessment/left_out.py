@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 
 from mfd_bayes.assessment.views import LeftOutRow, LeftOutView
-from mfd_bayes.validation.scores import Score
+from mfd_bayes.runs.results import CampaignCrossValidation, Prediction
 
 
-def left_out_view(stored: Mapping[str, Any] | None) -> LeftOutView | None:
-    """Scores of the cross-validation that a manifest holds; None without one."""
-    if not stored:
+def left_out_view(found: CampaignCrossValidation | None) -> LeftOutView | None:
+    """Scores of a cross-validation that the manifest holds; None without one."""
+    if found is None:
         return None
-    rows = tuple(_row(entry) for entry in stored["predictions"])
+    rows = tuple(map(_row, found.predictions))
     mean = _mean(rows)
-    by = stored["by"]
+    by = found.by
     others = "the others" if by == "test" else f"those of the other {by}s"
     sentence = (
         f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
@@ -29,12 +27,12 @@ def left_out_view(stored: Mapping[str, Any] | None) -> LeftOutView | None:
     return LeftOutView(by, rows, mean, sentence)
 
 
-def _row(entry: Mapping[str, Any]) -> LeftOutRow:
-    found, fitted = Score.of(entry["score"]), Score.of(entry["fitted"])
+def _row(prediction: Prediction) -> LeftOutRow:
+    found, fitted = prediction.score, prediction.fitted
     half, most, nearly = found.coverage
     return LeftOutRow(
-        part=entry["part"],
-        subject=entry["test"],
+        part=prediction.part,
+        subject=prediction.test,
         coverage_50=half,
         coverage_90=most,
         coverage_95=nearly,

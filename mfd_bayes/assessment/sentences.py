@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from mfd_bayes.assessment.checks import INFORMED, PREDICTIVE, SAMPLING
 from mfd_bayes.assessment.fits import SCALE_NOTE
 from mfd_bayes.assessment.views import FREE_EXPONENT, Check, TestView
+from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
 
 
-def verdict_sentence(manifest: Mapping[str, Any], checks: list[Check], calibrated: int) -> str:
+def verdict_sentence(manifest: Manifest, checks: list[Check], calibrated: int) -> str:
     """Why a run with so many calibrated tests passes or fails."""
     failed = [check for check in checks if check.verdict == Verdict.FAIL]
     lost = sum(c.name == "calibration" for c in failed)
     parts = [f"{lost} test(s) could not be calibrated"] if lost else []
-    parts.append(_of_sampling(failed, manifest["effort"], calibrated))
+    parts.append(_of_sampling(failed, manifest.effort, calibrated))
     parts.append(_of_fit(failed, sum(c.name == PREDICTIVE for c in checks)))
     bent = [c for c in failed if c.name == FREE_EXPONENT]
     if bent:
@@ -35,8 +36,8 @@ def _subject_of(check: Check) -> str:
     return check.target.split(" (")[0]
 
 
-def _of_sampling(failed: list[Check], effort: Mapping[str, Any], calibrated: int) -> str:
-    limits = f"R-hat <= {effort['r_hat']:g}, bulk and tail ESS >= {effort['ess']:g}"
+def _of_sampling(failed: list[Check], effort: Effort, calibrated: int) -> str:
+    limits = f"R-hat <= {effort.r_hat:g}, bulk and tail ESS >= {effort.ess:g}"
     where: dict[str, list[str]] = {}
     for c in failed:
         if c.name in SAMPLING:
@@ -73,7 +74,7 @@ def _counted(names: Iterable[str], most: int | None = None) -> str:
 def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     """Sentences that a reader must know besides the verdict."""
     found = []
-    if run.manifest.get("truth"):
+    if run.manifest.truth:
         found.append(
             "The tests are synthetic: they were computed from known parameters with known noise. "
             "Where a record was low-passed for the fit, the true noise of that record is not known."
@@ -98,16 +99,16 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _of_dependence(manifest: Mapping[str, Any]) -> list[str]:
+def _of_dependence(manifest: Manifest) -> list[str]:
     """Quantities that predict tests left out better if they follow speed or stroke."""
-    asked = manifest["settings"].get("dependence") or {}
+    asked = manifest.settings.dependence or {}
     found = []
-    for score in manifest.get("dependence_scores", ()):
-        name, covariate, gain = score["quantity"], score["covariate"], score["difference"]
-        if covariate and covariate not in asked.get(name, ()) and gain > max(score["se"], 1.0):
+    for score in manifest.dependence_scores:
+        name, covariate, gain = score.quantity, score.covariate, score.difference
+        if covariate and covariate not in asked.get(name, ()) and gain > max(score.se, 1.0):
             found.append(
                 f"Tests that are left out are predicted better if {name} follows the {covariate} "
-                f"(elpd {gain:+.1f} ± {score['se']:.1f} over tests): try it under [dependence]."
+                f"(elpd {gain:+.1f} ± {score.se:.1f} over tests): try it under [dependence]."
             )
     return found
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from mfd_bayes.assessment.checks import convergence_checks, exponent_checks
 from mfd_bayes.assessment.fits import calibrated_view, held_out_view
 from mfd_bayes.assessment.law_choices import law_choices
@@ -20,16 +17,16 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
-from mfd_bayes.validation.models import ComparisonRow
 
 
 def assess(run: Run) -> CampaignView:
     """Everything that the report of a run shows."""
     tests = [calibrated_view(run, test) for test in run.tests.values()]
     tests += [held_out_view(run, name, trace) for name, trace in run.held_out.items()]
-    order = list(run.manifest["tests"])
+    order = list(run.manifest.tests)
     tests.sort(key=lambda view: order.index(view.id))
     return put_together(run, tests, law_rows(run), law_views(run))
 
@@ -39,16 +36,14 @@ def put_together(
 ) -> CampaignView:
     """The report of a run from the views of its tests and laws, and from its manifest."""
     manifest = run.manifest
-    failures = {
-        name: entry["error"] for name, entry in manifest["tests"].items() if entry.get("error")
-    }
+    failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
     checks = [check for view in tests for check in view.checks]
-    checks += convergence_checks("population", table, manifest["effort"])
-    checks += exponent_checks(manifest.get("free_exponents", {}))
+    checks += convergence_checks("population", table, manifest.effort)
+    checks += exponent_checks(manifest.free_exponents)
     checks += [Check(n, "calibration", "finished", 0.0, "finished", Verdict.FAIL) for n in failures]
-    compared = manifest.get("comparison", {})
+    compared = manifest.comparison
     return CampaignView(
-        title=manifest["title"],
+        title=manifest.title,
         verdict=Verdict.of(all(check.verdict != Verdict.FAIL for check in checks)),
         sentence=verdict_sentence(manifest, checks, len(run.tests)),
         actuation_unit=run.actuation_unit,
@@ -61,11 +56,11 @@ def put_together(
         truth=_truth_rows(manifest, tests, table),
         provenance=_provenance(manifest),
         remarks=remarks(run, tests),
-        law_choices=law_choices(manifest.get("law_scores", ()), manifest["settings"]["laws"]),
-        left_out=left_out_view(manifest.get("crossvalidation")),
-        comparison=tuple(ComparisonRow(**row) for row in compared.get("rows", ())),
-        comparison_sentence=compared.get("sentence", ""),
-        metric=system_of(entry.get("unit", "in") for entry in manifest["tests"].values()) is SI,
+        law_choices=law_choices(manifest.law_scores, manifest.settings.laws),
+        left_out=left_out_view(manifest.crossvalidation),
+        comparison=compared.rows if compared else (),
+        comparison_sentence=compared.sentence if compared else "",
+        metric=system_of(entry.unit for entry in manifest.tests.values()) is SI,
     )
 
 
@@ -82,7 +77,7 @@ def verdicts(view: CampaignView) -> dict[str, str]:
 
 
 def _truth_rows(
-    manifest: Mapping[str, Any], tests: list[TestView], table: tuple[Row, ...]
+    manifest: Manifest, tests: list[TestView], table: tuple[Row, ...]
 ) -> tuple[TruthRow, ...]:
     """The true values of a synthetic campaign, each beside its posterior."""
     known = _truths(manifest)
@@ -104,18 +99,17 @@ def _truth_rows(
     )
 
 
-def _truths(manifest: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+def _truths(manifest: Manifest) -> dict[str, dict[str, float | None]]:
     """True values by subject and name; empty for real tests.
 
     Noise is left out where a record was low-passed: it is not the noise that was added.
     """
-    truth = manifest.get("truth")
+    truth = manifest.truth
     if not truth:
         return {}
-    known = {"population": dict(truth["population"])}
-    for name, values in truth["tests"].items():
-        entry = manifest["tests"][name]
-        filtered = entry["rate"] < 0.999 * entry["record_rate"]
+    known = {"population": dict(truth.population)}
+    for name, values in truth.tests.items():
+        filtered = manifest.tests[name].filtered
         known[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
         if filtered:
             for noise in ("scatter_noise_sd", "scatter_noise_time"):
@@ -123,20 +117,19 @@ def _truths(manifest: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     return known
 
 
-def _provenance(manifest: Mapping[str, Any]) -> dict[str, str]:
-    effort = manifest["effort"]
+def _provenance(manifest: Manifest) -> dict[str, str]:
+    effort = manifest.effort
     facts = {
-        "command": manifest["command"],
-        "started": manifest["started"],
-        "finished": manifest["finished"],
-        "seed": str(manifest["seed"]),
-        "effort": f"{effort['name']}: {effort['ensembles']} ensembles, at most "
-        f"{effort['limit']} steps each",
-        "model and noise": f"{manifest['settings']['model']}, {manifest['settings']['noise']}",
-        "priors": manifest["settings"]["priors"],
-        "platform": manifest["platform"],
-        "versions": ", ".join(f"{k} {v}" for k, v in manifest["versions"].items()),
+        "command": manifest.command,
+        "started": manifest.started,
+        "finished": manifest.finished,
+        "seed": str(manifest.seed),
+        "effort": f"{effort.name}: {effort.ensembles} ensembles, at most {effort.limit} steps each",
+        "model and noise": f"{manifest.settings.model}, {manifest.settings.noise}",
+        "priors": manifest.settings.priors,
+        "platform": manifest.platform,
+        "versions": ", ".join(f"{k} {v}" for k, v in manifest.versions.items()),
     }
-    for name, digest in manifest["inputs"].items():
+    for name, digest in manifest.inputs.items():
         facts[f"SHA-256 of {name}"] = digest
     return facts

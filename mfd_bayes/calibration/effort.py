@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mfd_bayes.errors import FitError
 
@@ -13,6 +13,7 @@ class Effort:
 
     Attributes
     ----------
+    name : str
     ess : float
         Bulk and tail effective sample size that every quantity must reach.
     limit : int
@@ -32,6 +33,7 @@ class Effort:
         Points from which modes are looked for: a minor one is missed from few.
     """
 
+    name: str = field(default="", kw_only=True)
     ess: float
     limit: int
     r_hat: float = 1.01
@@ -43,9 +45,9 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
-    "standard": Effort(ess=400, limit=8000),
-    "thorough": Effort(ess=2000, limit=40000, length=50.0, kept=8000, starts=72),
+    "quick": Effort(name="quick", ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
+    "standard": Effort(name="standard", ess=400, limit=8000),
+    "thorough": Effort(name="thorough", ess=2000, limit=40000, length=50.0, kept=8000, starts=72),
 }
 
 

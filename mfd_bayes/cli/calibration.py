@@ -44,7 +44,7 @@ def calibrate(
             effort,
         )
         if dry_run:
-            plan = pipeline.plan_campaign(campaign, options)
+            plan = pipeline.plan_campaign(campaign, options, keep_records=True)
             console.print_plan(plan, pipeline.find_warnings(plan))
             return
         with progress.watch(quiet=quiet) as observe:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from mfd_bayes.assessment.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.validation.models import Comparison
+    from mfd_bayes.runs.results import Comparison
 
 _ESCAPES = re.compile(
     r"""(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]              # colours, movements of the cursor

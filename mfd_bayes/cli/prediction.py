@@ -78,12 +78,14 @@ def crossvalidate(
         from mfd_bayes.pipeline import commands as pipeline
 
         options = arguments.completed(
-            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
+            pipeline.Options(
+                seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force, by=by
+            ),
             out,
             effort,
         )
         with progress.watch(quiet=quiet) as observe:
-            view = pipeline.crossvalidate(campaign, out, by, options, observe)
+            view = pipeline.crossvalidate(campaign, out, options, observe)
         console.print_left_out(view.left_out, quiet=quiet)
         console.print_end(view, out, quiet=quiet)
 
@@ -120,12 +122,14 @@ def compare(
 
         names = [name.strip() for name in models.split(",") if name.strip()]
         options = arguments.completed(
-            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
+            pipeline.Options(
+                seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force, by=by
+            ),
             out,
             effort,
         )
         with progress.watch(quiet=quiet) as observe:
-            found, left_out = pipeline.compare(campaign, out, names, options, observe, by)
+            found, left_out = pipeline.compare(campaign, out, names, options, observe)
         console.print_comparison(found, quiet=quiet)
         for model, view in left_out.items():
             console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} kip.")

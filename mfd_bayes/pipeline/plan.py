@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -28,7 +28,7 @@ from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
-from mfd_bayes.runs.manifest import FORMAT
+from mfd_bayes.runs.manifest import FORMAT, Entry, Manifest, Settings, Status, TestSettings
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -47,6 +47,8 @@ class Options(Workplace):
         Kept for the record.
     model : {"three_stage", "lugre", "bouc_wen"}, optional
         Instead of the campaign's own.
+    by : {"", "test", "level", "session"}
+        What `crossvalidate` and `compare` leave out of the campaign at a time.
     """
 
     effort: str = "standard"
@@ -55,6 +57,7 @@ class Options(Workplace):
     force: bool = False
     command: str = ""
     model: ModelName | None = None
+    by: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,23 +67,37 @@ class Plan:
     Attributes
     ----------
     campaign : Campaign
+    options : Options
     priors : PriorFile
     tasks : tuple of Task
         One for each test to calibrate.
     held_out : mapping of str to Trace
-    manifest : dict
+        Tests that are predicted, by id.
+    manifest : Manifest
         What is known before the first draw.
+    records : mapping of str to Record
+        Every test's record, where they were asked for.
     """
 
     campaign: Campaign
+    options: Options
     priors: PriorFile
     tasks: tuple[Task, ...]
     held_out: Mapping[str, Trace]
-    manifest: dict[str, Any]
+    manifest: Manifest
+    records: Mapping[str, Record]
 
 
-def plan_campaign(path: Path, options: Options) -> Plan:
+def plan_campaign(path: Path, options: Options, *, keep_records: bool = False) -> Plan:
     """Everything that can be wrong with a campaign, checked; nothing is written.
+
+    Parameters
+    ----------
+    path : Path
+        Campaign file.
+    options : Options
+    keep_records : bool
+        Whether the plan holds the records as they were read, besides the traces to fit.
 
     Raises
     ------
@@ -90,64 +107,85 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     campaign = load_campaign(path, options.model)
     priors = load_priors(campaign.priors, campaign.folder)
     effort = find_effort(options.effort)
-    laws = _laws(campaign)
-    traces, measured, inputs = {}, {}, {campaign.path.name: hash_file(campaign.path)}
+    settings = _settings(campaign, priors)
+    inputs = {campaign.path.name: hash_file(campaign.path)}
     inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
+    traces, entries, records = {}, {}, {}
     for test in campaign.tests:
         record = _read(campaign, test)
-        traces[test.id] = record.trace(campaign.rate, gap=priors.gap)
-        measured[test.id] = _measured(record, traces[test.id])
-        inputs[test.path.relative_to(campaign.folder).as_posix()] = record.sha256
+        traces[test.id] = trace = record.trace(campaign.rate, gap=priors.gap)
+        entries[test.id] = _entry(test, record, trace)
+        inputs[_inside(campaign, test)] = record.sha256
+        if keep_records:
+            records[test.id] = record
     tasks = tuple(
         _task(campaign, priors, test, traces[test.id], options)
         for test in campaign.tests
         if test.role == "calibrate"
     )
-    names = tasks[0].posterior().names
-    sessions = {test.id: test.session for test in campaign.tests}
-    under = [setting_of(task.trace, sessions[task.id]) for task in tasks]
-    lay_out(priors, names, under, laws, campaign.dependence)
-    settings = {
-        "model": campaign.model,
-        "noise": campaign.noise,
-        "start": campaign.start,
-        "priors": f"{priors.title} ({priors.path.name})",
-        "laws": laws,
-        "dependence": campaign.dependence,
-        "rate": campaign.rate,
-        "area": campaign.area,
-        "actuation_unit": campaign.actuation_unit,
-        "tests": {
-            test.id: {
-                "file": test.path.relative_to(campaign.folder).as_posix(),
-                "actuation": test.actuation,
-                "fit": test.window,
-                "session": test.session,
-                "columns": {role: list(column) for role, column in test.columns.items()},
-            }
-            for test in campaign.tests
-        },
-    }
-    manifest = {
-        "status": "running",
+    _check_population(tasks, settings)
+    held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
+    manifest = Manifest(
+        title=campaign.title,
+        effort=effort,
+        settings=settings,
+        inputs=inputs,
+        tests=entries,
+        **_session(options),
+    )
+    return Plan(campaign, options, priors, tasks, held_out, manifest, records)
+
+
+def _session(options: Options) -> dict[str, Any]:
+    """What the manifest says of this session of the program, and of files it has yet to store."""
+    return {
+        "status": Status.RUNNING,
         "format": FORMAT,
-        "title": campaign.title,
         "command": options.command,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": options.seed,
-        "effort": {"name": options.effort, **asdict(effort)},
-        "settings": settings,
-        "inputs": inputs,
         "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
         "platform": platform.platform(),
-        "tests": {
-            test.id: {"role": test.role, "status": State.WAITING, **measured[test.id]}
-            for test in campaign.tests
-        },
-        "files": {},  # hashes, as files are written
+        "files": {},
     }
-    held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
-    return Plan(campaign, priors, tasks, held_out, manifest)
+
+
+def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
+    tests = {
+        test.id: TestSettings(
+            file=_inside(campaign, test),
+            actuation=test.actuation,
+            fit=test.window,
+            session=test.session,
+            columns={role: list(column) for role, column in test.columns.items()},
+        )
+        for test in campaign.tests
+    }
+    return Settings(
+        model=campaign.model,
+        noise=campaign.noise,
+        start=campaign.start,
+        priors=f"{priors.title} ({priors.path.name})",
+        laws=_laws(campaign),
+        dependence=campaign.dependence,
+        rate=campaign.rate,
+        area=campaign.area,
+        actuation_unit=campaign.actuation_unit,
+        tests=tests,
+    )
+
+
+def _inside(campaign: Campaign, test: Test) -> str:
+    """Path of a test's file in the folder of its campaign, with slashes."""
+    return test.path.relative_to(campaign.folder).as_posix()
+
+
+def _check_population(tasks: Sequence[Task], settings: Settings) -> None:
+    """Refuse laws and priors that make no population of the tests."""
+    some = tasks[0]
+    names = some.posterior().names
+    under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
+    lay_out(some.priors, names, under, settings.laws, settings.dependence)
 
 
 def _laws(campaign: Campaign) -> dict[str, str]:
@@ -174,11 +212,15 @@ def _read(campaign: Campaign, test: Test) -> Record:
     return record
 
 
-def _measured(record: Record, trace: Trace) -> dict[str, float | str]:
-    """Samples of the fit, its rate and the record's, Hz, and the record's unit of length."""
-    rate = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
-    unit = record.columns["displacement"][1]
-    return {"samples": trace.samples, "rate": rate, "record_rate": record.rate, "unit": unit}
+def _entry(test: Test, record: Record, trace: Trace) -> Entry:
+    return Entry(
+        role=test.role,
+        status=State.WAITING,
+        samples=trace.samples,
+        rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
+        record_rate=record.rate,
+        unit=record.columns["displacement"][1],
+    )
 
 
 def _task(

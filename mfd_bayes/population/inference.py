@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -55,15 +54,6 @@ class InferenceSettings:
     dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)
     sessions: Mapping[str, str] = field(default_factory=dict)
     jobs: int = 1
-
-    @classmethod
-    def of(
-        cls, settings: Mapping[str, Any], effort: str, seed: Sequence[int], jobs: int = 1
-    ) -> InferenceSettings:
-        """Settings by those of a run's manifest."""
-        sessions = {name: test.get("session", "") for name, test in settings["tests"].items()}
-        laws, dependence = settings["laws"], settings.get("dependence") or {}
-        return cls(laws, settings["actuation_unit"], effort, seed, dependence, sessions, jobs)
 
 
 @dataclass(frozen=True, eq=False)

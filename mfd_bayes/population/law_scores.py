@@ -21,6 +21,7 @@ from mfd_bayes.population.laws import COMPARE, LAWS, draw_shape, ratio, value_of
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.setting import levels_of
 from mfd_bayes.population.test_likelihood import TestLikelihood
+from mfd_bayes.store.schema import Figure
 
 Array = NDArray[np.float64]
 
@@ -56,10 +57,10 @@ class LawScore:
 
     quantity: str
     law: str
-    elpd: float
-    se: float
-    weight: float
-    levels: tuple[float, ...]
+    elpd: Figure
+    se: Figure
+    weight: Figure
+    levels: tuple[Figure, ...]
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,9 @@ class DependenceScore:
 
     quantity: str
     covariate: str
-    elpd: float
-    difference: float
-    se: float
+    elpd: Figure
+    difference: Figure
+    se: Figure
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import printable
-from mfd_bayes.validation.models import ComparisonRow
+from mfd_bayes.runs.results import ComparisonRow
 
 _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")

@@ -1,158 +1,148 @@
-"""What a run's manifest must say, and that files are in its folder and are those of its hashes."""
+"""The manifest of a run: what was calibrated, from what, how far it came, and what it found."""
 
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.campaign.schema import LawName, check_id
 from mfd_bayes.errors import StoreError
+from mfd_bayes.jobs.job import State
+from mfd_bayes.population.inference import InferenceSettings
+from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.runs.folder import MANIFEST
-from mfd_bayes.store.files import read_json
-from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
+from mfd_bayes.runs.results import CampaignCrossValidation, Comparison, Prediction
+from mfd_bayes.store.files import read_json, write_json
+from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Part, Positive, Three, check
 
 Id = Annotated[str, AfterValidator(check_id)]
-_Three = Annotated[list[Figure], Field(min_length=3, max_length=3)]
-
-_RESULTS = {"law_scores", "free_exponents", "dependence_scores", "crossvalidation", "comparison"}
-"""Keys whose figures may be null, which are read as NaN."""
+LAWS = get_args(LawName)
 
 FORMAT = 1
 """Of a run folder. It grows when what older versions of this program wrote is read otherwise; of
 the first, without a number, the manifest has no hashes."""
 
 
-class _Entry(Part):
+def _known_law(name: str) -> str:
+    if name not in LAWS:
+        raise ValueError(f"must be one of {', '.join(LAWS)}")
+    return name
+
+
+class Status(StrEnum):
+    """Whether a run has calibrated its tests and inferred the population."""
+
+    RUNNING = "running"
+    FINISHED = "finished"
+
+
+class Entry(Part):
+    """A test: its record, and how its calibration went."""
+
     role: Literal["calibrate", "validate"]
-    status: str
-    error: str = ""
-    unit: str = "in"
+    status: State
+    samples: Index | None = None
     rate: Positive | None = None
+    """Sampling rate of the fit, Hz."""
     record_rate: Positive | None = None
+    """Sampling rate of the record, Hz."""
+    unit: str = "in"
+    """The record's unit of displacement."""
     seconds: Figure = 0.0
+    error: str = ""
+
+    @property
+    def filtered(self) -> bool:
+        """Whether the record was low-passed for the fit."""
+        return bool(self.rate and self.record_rate and self.rate < 0.999 * self.record_rate)
 
 
-class _Given(Part):
+class TestSettings(Part):
+    """What a campaign says of a test; the file, the columns and the window are only kept."""
+
+    __test__ = False
+
+    file: Any = None
+    actuation: Any = None
+    fit: Any = None
     session: str = ""
+    columns: Any = None
 
 
-class _Settings(Part):
+class Settings(Part):
+    """What a campaign asks for."""
+
     model: str
     noise: str
+    start: Any = None
     priors: str
-    actuation_unit: Literal["ksi", "kip"]
-    laws: dict[str, LawName]
-    dependence: dict[str, list[str]] | None = None
+    laws: Mapping[str, Annotated[str, AfterValidator(_known_law)]]
+    dependence: Mapping[str, tuple[str, ...]] | None = None
+    rate: Any = None
     area: Annotated[float, Field(gt=0, le=1e10)] | None = None
-    tests: dict[Id, _Given]
+    actuation_unit: Literal["ksi", "kip"]
+    tests: Mapping[Id, TestSettings]
+
+    @property
+    def sessions(self) -> Mapping[str, str]:
+        """Session of each test, "" where it has none."""
+        return {name: test.session for name, test in self.tests.items()}
+
+    def inference(self, effort: str, seed: Sequence[int], jobs: int = 1) -> InferenceSettings:
+        """Settings of the inference of the population."""
+        dependence, unit = self.dependence or {}, self.actuation_unit
+        return InferenceSettings(self.laws, unit, effort, seed, dependence, self.sessions, jobs)
 
 
-class _Effort(Part):
-    name: str
-    r_hat: float
-    ess: float
-    limit: int
-    length: float
-    ensembles: int
+class Truth(Part):
+    """The quantities that a synthetic campaign was made with."""
+
+    population: Mapping[str, float | None]
+    tests: Mapping[Id, Mapping[str, float | None]]
 
 
-class _Truth(Part):
-    population: dict[str, float | None]
-    tests: dict[Id, dict[str, float | None]]
+class Manifest(Part):
+    """A run, as its manifest.json says; the keys stand in the order in which they are written.
 
+    What an earlier version did not write has a default, and keys that this version does not know
+    are kept.
+    """
 
-class _LawScore(Part):
-    quantity: str
-    law: LawName
-    elpd: Figure
-    se: Figure
-    weight: Figure
-    levels: Annotated[list[Figure], Field(min_length=2)]
-
-
-class _DependenceScore(Part):
-    quantity: str
-    covariate: str
-    elpd: Figure
-    difference: Figure
-    se: Figure
-
-
-class _Score(Part):
-    coverage: _Three
-    width: Figure
-    interval_score: Figure
-    crps: Figure
-    rrse: Figure
-
-
-class _Prediction(Part):
-    part: str
-    test: Id
-    score: _Score
-    fitted: _Score
-
-
-class _Predictions(Part):
-    """What is stored of a part that was left out."""
-
-    key: dict[str, Any]
-    predictions: Annotated[list[_Prediction], Field(min_length=1)]
-
-
-class _Crossvalidation(Part):
-    by: Literal["test", "level", "session"]
-    predictions: Annotated[list[_Prediction], Field(min_length=1)]
-
-
-class _ComparisonRow(Part):
-    subject: str
-    model: str
-    cycles: Index
-    elpd: Figure
-    elpd_se: Figure
-    p_loo: Figure
-    worst_k: Figure
-    bad: Figure
-    unsettled: Figure
-    difference: Figure
-    difference_se: Figure
-    rrse: Figure
-
-
-class _Comparison(Part):
-    rows: list[_ComparisonRow]
-    sentence: str
-
-
-class _Manifest(Part):
-    """Everything that is read of a manifest; whatever else it holds is only kept."""
-
+    status: Status = Status.RUNNING
     format: Index = 0
     title: str
     command: str
     started: str
     seed: Index
+    effort: Effort
+    settings: Settings
+    inputs: Mapping[str, str]
+    """SHA-256 of each file that was read."""
+    versions: Mapping[str, str]
     platform: str
-    effort: _Effort
-    settings: _Settings
-    inputs: dict[str, str]
-    versions: dict[str, str]
-    tests: Annotated[dict[Id, _Entry], Field(min_length=1)]
+    tests: Annotated[Mapping[Id, Entry], Field(min_length=1)]
+    files: Mapping[str, str] | None = None
+    """SHA-256 of each file that the run has stored, by its name in the folder."""
+    truth: Truth | None = None
     seconds: Figure = 0.0
-    files: dict[str, str] | None = None
-    verdicts: dict[str, str] = Field(default_factory=dict)
-    truth: _Truth | None = None
-    law_scores: list[_LawScore] = Field(default_factory=list)
-    free_exponents: dict[str, _Three] = Field(default_factory=dict)
-    dependence_scores: list[_DependenceScore] = Field(default_factory=list)
-    crossvalidation: _Crossvalidation | None = None
-    comparison: _Comparison | None = None
+    law_scores: tuple[LawScore, ...] = ()
+    free_exponents: Mapping[str, Three] = Field(default_factory=dict)
+    dependence_scores: tuple[DependenceScore, ...] = ()
+    population_sampler: Any = None
+    """Acceptance rates and number of sweeps; written, and not read."""
+    finished: str = ""
+    crossvalidation: CampaignCrossValidation | None = None
+    comparison: Comparison | None = None
+    verdicts: Mapping[str, str] = Field(default_factory=dict)
+
+    _content: dict[str, Any] = PrivateAttr()
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:
@@ -163,17 +153,63 @@ class _Manifest(Part):
             entry = self.tests.get(name)
             if entry is None or entry.rate is None or entry.record_rate is None:
                 raise ValueError(f"truth of test {name!r}, of which no rates are known")
+        for score in self.law_scores:
+            if score.law not in LAWS or len(score.levels) < 2:
+                raise ValueError("law_scores must be of a known law, with two levels or more")
         levels = {(score.quantity, len(score.levels)) for score in self.law_scores}
         if len(levels) > len({quantity for quantity, _ in levels}):
             raise ValueError("law_scores of one quantity must be of the same levels")
+        if self.status == Status.FINISHED and "finished" not in self.model_fields_set:
+            raise ValueError("finished is missing")
         return self
 
+    def model_post_init(self, _context: Any, /) -> None:
+        """Note what is written of it."""
+        self._content = self.model_dump(exclude_unset=True)
 
-class _Finished(_Manifest):
-    finished: str
+    @property
+    def content(self) -> Mapping[str, Any]:
+        """What its file holds, key for key, whether this version reads it or not."""
+        return self._content
+
+    def changed(self, **parts: Any) -> Self:
+        """The manifest with other parts."""
+        found = self.model_copy(update=parts)
+        found._content = self._content | found.model_dump(include=set(parts), exclude_unset=True)
+        return found
+
+    def with_test(self, name: str, **values: Any) -> Self:
+        """The manifest with other values of a test."""
+        entry = self.tests[name].model_copy(update=values)
+        return self.changed(tests={**self.tests, name: entry})
+
+    def with_files(self, hashes: Mapping[str, str]) -> Self:
+        """The manifest with hashes of more files."""
+        return self.changed(files={**(self.files or {}), **hashes})
+
+    def longer(self, seconds: float) -> Self:
+        """The manifest after so many more seconds of computing."""
+        return self.changed(seconds=self.seconds + seconds)
+
+    def write(self, folder: Path) -> None:
+        """Write it into a run folder.
+
+        Raises
+        ------
+        StoreError
+            When it cannot be written.
+        """
+        write_json(folder / MANIFEST, self._content)
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
+class _Predictions(Part):
+    """What is stored of a part that was left out."""
+
+    key: dict[str, Any]
+    predictions: AtLeastOne[Prediction]
+
+
+def read_manifest(folder: Path) -> Manifest:
     """Manifest of a finished run, checked.
 
     Raises
@@ -184,17 +220,17 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.is_file():
         raise StoreError(f"{folder} is not a run folder: it has no {MANIFEST}")
-    manifest = read_json(path)
-    if manifest.get("status") != "finished":
+    content = read_json(path)
+    if content.get("status") != Status.FINISHED:
         raise StoreError(
             f"the run in {folder} is not finished; finish it with: "
             f"mfd-bayes calibrate CAMPAIGN.toml -o {folder} --resume"
         )
-    return _checked(path, manifest, _Finished)
+    return _checked(path, content)
 
 
-def read_begun(folder: Path) -> dict[str, Any]:
-    """Manifest of a run that is to be gone on with, finished or not, checked.
+def read_begun(folder: Path) -> Manifest:
+    """Manifest of a run that is to be resumed, finished or not, checked.
 
     Raises
     ------
@@ -202,13 +238,14 @@ def read_begun(folder: Path) -> dict[str, Any]:
         When there is none, or a key is missing or of the wrong kind.
     """
     path = folder / MANIFEST
-    return _checked(path, read_json(path), _Manifest)
+    return _checked(path, read_json(path))
 
 
-def _checked(path: Path, manifest: dict[str, Any], kind: type[_Manifest]) -> dict[str, Any]:
-    _check_version(path, manifest)
-    content = check(kind, manifest, path)
-    return manifest | content.model_dump(include=_RESULTS & set(manifest))
+def _checked(path: Path, content: dict[str, Any]) -> Manifest:
+    _check_version(path, content)
+    manifest = check(Manifest, content, path)
+    manifest._content = content
+    return manifest
 
 
 def _check_version(path: Path, manifest: Mapping[str, Any]) -> None:
@@ -225,16 +262,16 @@ def _check_version(path: Path, manifest: Mapping[str, Any]) -> None:
     )
 
 
-def read_predictions_of(path: Path, tests: Iterable[str]) -> list[dict[str, Any]]:
-    """Predictions of the tests of a part that was left out: part, test, score and fitted of each.
+def read_predictions_of(path: Path, tests: Iterable[str]) -> tuple[Prediction, ...]:
+    """Stored predictions of the tests of a part that was left out.
 
     Raises
     ------
     StoreError
         When the file is missing, or does not hold these tests' predictions.
     """
-    content = check(_Predictions, read_json(path), path)
-    found = [prediction.test for prediction in content.predictions]
+    predictions = check(_Predictions, read_json(path), path).predictions
+    found = [prediction.test for prediction in predictions]
     if found != list(tests):
         raise StoreError(f"{path} holds predictions of {', '.join(found)[:200]}, not of its part")
-    return [prediction.model_dump() for prediction in content.predictions]
+    return predictions

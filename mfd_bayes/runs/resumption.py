@@ -1,13 +1,13 @@
-"""Whether a run folder may be begun, gone on with or replaced, and what of it is kept."""
+"""Whether a run may be started, resumed or replaced in a folder, and what of it is kept."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from mfd_bayes.errors import StoreError
+from mfd_bayes.jobs.job import State
 from mfd_bayes.runs.folder import (
     DISCARDED,
     MANIFEST,
@@ -18,79 +18,85 @@ from mfd_bayes.runs.folder import (
     posterior_of,
 )
 from mfd_bayes.runs.lock import OWNER
-from mfd_bayes.runs.manifest import read_begun
-from mfd_bayes.store.files import is_part
+from mfd_bayes.runs.manifest import Manifest, read_begun
+from mfd_bayes.store.files import is_part, json_text
+
+_SAME = ("settings", "inputs", "seed", "effort", "versions")
+"""Keys of the manifest that must not change from one session of a run to the next."""
 
 _TOLD = 10
-"""Most entries that are told to differ."""
+"""Most changed entries that a message lists."""
 
 
 def prepare_folder(
-    manifest: dict[str, Any], home: Path, out: Path, *, resume: bool, force: bool
-) -> dict[str, Any]:
-    """Check that a folder may be begun, finished or replaced; leave in it what is kept.
+    manifest: Manifest, home: Path, out: Path, *, resume: bool, force: bool
+) -> tuple[Manifest, Manifest | None]:
+    """Check that a run may be started, resumed or replaced in a folder, and remove what goes.
 
     Parameters
     ----------
-    manifest : dict
-        Of the run that is begun; what is kept of an earlier session is added to it.
+    manifest : Manifest
+        Of the run that is to be calibrated.
     home : Path
         Folder of the campaign file, links resolved: it may be in the run folder.
     out : Path
         Run folder.
     resume, force : bool
-        What to do with a run that is there: finish it, or replace it.
+        What to do with a run that is there: resume it, or replace it.
 
     Returns
     -------
-    dict
-        Manifest of the run that is gone on with, or empty.
+    Manifest
+        The given one, with what is kept of an earlier session.
+    Manifest or None
+        That of the earlier session, where one is resumed.
 
     Raises
     ------
     StoreError
-        When the folder may not be begun, or holds something else than this run.
+        When the folder may not be used, or holds something else than this run.
     """
     check_links(out)
     if _is_free(home, out):
-        return {}
+        return manifest, None
     if not (resume or force):
         raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
     if force or (out / DISCARDED).exists():
         discard(out)
-        return {}
+        return manifest, None
     try:
         before = read_begun(out)
     except StoreError as error:
         raise StoreError(
             f"{out} cannot be resumed: {error}; give --force to start again"
         ) from error
-    for key in ("settings", "inputs", "seed", "effort", "versions"):
-        changed = _changes(before.get(key), json.loads(json.dumps(manifest[key])))
+    new = json.loads(json_text(manifest.content))
+    for key in _SAME:
+        changed = _changes(before.content.get(key), new[key])
         if changed is not None:
             raise StoreError(
                 f"{out} cannot be resumed: {key}{changed} changed since it was started; "
                 "give --force to start again"
             )
-    _keep(manifest, before)
-    manifest["files"] = _kept_files(manifest["tests"], out, before.get("files") or {})
-    return before
+    files = _kept_files(manifest.tests, out, before.files or {})
+    return _with_results(manifest, before).changed(files=files), before
 
 
-def _keep(manifest: dict[str, Any], before: dict[str, Any]) -> None:
-    """Take over from an earlier session what this one will not find out again."""
-    manifest |= {key: before[key] for key in ("truth", "started") if key in before}
-    manifest["seconds"] = before.get("seconds") or 0.0
-    for name, entry in before["tests"].items():
-        if name in manifest["tests"] and entry["status"] == "done":
-            manifest["tests"][name] |= {k: entry[k] for k in ("status", "seconds") if k in entry}
+def _with_results(manifest: Manifest, before: Manifest) -> Manifest:
+    """The manifest with what an earlier session found out."""
+    if before.truth is not None:
+        manifest = manifest.changed(truth=before.truth)
+    for name, entry in before.tests.items():
+        if name in manifest.tests and entry.status == State.DONE:
+            manifest = manifest.with_test(name, status=State.DONE, seconds=entry.seconds)
+    return manifest.changed(started=before.started, seconds=before.seconds)
 
 
 def _kept_files(tests: Iterable[str], out: Path, digests: Mapping[str, str]) -> dict[str, str]:
-    """Hashes of the posteriors that are gone on with, after a look whether they still hold.
+    """Hashes of the posteriors that are kept, after a check that the files are still theirs.
 
-    Of other files none is kept, nor of one that is gone: they are written anew, and before
-    their hashes, so that a kill in between would leave a file that is not that of its hash.
+    No hash of another file is kept, nor of one that is gone: such a file is written anew before
+    its hash is, and a kill in between would leave a file with the hash of the one before.
     """
     names = [name for name in map(posterior_of, tests) if (out / name).is_file()]
     for name in (*names, *([POPULATION] if (out / POPULATION).is_file() else [])):
@@ -99,7 +105,7 @@ def _kept_files(tests: Iterable[str], out: Path, digests: Mapping[str, str]) -> 
 
 
 def _is_free(home: Path, out: Path) -> bool:
-    """Whether a folder holds nothing but the campaign itself, or what was to be its manifest."""
+    """Whether a folder holds nothing but the campaign, a lock's owner or an unfinished manifest."""
     return all(
         entry.resolve() == home
         or entry.name == OWNER
@@ -110,7 +116,7 @@ def _is_free(home: Path, out: Path) -> bool:
 
 
 def _changes(old: object, new: object) -> str | None:
-    """Which entries differ, in brackets; "" for a plain value, None where all are the same."""
+    """Names of entries that differ, in brackets; "" for a plain value, None where all are equal."""
     if old == new:
         return None
     if not (isinstance(old, dict) and isinstance(new, dict)):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import StoreError
+from mfd_bayes.jobs.job import State
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Band, Forecast, Predictor
 from mfd_bayes.population.setting import SAME_LEVEL, same_level
@@ -26,12 +27,9 @@ from mfd_bayes.runs.folder import (
     posterior_of,
     record_of,
 )
-from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.netcdf import load_trace
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 
@@ -43,7 +41,7 @@ class Run:
     Attributes
     ----------
     folder : Path
-    manifest : dict
+    manifest : Manifest
     priors : PriorFile
     tests : mapping of str to TestResult
         Calibrated tests.
@@ -52,7 +50,7 @@ class Run:
     """
 
     folder: Path
-    manifest: dict[str, Any]
+    manifest: Manifest
     priors: PriorFile
     tests: Mapping[str, TestResult]
     held_out: Mapping[str, Trace]
@@ -62,22 +60,35 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        path = check_stored(self.folder, POPULATION, self.manifest.get("files") or {})
+        path = check_stored(self.folder, POPULATION, self.manifest.files or {})
         return load_population(path, self.priors)
+
+    @cached_property
+    def offset(self) -> float:
+        """Median over the calibrated tests of the median offset of the force, kip."""
+        return float(
+            np.median([np.median(t.stored.values()["offset"]) for t in self.tests.values()])
+        )
 
     @property
     def hashed(self) -> bool:
         """Whether the manifest has the hashes of the stored files, so that changes are seen."""
-        return bool(self.manifest.get("files"))
+        return bool(self.manifest.files)
+
+    def rewrite(self, **parts: Any) -> Run:
+        """The run with other parts in its manifest, which is written."""
+        manifest = self.manifest.changed(**parts)
+        manifest.write(self.folder)
+        return replace(self, manifest=manifest)
 
     @property
     def actuation_unit(self) -> str:
         """The unit of actuation, "ksi" or "kip"."""
-        return str(self.manifest["settings"]["actuation_unit"])
+        return self.manifest.settings.actuation_unit
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
-        return str(self.manifest["settings"]["tests"][name].get("session", ""))
+        return self.manifest.settings.tests[name].session
 
     def predict(
         self,
@@ -116,8 +127,8 @@ class Run:
         """
         forecast = Forecast(kind, probability, draws, seed, session)
         some = next(iter(self.tests.values())).posterior
-        predictor = Predictor(self.population, some.model, some.noise)
-        band = predictor.predict(trace, forecast, self._at_level(trace))
+        at_level = self._at_level(trace) if kind == "device" else None
+        band = Predictor(self.population, some.model, some.noise).predict(trace, forecast, at_level)
         return replace(band, remarks=self._remarks(trace))
 
     def _remarks(self, trace: Trace) -> tuple[str, ...]:
@@ -134,7 +145,7 @@ class Run:
                 f"{1000 * min(tested):.4g} to {1000 * max(tested):.4g} {unit}: "
                 "there the band rests on the form of the laws alone"
             )
-        verdicts = self.manifest.get("verdicts", {})
+        verdicts = self.manifest.verdicts
         if verdicts.get("campaign") == Verdict.FAIL:
             remarks.append(f"the run did not pass its checks: {verdicts.get('sentence', '')}")
         return tuple(remarks)
@@ -169,14 +180,14 @@ def open_run(folder: str | Path) -> Run:
     folder = Path(folder)
     check_links(folder)
     manifest = read_manifest(folder)
-    digests = manifest.get("files") or {}
+    digests = manifest.files or {}
     priors = load_priors(check_stored(folder, PRIORS, digests).name, folder)
     tests, held_out = {}, {}
-    for test_id, entry in manifest["tests"].items():
-        if entry["role"] == "validate":
+    for test_id, entry in manifest.tests.items():
+        if entry.role == "validate":
             path = check_stored(folder, record_of(test_id), digests)
             held_out[test_id] = load_trace(path)[0]
-        elif entry["status"] == "done":
+        elif entry.status == State.DONE:
             path = check_stored(folder, posterior_of(test_id), digests)
             tests[test_id] = load_result(test_id, path, priors)
     if not tests:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import reprlib
 from typing import Annotated, Any, TypeVar
@@ -39,6 +40,10 @@ Figure = Annotated[
 Positive = Annotated[float, Field(gt=0.0, le=LARGEST)]
 Index = Annotated[int, Field(ge=0)]
 
+Item = TypeVar("Item")
+AtLeastOne = Annotated[tuple[Item, ...], Field(min_length=1)]
+Three = Annotated[tuple[Figure, ...], Field(min_length=3, max_length=3)]
+
 
 def check(kind: type[Kind], content: Any, where: object) -> Kind:
     """Content of a JSON file as a `Part`.
@@ -51,7 +56,7 @@ def check(kind: type[Kind], content: Any, where: object) -> Kind:
         When a key is missing or its value has the wrong type.
     """
     try:
-        return kind.model_validate(content)
+        return kind.model_validate_json(json.dumps(content))  # strict, but lists become tuples
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         key = ".".join(str(part)[:60] for part in fault["loc"])

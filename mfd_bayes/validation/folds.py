@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -20,39 +20,20 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.population.inference import InferenceSettings, infer_population
+from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.population.setting import Setting, levels_of, setting_of
 from mfd_bayes.runs.folder import MANIFEST, check_stored
 from mfd_bayes.runs.manifest import read_predictions_of
+from mfd_bayes.runs.results import PartKind, Prediction, Score
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import read_json, write_json
-from mfd_bayes.validation.scores import Score, score
+from mfd_bayes.validation.scores import score
 
 DRAWS = 800
 """Draws of a band that is scored."""
 
 FOLDER = "crossvalidation"
-PARTS = ("test", "level", "session")
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """How a test was predicted from a campaign without its part.
-
-    Attributes
-    ----------
-    part, test : str
-    score : Score
-        Of bands of kind "observation".
-    fitted : Score
-        Of the test's own posterior.
-    """
-
-    part: str
-    test: str
-    score: Score
-    fitted: Score
 
 
 @dataclass(frozen=True)
@@ -127,8 +108,22 @@ def fold_id(part: str) -> str:
     return f"without {part}"
 
 
+def part_kind(by: str) -> PartKind:
+    """What is left out of a campaign at a time, by its name.
+
+    Raises
+    ------
+    CampaignError
+        When the name is unknown.
+    """
+    for kind in get_args(PartKind):
+        if kind == by:
+            return kind  # type: ignore[no-any-return]
+    raise CampaignError(f"--by must be one of {', '.join(get_args(PartKind))}, got {by!r}")
+
+
 def parts_of(
-    settings: Mapping[str, Setting], by: str, actuation_unit: str, where: Path
+    settings: Mapping[str, Setting], by: PartKind, actuation_unit: str, where: Path
 ) -> dict[str, tuple[str, ...]]:
     """Calibrated tests of each part, by the part's name.
 
@@ -144,12 +139,10 @@ def parts_of(
     Raises
     ------
     CampaignError
-        When `by` is unknown, or there are fewer than two parts.
+        When there are fewer than two parts.
     """
     names = list(settings)
     parts: dict[str, tuple[str, ...]] = {}
-    if by not in PARTS:
-        raise CampaignError(f"--by must be one of {', '.join(PARTS)}, got {by!r}")
     if by == "test":
         parts = {name: (name,) for name in names}
     elif by == "level":
@@ -178,7 +171,7 @@ def parts_of(
     return parts
 
 
-def folds_of(run: Run, by: str, effort: str) -> tuple[Fold, ...]:
+def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
     """Every part of a run that is to be left out.
 
     Raises
@@ -188,7 +181,7 @@ def folds_of(run: Run, by: str, effort: str) -> tuple[Fold, ...]:
     """
     settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
     parts = parts_of(settings, by, run.actuation_unit, run.folder)
-    seed = int(run.manifest["seed"])
+    seed = run.manifest.seed
     return tuple(
         Fold(
             part=part,
@@ -216,7 +209,7 @@ def leave_out(
     inference = infer_population(
         others,
         run.priors,
-        InferenceSettings.of(run.manifest["settings"], fold.effort, (fold.seed, 2)),
+        run.manifest.settings.inference(fold.effort, (fold.seed, 2)),
         lambda progress: observe(Step(fold.id, "sampling", progress)),
     )
     found = []
@@ -248,9 +241,7 @@ def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
     """
     for fold in folds:
         path = check_stored(out, f"{FOLDER}/{fold.file}", {})
-        for entry in read_predictions_of(path, fold.left_out):
-            scores = {key: Score.of(entry[key]) for key in ("score", "fitted")}
-            yield Prediction(entry["part"], entry["test"], **scores)
+        yield from read_predictions_of(path, fold.left_out)
 
 
 def run_folds(

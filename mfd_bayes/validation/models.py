@@ -12,6 +12,7 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
+from mfd_bayes.runs.results import Comparison, ComparisonRow
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.cycles import find_cycles
 from mfd_bayes.validation.loo import (
@@ -32,22 +33,6 @@ FEW = 10
 
 ALL = "all"
 _DRAWS = 400  # for the median of the force
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Models of one campaign, compared.
-
-    Attributes
-    ----------
-    rows : tuple of ComparisonRow
-        Of every test, then of all; best model first.
-    sentence : str
-        Which model the records favour, and whether the diagnostics allow trusting it.
-    """
-
-    rows: tuple[ComparisonRow, ...]
-    sentence: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,46 +212,10 @@ def _trust(
 
 def _converged(run: Run, test: str) -> bool:
     """Whether what was sampled of a test reached the targets of the run's effort."""
-    effort = run.manifest["effort"]
+    effort = run.manifest.effort
     posterior, facts = run.tests[test].posterior, run.tests[test].stored.facts
     for name in posterior.names:
         r_hat, bulk, tail = facts["convergence"].get(name) or (None, None, None)
-        if r_hat is None or r_hat > effort["r_hat"] or min(bulk or 0, tail or 0) < effort["ess"]:
+        if r_hat is None or r_hat > effort.r_hat or min(bulk or 0, tail or 0) < effort.ess:
             return False
     return True
-
-
-@dataclass(frozen=True)
-class ComparisonRow:
-    """How well a model predicts the cycles of a test, or of all tests, that it has not seen.
-
-    Attributes
-    ----------
-    subject, model : str
-    cycles : int
-    elpd, elpd_se : float
-        Expected log predictive density of all cycles, and its standard error over them.
-    p_loo : float
-        Effective number of parameters.
-    worst_k, bad : float
-        Largest Pareto k of PSIS, and the share of cycles in which it is too large for it.
-    unsettled : float
-        Share of cycles in which k is too large also after they were computed anew.
-    difference, difference_se : float
-        Elpd less that of the best model, and its standard error, paired over cycles.
-    rrse : float
-        Root relative squared error of the posterior median, of the record that it has seen.
-    """
-
-    subject: str
-    model: str
-    cycles: int
-    elpd: float
-    elpd_se: float
-    p_loo: float
-    worst_k: float
-    bad: float
-    unsettled: float
-    difference: float
-    difference_se: float
-    rrse: float

@@ -2,47 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.predictive import COVERAGES
+from mfd_bayes.runs.results import Score
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Score:
-    """Scores of one record.
-
-    Attributes
-    ----------
-    coverage : tuple of float
-        Share of samples inside the equal-tailed bands of `COVERAGES`.
-    width : float, kip
-        Mean width of the 95 % band.
-    interval_score : float, kip
-        Mean interval score of the 95 % band (Gneiting and Raftery, 2007): its width, and 40
-        times how far the force lies outside.
-    crps : float, kip
-        Mean continuous ranked probability score.
-    rrse : float
-        Root relative squared error of the median.
-    """
-
-    coverage: tuple[float, ...]
-    width: float
-    interval_score: float
-    crps: float
-    rrse: float
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Score:
-        """Score of the values of its fields."""
-        return cls(**{**values, "coverage": tuple(values["coverage"])})
 
 
 def score(draws: Array, observed: Array) -> Score:

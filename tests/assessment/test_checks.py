@@ -16,6 +16,7 @@ from mfd_bayes.assessment.views import (
     TRADE_OFFS,
     Row,
 )
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.identifiability import (
     CONFLICT,
     Directions,
@@ -86,7 +87,7 @@ def test_every_contraction_is_checked(contraction, verdict):
 
 
 def test_an_ensemble_that_is_stuck_fails_the_verdict():
-    effort = {"r_hat": 1.01, "ess": 400.0, "length": 5.0}
+    effort = Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000)
     spread = (1.0, 0.1, 0.8, 1.0, 1.2)
     rows = [
         Row("p500", "k2", "kip/in", *spread, 1.004, 900.0, 800.0, 0.9),

@@ -1,19 +1,13 @@
 import pytest
 
 from mfd_bayes.assessment.law_choices import law_choices, weighed
+from mfd_bayes.population.law_scores import LawScore
 
 
 def scores(**levels):
     """Scores of the laws of one quantity, from their terms at three levels."""
     return [
-        {
-            "quantity": "Fc_fwd",
-            "law": law,
-            "elpd": sum(terms),
-            "se": 0.5,
-            "weight": 1.0 / len(levels),
-            "levels": terms,
-        }
+        LawScore("Fc_fwd", law, sum(terms), 0.5, 1.0 / len(levels), tuple(terms))
         for law, terms in levels.items()
     ]
 

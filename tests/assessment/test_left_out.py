@@ -1,28 +1,23 @@
 import math
+from dataclasses import replace
 
 import pytest
 
 from mfd_bayes.assessment.left_out import left_out_view
+from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
 
 
 def scored(width, crps):
-    return {
-        "coverage": [0.5, 0.8, 0.9],
-        "width": width,
-        "interval_score": 1.5 * width,
-        "crps": crps,
-        "rrse": 0.3,
-    }
+    return Score((0.5, 0.8, 0.9), width, interval_score=1.5 * width, crps=crps, rrse=0.3)
 
 
 def prediction(test, part, width):
-    return {"part": part, "test": test, "score": scored(width, 0.2), "fitted": scored(0.5, 0.1)}
+    return Prediction(part, test, score=scored(width, 0.2), fitted=scored(0.5, 0.1))
 
 
-STORED = {
-    "by": "level",
-    "predictions": [prediction("a", "500 psi", 1.0), prediction("b", "1000 psi", 2.0)],
-}
+STORED = CampaignCrossValidation(
+    "level", (prediction("a", "500 psi", 1.0), prediction("b", "1000 psi", 2.0))
+)
 
 
 def test_predictions_stand_beside_fitted_tests_and_are_averaged():
@@ -42,13 +37,12 @@ def test_predictions_stand_beside_fitted_tests_and_are_averaged():
 
 
 def test_a_test_left_out_is_predicted_from_the_others():
-    assert "each predicted from the others" in left_out_view(STORED | {"by": "test"}).sentence
+    assert "each predicted from the others" in left_out_view(replace(STORED, by="test")).sentence
 
 
 def test_a_fitted_band_without_width_has_no_ratio():
-    entry = prediction("a", "500 psi", 1.0)
-    entry["fitted"] = scored(0.0, 0.0)
-    (row,) = left_out_view(STORED | {"predictions": [entry]}).rows
+    flat = replace(prediction("a", "500 psi", 1.0), fitted=scored(0.0, 0.0))
+    (row,) = left_out_view(replace(STORED, predictions=(flat,))).rows
     assert math.isnan(row.width_ratio)
     assert math.isnan(row.crps_ratio)
 

@@ -148,7 +148,7 @@ def reference(tasks, tmp_path_factory):
 def whole(campaign, tmp_path_factory):
     """A whole run by one process of this machine."""
     out = tmp_path_factory.mktemp("whole") / "out"
-    calibrate(campaign, out, Options(effort="quick", jobs=1), lambda _: None)
+    calibrate(plan_campaign(campaign, Options(effort="quick", jobs=1)), out, lambda _: None)
     return out
 
 
@@ -295,7 +295,8 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     assert sentence.startswith(f"mfd-bayes: the scheduler at {address} was lost")
     assert "--resume" in sentence
     assert not list(out.glob(".*"))
-    calibrate(campaign, out, Options(effort="quick", jobs=1, resume=True), lambda _: None)
+    options = Options(effort="quick", jobs=1, resume=True)
+    calibrate(plan_campaign(campaign, options), out, lambda _: None)
     assert stored(out) == stored(whole)
 
 

@@ -23,6 +23,7 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.pipeline import calibration as execution
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.runs.folder import discard
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
@@ -460,10 +461,10 @@ def test_a_prediction_beyond_what_was_tested_is_told(out, run, motion, tmp_path)
 
 def test_a_prediction_of_a_run_that_failed_says_so(run):
     trace = mb.Trace.from_arrays(TIME, MOTION, 0.7)
-    failed = run.manifest | {"verdicts": {"campaign": "fail", "sentence": "It is bad."}}
+    failed = run.manifest.changed(verdicts={"campaign": "fail", "sentence": "It is bad."})
     remarks = replace(run, manifest=failed).predict(trace, draws=20).remarks
     assert remarks == ("the run did not pass its checks: It is bad.",)
-    passed = run.manifest | {"verdicts": {"campaign": "pass", "sentence": "It is good."}}
+    passed = run.manifest.changed(verdicts={"campaign": "pass", "sentence": "It is good."})
     assert replace(run, manifest=passed).predict(trace, draws=20).remarks == ()
 
 
@@ -620,10 +621,11 @@ def test_parts_that_were_predicted_are_not_predicted_again(crossed, tmp_path):
 @pytest.mark.slow
 def test_resuming_keeps_the_cross_validation_and_replacing_removes_it(campaign, crossed, tmp_path):
     copy = Path(shutil.copytree(crossed[0], tmp_path / "copy"))
-    execution.calibrate(campaign[0], copy, Options(effort="quick", resume=True), lambda _: None)
-    assert mb.open_run(copy).manifest["crossvalidation"]["by"] == "level"
+    options = Options(effort="quick", resume=True)
+    execution.calibrate(plan_campaign(campaign[0], options), copy, lambda _: None)
+    assert mb.open_run(copy).manifest.crossvalidation.by == "level"
     (copy / "crossvalidation" / ".level_1.json.abc.part").write_text("")
-    execution.discard(copy)
+    discard(copy)
     assert not (copy / "crossvalidation").exists()
     assert not (copy / "crossvalidation.csv").exists()
     assert not (copy / "law_scores.csv").exists()
@@ -643,12 +645,11 @@ def test_resuming_a_finished_run_keeps_its_draws(campaign, copied):
     files = [copied / "tests" / test / "posterior.nc" for test in TESTS]
     before = [file.stat().st_mtime_ns for file in files]
     steps = []
-    run = execution.calibrate(
-        campaign[0], copied, Options(effort="quick", resume=True), steps.append
-    )
+    plan = plan_campaign(campaign[0], Options(effort="quick", resume=True))
+    run = execution.calibrate(plan, copied, steps.append)
     assert [(step.id, step.stage) for step in steps] == [(test, "kept") for test in TESTS]
     assert [file.stat().st_mtime_ns for file in files] == before
-    assert run.manifest["status"] == "finished"
+    assert run.manifest.status == "finished"
     assert set(mb.open_run(copied).tests) == set(TESTS)
 
 
@@ -785,7 +786,7 @@ def test_every_input_has_its_hash_even_if_names_repeat(campaign, tmp_path):
     plan = plan_campaign(path, Options(effort="quick"))
     for place in ("a", "b"):
         digest = hashlib.sha256((tmp_path / place / "test.csv").read_bytes()).hexdigest()
-        assert digest in plan.manifest["inputs"].values()
+        assert digest in plan.manifest.inputs.values()
 
 
 def test_a_tests_seed_does_not_depend_on_its_neighbours(campaign, tmp_path):

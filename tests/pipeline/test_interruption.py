@@ -237,6 +237,10 @@ def test_a_full_disk_under_the_log_is_said_in_a_sentence(study, campaign, copied
 # --- what is left behind
 
 
+def plan_of(path, **options):
+    return plan_campaign(path, Options(effort="quick", **options))
+
+
 def test_a_folder_without_its_first_manifest_is_begun(campaign, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".manifest.json.ab12cd34.part").write_text("{")
@@ -247,7 +251,7 @@ def test_a_folder_without_its_first_manifest_is_begun(campaign, tmp_path):
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        calibrate(campaign, tmp_path / "out", Options(effort="quick", resume=True), stop)
+        calibrate(plan_of(campaign, resume=True), tmp_path / "out", stop)
     assert seen
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "running"
     assert not list((tmp_path / "out").rglob(".*"))
@@ -277,7 +281,7 @@ def test_what_was_being_discarded_is_not_resumed(campaign, copied, monkeypatch):
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        calibrate(campaign, copied, Options(effort="quick", seed=7, resume=True), look)
+        calibrate(plan_of(campaign, seed=7, resume=True), copied, look)
     assert json.loads((copied / "manifest.json").read_text())["seed"] == 7
 
 
@@ -331,7 +335,7 @@ def ended_at_its_start(campaign, tmp_path_factory):
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        calibrate(path, home / "out", Options(effort="quick"), stop)
+        calibrate(plan_of(path), home / "out", stop)
     return home
 
 
@@ -373,7 +377,7 @@ def test_another_version_does_not_resume(unfinished, name):
 def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(campaign, tmp_path):
     folder = Path(shutil.copytree(campaign.parent, tmp_path / "campaign"))
     (folder / "campaign.toml").rename(folder / "mfd.toml")
-    inputs = plan_campaign(folder / "mfd.toml", Options(effort="quick")).manifest["inputs"]
+    inputs = plan_campaign(folder / "mfd.toml", Options(effort="quick")).manifest.inputs
     assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
 
 

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli.commands import app
@@ -42,7 +43,7 @@ id = "slow"
 file = "slow.csv"
 actuation = "30 lbf"
 """
-EFFORT = {"r_hat": 1.03, "ess": 100}
+EFFORT = Effort(r_hat=1.03, ess=100, limit=2400)
 
 
 def validation_of(name, model, *, psis_k=0.3, k=0.3, scale=1.0):
@@ -70,7 +71,7 @@ def run_of(model, tests=("a", "b"), r_hat=1.0):
         )
         for name in tests
     }
-    return SimpleNamespace(tests=results, manifest={"effort": EFFORT})
+    return SimpleNamespace(tests=results, manifest=SimpleNamespace(effort=EFFORT))
 
 
 @pytest.fixture

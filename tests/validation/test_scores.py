@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.validation.scores import COVERAGES, Score, crps, rrse, score
+from mfd_bayes.runs.results import Score
+from mfd_bayes.validation.scores import COVERAGES, crps, rrse, score
 
 
 def normal_crps(mean, sd, y):

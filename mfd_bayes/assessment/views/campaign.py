@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from mfd_bayes.assessment.views.check import Check
 from mfd_bayes.assessment.views.law import LawChoice, LawView
 from mfd_bayes.assessment.views.test import Row, ScoreRow, TestView
+from mfd_bayes.runs.results import ComparisonRow
 from mfd_bayes.runs.verdict import Verdict
-from mfd_bayes.validation.models import ComparisonRow
 
 
 @dataclass(frozen=True)

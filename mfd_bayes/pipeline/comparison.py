@@ -1,0 +1,106 @@
+"""A campaign under several models, compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from mfd_bayes.assessment.views import (
+    LeftOutView,
+)
+from mfd_bayes.campaign.schema import ModelName
+from mfd_bayes.errors import StoreError
+from mfd_bayes.jobs.job import State, Step
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.crossvalidation import check_parts, leave_out_parts
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.report import write_report
+from mfd_bayes.reporting.tables import (
+    comparison_csv,
+)
+from mfd_bayes.runs.results import Comparison
+from mfd_bayes.runs.run import Run
+from mfd_bayes.store.files import write_text
+from mfd_bayes.validation.models import check_cycles, check_models, compare_runs
+
+Observe = Callable[[Step], None]
+
+
+def compare(
+    campaign: Path,
+    out: Path,
+    models: Sequence[str],
+    options: Options,
+    observe: Observe,
+) -> tuple[Comparison, dict[str, LeftOutView]]:
+    """Calibrate a campaign once for each model into OUT/MODEL, and compare what they predict.
+
+    Parameters
+    ----------
+    campaign : Path
+    out : Path
+        OUT/comparison.csv is written last.
+    models : sequence of str
+        Two or more of "three_stage", "lugre" and "bouc_wen".
+    options : Options
+        `model` does not count; `by` says what is left out of each run too, as by
+        `crossvalidate`.
+    observe : callable
+
+    Returns
+    -------
+    Comparison
+    dict of str to LeftOutView
+        How each model predicted what was left out; empty without `by`.
+
+    Raises
+    ------
+    MfdError
+        When something cannot be used under one of the models; nothing is written then.
+    """
+    plans = _plan_models(campaign, out, check_models(models), options)
+    for model, plan in plans.items():
+        for task in plan.tasks:
+            observe(Step(f"{model}/{task.id}", State.WAITING))
+    runs: dict[str, Run] = {}
+    for model, plan in plans.items():
+        tell = _named(observe, model)
+        runs[model] = calibrate(plan, out / model, tell)
+        if options.by:
+            runs[model] = leave_out_parts(runs[model], options, tell)
+    observe(Step("comparison", "leaving out one cycle after another"))
+    found = compare_runs(runs)
+    write_text(out / "comparison.csv", comparison_csv(found.rows))
+    observe(Step("comparison", State.DONE))
+    left_out: dict[str, LeftOutView] = {}
+    for model, run in runs.items():
+        tell = _named(observe, model)
+        view = write_report(run.rewrite(comparison=found), tell, jobs=options.jobs)
+        if options.by and view.left_out:
+            left_out[model] = view.left_out
+    return found, left_out
+
+
+def _plan_models(
+    campaign: Path, out: Path, models: Sequence[ModelName], options: Options
+) -> dict[str, Plan]:
+    """Plan of a campaign under each model, checked for what the comparison needs."""
+    plans: dict[str, Plan] = {}
+    for model in models:
+        plans[model] = plan = plan_campaign(campaign, replace(options, model=model))
+        if options.by:
+            check_parts(plan)
+        for task in plan.tasks:
+            check_cycles(task)
+        folder = out / model
+        if folder.exists() and not (options.resume or options.force):
+            raise StoreError(
+                f"{folder} exists: give --resume to finish it or --force to replace it"
+            )
+    return plans
+
+
+def _named(observe: Observe, model: str) -> Observe:
+    """Observer of the steps of one model's run, which adds the model's name to theirs."""
+    return lambda step: observe(replace(step, id=f"{model}/{step.id}"))

@@ -1,0 +1,66 @@
+"""A campaign whose parts are predicted, each from all the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from mfd_bayes.assessment.views import (
+    CampaignView,
+)
+from mfd_bayes.jobs.job import State, Step
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.report import write_report
+from mfd_bayes.population.setting import setting_of
+from mfd_bayes.runs.folder import sweep
+from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.results import CampaignCrossValidation
+from mfd_bayes.runs.run import Run
+from mfd_bayes.validation.folds import fold_id, folds_of, part_kind, parts_of, run_folds
+
+Observe = Callable[[Step], None]
+
+
+def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:
+    """Calibrate a campaign, then predict every part of it from all the others.
+
+    Parameters
+    ----------
+    campaign, out : Path
+        As of `calibrate_campaign`; OUT/crossvalidation.csv is written besides.
+    options : Options
+        `by` says what is left out at a time.
+    observe : callable
+
+    Raises
+    ------
+    MfdError
+        When something cannot be used, or there are too few parts; nothing is written then.
+    """
+    plan = plan_campaign(campaign, options)
+    parts = check_parts(plan)
+    for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
+        observe(Step(name, State.WAITING))
+    run = leave_out_parts(calibrate(plan, out, observe), options, observe)
+    return write_report(run, observe, jobs=options.jobs)
+
+
+def check_parts(plan: Plan) -> Collection[str]:
+    """Names of the parts that will be left out; a campaign with fewer than two is refused."""
+    sessions = plan.manifest.settings.sessions
+    settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
+    return parts_of(
+        settings, part_kind(plan.options.by), plan.campaign.actuation_unit, plan.campaign.path
+    )
+
+
+def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
+    """Predict every part of a run from the others; the run with these predictions."""
+    kind = part_kind(options.by)
+    with alone_in(run.folder):
+        try:
+            found = run_folds(run, folds_of(run, kind, options.effort), options, observe)
+            return run.rewrite(crossvalidation=CampaignCrossValidation(kind, found))
+        finally:
+            sweep(run.folder)

@@ -1,0 +1,109 @@
+"""What comes before a calibration: a first campaign file, the records and the priors looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mfd_bayes.assessment.prior_check import prior_fan, share_inside
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign
+from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.errors import CampaignError, RecordError
+from mfd_bayes.pipeline.plan import Plan
+from mfd_bayes.records.faults import find_faults
+from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
+from mfd_bayes.records.record import read_record
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store.files import write_bytes, write_text
+
+
+def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
+    """Write a first campaign.toml of the test files in a folder: its path, and what it says.
+
+    Raises
+    ------
+    MfdError
+        When the folder holds no test, or a campaign.toml that is not to be replaced; nothing is
+        written then.
+    """
+    path = folder / "campaign.toml"
+    if path.exists() and not force:
+        raise CampaignError(f"{path} exists: give --force to replace it")
+    draft = draft_campaign(folder)
+    write_text(path, campaign_text(draft))
+    return path, draft
+
+
+def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
+    """What a test file, or every test of a campaign, holds; with a PNG each in `folder`.
+
+    Raises
+    ------
+    MfdError
+        When the file cannot be read or used.
+    """
+    if path.suffix.lower() == ".toml":
+        campaign = load_campaign(path)
+        gap = load_priors(campaign.priors, campaign.folder).gap
+        found = [
+            (inspect_record(t.id, t.read(), gap), f"{path.stem}_{t.id}") for t in campaign.tests
+        ]
+    else:
+        found = [(inspect_record(path.name, read_record(path)), path.stem)]
+    from mfd_bayes.reporting.figures import draw_inspection, to_png
+
+    pictures = []
+    for inspection, name in found:
+        picture = folder / f"{name}_inspect.png"
+        title = f"{inspection.name}: as read"
+        figure = draw_inspection(title, inspection.trace, inspection.loops, inspection.faults)
+        write_bytes(picture, to_png(figure))
+        pictures.append((inspection, picture))
+    return pictures
+
+
+def find_warnings(plan: Plan) -> list[tuple[str, str]]:
+    """What would spoil a fit of each test of a campaign: test's id and sentence.
+
+    The plan must hold the records.
+    """
+    gap = plan.priors.gap
+    found: list[tuple[str, str]] = []
+    known: dict[str, Trace] = {}
+    for test in plan.campaign.tests:
+        trace = plan.records[test.id].trace()
+        found += [(test.id, fault.sentence) for fault in find_faults(trace, gap)]
+        twin = next((name for name, other in known.items() if same_record(trace, other)), None)
+        if twin is not None:
+            found.append((test.id, f"same record as {twin}: it would count twice"))
+        known[test.id] = trace
+    return found
+
+
+def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:
+    """Prior predictive loops beside the data of every test, with a PNG each in `folder`.
+
+    Returns
+    -------
+    list of (test's id, share of the measured force inside the 95 % prior band, picture)
+
+    Raises
+    ------
+    MfdError
+        When the campaign, its priors or a record cannot be used.
+    """
+    campaign = load_campaign(path)
+    priors = load_priors(campaign.priors, campaign.folder)
+    from mfd_bayes.reporting.figures import draw_loops, to_png
+
+    found = []
+    for test in campaign.tests:
+        trace = test.read().trace(campaign.rate, gap=priors.gap)
+        if trace.force is None:
+            raise RecordError(f"test {test.id!r} of {path} has no force to compare with")
+        fan = prior_fan(campaign, priors, trace)
+        picture = folder / f"{path.stem}_{test.id}_prior.png"
+        figure = draw_loops(f"{test.id}: data over what the priors allow", trace, [fan])
+        write_bytes(picture, to_png(figure))
+        found.append((test.id, share_inside(fan, trace), picture))
+    return found

@@ -1,0 +1,72 @@
+"""The report of a run, and its checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from mfd_bayes.assessment import assess, verdicts
+from mfd_bayes.assessment.views import (
+    IDENTIFIABILITY,
+    CampaignView,
+)
+from mfd_bayes.jobs.dispatch import Workplace
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.reporting.tables import (
+    CROSSVALIDATION,
+)
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.verdict import Verdict
+
+Observe = Callable[[Step], None]
+
+
+def report(
+    out: Path, observe: Observe = lambda _: None, *, jobs: int = 0, pdf: bool = False
+) -> CampaignView:
+    """Make the tables, figures and pages of a finished run from what is stored.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    observe : callable, optional
+        Told of every step.
+    jobs : int
+        Processes that draw the figures of many tests; 0 for as many as there are processors.
+    pdf : bool
+        Whether the report is printed to report.pdf too.
+
+    Raises
+    ------
+    StoreError
+        When the folder is no finished run.
+    ReportError
+        When a PDF is asked for and no browser can print it; nothing is written then.
+    """
+    from mfd_bayes.reporting.pdf import find_browser
+
+    if pdf:
+        find_browser()
+    return write_report(open_run(out), observe, jobs=jobs, pdf=pdf)
+
+
+def write_report(run: Run, observe: Observe, *, jobs: int, pdf: bool = False) -> CampaignView:
+    """Make the tables, figures and pages of a run that is open."""
+    from mfd_bayes.reporting.publication import publish
+
+    observe(Step("report", "checks and bands"))
+    view = assess(run)
+    run.rewrite(verdicts=verdicts(view))
+    if view.left_out is None:  # a table that an earlier cross-validation wrote
+        (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
+    publish(view, run.folder, Workplace(jobs).processes, observe, pdf=pdf)
+    return view
+
+
+def check(out: Path) -> CampaignView:
+    """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing."""
+    view = assess(open_run(out))
+    told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
+    return replace(view, checks=tuple(told))

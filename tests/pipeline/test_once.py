@@ -1,0 +1,119 @@
+"""Each command reads a record once, and a report opens a posterior once for each use."""
+
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes.assessment import assess
+from mfd_bayes.calibration import result
+from mfd_bayes.campaign import file
+from mfd_bayes.cli.commands import app
+from mfd_bayes.pipeline import commands, comparison, crossvalidation, report
+from mfd_bayes.pipeline.plan import Options
+from mfd_bayes.runs.run import open_run
+
+TESTS = ("a", "b")
+
+
+class _StopError(Exception):
+    """What stands in place of the sampling."""
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    time = np.arange(400) / 50
+    text = '[campaign]\nmodel = "lugre"\nnoise = "iid"\n'
+    for k, name in enumerate(TESTS, start=1):
+        columns = (time, np.sin(np.pi * time), k * np.tanh(5 * np.cos(np.pi * time)))
+        np.savetxt(
+            tmp_path / f"{name}.csv",
+            np.column_stack(columns),
+            delimiter=",",
+            header="time_s,displacement_in,force_kip",
+            comments="",
+        )
+        text += f'[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{500 * k} psi"\n'
+    path = tmp_path / "campaign.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """How often each record was read."""
+    counts = Counter()
+    read_record = file.read_record
+
+    def count(path, *args, **kwargs):
+        counts[path.stem] += 1
+        return read_record(path, *args, **kwargs)
+
+    monkeypatch.setattr(file, "read_record", count)
+    return counts
+
+
+@pytest.fixture
+def plans(monkeypatch):
+    """Plans that came to be sampled; the first ends the command."""
+    found = []
+
+    def stop(plan, out, observe):
+        found.append(plan)
+        raise _StopError
+
+    for module in (crossvalidation, comparison):
+        monkeypatch.setattr(module, "calibrate", stop)
+    return found
+
+
+def test_a_dry_run_reads_each_record_once_and_still_warns(campaign, reads):
+    shutil.copy(campaign.parent / "a.csv", campaign.parent / "b.csv")
+    outcome = CliRunner().invoke(app, ["calibrate", str(campaign), "-o", "out", "--dry-run"])
+    assert outcome.exit_code == 0
+    assert "same record as a" in outcome.stdout
+    assert reads == dict.fromkeys(TESTS, 1)
+
+
+def test_a_cross_validation_is_planned_once(campaign, tmp_path, reads, plans):
+    options = Options(effort="quick", by="test")
+    with pytest.raises(_StopError):
+        crossvalidation.crossvalidate(campaign, tmp_path / "out", options, lambda _: None)
+    assert len(plans) == 1
+    assert reads == dict.fromkeys(TESTS, 1)
+
+
+def test_a_comparison_is_planned_once_for_each_model(campaign, tmp_path, reads, plans):
+    models, options = ("lugre", "three_stage"), Options(effort="quick")
+    with pytest.raises(_StopError):
+        comparison.compare(campaign, tmp_path / "out", models, options, lambda _: None)
+    assert reads == dict.fromkeys(TESTS, len(models))
+
+
+def test_a_run_that_was_just_calibrated_is_not_opened_again(campaign, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(commands, "calibrate", lambda plan, out, observe: "the run")
+    monkeypatch.setattr(commands, "write_report", lambda run, *_, **__: seen.append(run))
+    monkeypatch.setattr(report, "open_run", lambda _: pytest.fail("opened again"))
+    commands.calibrate_campaign(campaign, tmp_path / "out", Options(), lambda _: None)
+    assert seen == ["the run"]
+
+
+def test_a_report_opens_each_posterior_once_for_each_use(tmp_path, monkeypatch):
+    """To open the run, to judge the test, for the laws' figure, and for the median offset."""
+    data = Path(__file__).parents[1] / "data" / "run_format_0"
+    out = Path(shutil.copytree(data, tmp_path / "out"))
+    counts = Counter()
+    load_test = result.load_test
+
+    def count(path):
+        counts[path.parent.name] += 1
+        return load_test(path)
+
+    monkeypatch.setattr(result, "load_test", count)
+    run = open_run(out)
+    assess(run)
+    assert counts == dict.fromkeys(run.tests, 4)
