@@ -79,11 +79,7 @@ class Record:
         return _turns(self.displacement).size
 
     def trace(
-        self,
-        rate: float | None = None,
-        *,
-        window: Window | None = None,
-        gap: float | None = None,
+        self, rate: float | None = None, *, window: Window | None = None, gap: float | None = None
     ) -> Trace:
         """Trace of this record, or of a window of it, at a sampling rate.
 
