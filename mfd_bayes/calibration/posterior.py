@@ -42,18 +42,19 @@ class Posterior:
         With a force.
     priors : str or PriorFile
         A name such as "brfd", a path, or priors already read.
-    noise : {"ou", "iid", "student_t"}
+    noise : str
+        A name in `noises.NOISES`: "ou", "iid", "student_t" or "staged".
     model : Model or str, optional
         The three-stage model when left out.
     start : {"sample", "mask"}
-        What is done about the unknown place in the gap at the first sample: it is
-        sampled, or the samples up to the first slip are left out of the likelihood.
+        The place in the gap at the first sample is unknown: it is sampled, or the samples up to
+        the first slip are left out of the likelihood.
 
     Attributes
     ----------
     names : tuple of str
-        What q's columns stand for, in order; the coordinates are those of its priors, but
-        where a `Pivot` stands for kinetic friction.
+        The quantity of each column of q. Each column is the coordinate of the quantity's prior,
+        except kinetic friction where there is a `Pivot`.
     pivots : tuple of Pivot
     first : int
         Samples before this one are left out of the likelihood.

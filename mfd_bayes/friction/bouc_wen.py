@@ -200,34 +200,42 @@ class BoucWen(Model):
             When a number is not finite, dt not positive, the actuation negative, or a name
             or a value in `scales` does not fit.
         """
-        columns, z = state.columns, state.z
         _check_number("displacement", displacement)
         _check_number("velocity", velocity)
         if state.reference is None and actuation is not None:
             state = replace(state, reference=actuation)
         shares = _step_shares(state, actuation, scales)
-        origin = displacement if state.origin is None else state.origin
-        if state.origin is not None:
+        first = state.origin is None
+        if not first:
             _check_number("dt", dt)
             if dt <= 0:
                 raise FitError(f"dt must be positive, got {dt} s")
-            x = np.array([state.displacement, displacement])
-            v = np.array([state.velocity, velocity])
-            _, place, vertex = vertices(np.array([0.0, dt]), x, v)
-            before = state.shares
-            nearest = [before if p < 0.5 else shares for p in place]
-            x, at = np.insert(x, 1, vertex), [before, *nearest, shares]
-            for i in np.flatnonzero(np.diff(x)):
-                sign = np.sign(x[i + 1] - x[i])
-                strength = _strength(columns, sign, at[i], at[i + 1])
-                z = _advance(
-                    state.curve, columns["k"], strength, z, np.abs(x[i + 1 : i + 2] - x[i])
-                )[:, 0]
-        force = _total(columns, z[:, None], np.array([displacement - origin]), np.array([velocity]))
         after = replace(
-            state, z=z, origin=origin, displacement=displacement, velocity=velocity, shares=shares
+            state,
+            origin=displacement if first else state.origin,
+            displacement=displacement,
+            velocity=velocity,
+            shares=shares,
         )
-        return force[:, 0], after
+        if not first:
+            after = replace(after, z=_moved(state, after, dt))
+        way = np.array([displacement - (after.origin or 0.0)])
+        return _total(state.columns, after.z[:, None], way, np.array([velocity]))[:, 0], after
+
+
+def _moved(before: State, after: State, dt: float) -> Array:
+    """Force z at the end of a step, (n,), kip, by way of the vertex if the motion turns in it."""
+    x = np.array([before.displacement, after.displacement])
+    v = np.array([before.velocity, after.velocity])
+    _, place, vertex = vertices(np.array([0.0, dt]), x, v)
+    nearest = [before.shares if p < 0.5 else after.shares for p in place]
+    x, at = np.insert(x, 1, vertex), [before.shares, *nearest, after.shares]
+    columns, z = before.columns, before.z
+    for i in np.flatnonzero(np.diff(x)):
+        strength = _strength(columns, np.sign(x[i + 1] - x[i]), at[i], at[i + 1])
+        way = np.abs(x[i + 1 : i + 2] - x[i])
+        z = _advance(before.curve, columns["k"], strength, z, way)[:, 0]
+    return z
 
 
 def _advance(curve: Curve, k: Array, strength: Array, z: Array, way: Array) -> Array:
