@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import special, stats
+from scipy import linalg, special
 
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.population.layout import Layout, lay_out
@@ -80,44 +80,54 @@ class Linear:
     def likelihoods(self, rng: np.random.Generator) -> list[TestLikelihood]:
         return [gaussian_test(*told, rng) for told in zip(self.y, self.covariances, strict=True)]
 
-    def _design(self, omega: float | None) -> tuple[Array, Array]:
-        """Offsets (J, d), and what each test has of u, (J, d, u)."""
+    def _design(self, omega: Array) -> tuple[Array, Array]:
+        """Offsets (J, d), and what each test has of u for each sd of the effects, (n, J, d, u)."""
         count, d = self.y.shape
         follows = bool(self.layout.laws)
         cells, home = np.unique(self.actuations, return_inverse=True)
-        parts = 0 if omega is None else cells.size
-        design = np.zeros((count, d, d + parts + follows))
-        design[:, range(d), range(d)] = 1.0
+        parts = cells.size if self.layout.effects else 0
+        design = np.zeros((len(omega), count, d, d + parts + follows))
+        design[:, :, range(d), range(d)] = 1.0
         offsets = np.zeros((count, d))
         if follows:
             folds = np.log(self.actuations / self.layout.reference) / self.layout.spread[0]
             offsets[:, 0] = folds  # exponent 1 + u/2
-            design[:, 0, -1] = 0.5 * folds
-        if omega is not None:
+            design[:, :, 0, -1] = 0.5 * folds
+        if parts:
             distance = np.abs(np.log(cells[:, None] / cells))
             root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)))
-            design[:, 0, d : d + parts] = omega / self.layout.spread[0] * root[home]
+            scaled = omega / self.layout.spread[0]
+            design[:, :, 0, d : d + parts] = scaled[:, None, None] * root[home]
         return offsets, design
 
-    def conditional(self, tau: Array, omega: float | None) -> tuple[float, Array, Array]:
-        """Log density of y, and moments of u and x (flat) together, given scatter and effects."""
-        count, d = self.y.shape
-        offsets, design = self._design(omega)
-        a = design.reshape(count * d, -1)
-        scatter = np.diag(np.tile((tau / self.layout.spread) ** 2, count))
-        noise = np.zeros((count * d, count * d))
-        for j in range(count):
-            noise[j * d : (j + 1) * d, j * d : (j + 1) * d] = self.covariances[j]
-        prior = a @ a.T + scatter
-        everything = np.block([[np.eye(a.shape[1]), a.T], [a, prior]])
-        with_y = np.concatenate([a.T, prior])
+    def conditional(self, h: Array) -> tuple[Array, Array, Array]:
+        """Log density of y, and moments of u and x (flat) together, given log sds.
+
+        `h` is (n, sds): of the scatter, and of the effects where there are some. The density is
+        (n,), the means are (n, m) and the covariances (n, m, m).
+        """
+        n, (count, d) = len(h), self.y.shape
+        offsets, design = self._design(np.exp(h[:, -1]))
+        a = design.reshape(n, count * d, -1)
+        u = a.shape[2]
+        noise = linalg.block_diag(*self.covariances)
+        prior = a @ a.swapaxes(1, 2)
+        each = np.arange(count * d)
+        prior[:, each, each] += np.tile((np.exp(h[:, :d]) / self.layout.spread) ** 2, (1, count))
+        everything = np.zeros((n, u + count * d, u + count * d))
+        everything[:, range(u), range(u)] = 1.0
+        everything[:, u:, :u], everything[:, :u, u:] = a, a.swapaxes(1, 2)
+        everything[:, u:, u:] = prior
+        with_y = everything[:, :, u:]
         away = (self.y - offsets).reshape(-1)
-        covariance = prior + noise
-        gain = np.linalg.solve(covariance, with_y.T).T
+        root = np.linalg.cholesky(prior + noise)
+        white = np.linalg.solve(root, np.broadcast_to(away[:, None], (n, away.size, 1)))[..., 0]
+        density = -0.5 * (np.sum(white**2, axis=1) + away.size * np.log(2.0 * np.pi))
+        density -= np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        gain = np.linalg.solve(prior + noise, with_y.swapaxes(1, 2)).swapaxes(1, 2)
         mean = gain @ away
-        mean[a.shape[1] :] += offsets.reshape(-1)
-        density = stats.multivariate_normal(cov=covariance).logpdf(away)
-        return float(density), mean, everything - gain @ with_y.T
+        mean[:, u:] += offsets.reshape(-1)
+        return density, mean, everything - gain @ with_y.swapaxes(1, 2)
 
     def solve(self, rng: np.random.Generator, n: int = 4096, points: int = 40) -> Moments:
         """Everything by a grid over log scatter and log effect sd, and n exact draws."""
@@ -126,14 +136,10 @@ class Linear:
         scales = np.append(self.layout.scatter_sd, self.layout.scatter_sd[:1].repeat(effects))
         axis = np.linspace(-6.0, 1.5, points)  # of the log of an sd over its prior's scale
         grid = np.array(list(product(axis, repeat=d + effects))) + np.log(scales)
-        results = [
-            self.conditional(np.exp(h[:d]), float(np.exp(h[d])) if effects else None) for h in grid
-        ]
-        weight = np.array([density for density, _, _ in results])
+        weight, means, covariances = self.conditional(grid)
         weight += np.sum(grid - 0.5 * (np.exp(grid) / scales) ** 2, axis=1)
         weight = special.softmax(weight)
-        means = np.array([mean for _, mean, _ in results])
-        variances = np.array([np.diag(c) for _, _, c in results])
+        variances = np.diagonal(covariances, axis1=1, axis2=2)
         mean = weight @ means
         var = weight @ (variances + means**2) - mean**2
         u = means.shape[1] - self.y.size
@@ -144,12 +150,10 @@ class Linear:
         picks = rng.choice(len(grid), size=n, p=weight)
         step = axis[1] - axis[0]
         h = grid[picks] + step * (rng.random((n, d + effects)) - 0.5)
-        drawn = np.empty((n, means.shape[1]))
-        for i, row in enumerate(h):
-            _, middle, spread = self.conditional(
-                np.exp(row[:d]), float(np.exp(row[d])) if effects else None
-            )
-            drawn[i] = rng.multivariate_normal(middle, spread, method="eigh")
+        _, middle, spread = self.conditional(h)
+        values, vectors = np.linalg.eigh(spread)
+        root = vectors * np.sqrt(np.abs(values))[:, None, :]
+        drawn = middle + np.einsum("nij,nj->ni", root, rng.standard_normal(middle.shape))
         return Moments(
             {"sd": h_mean, "u": u_mean, "x": x_mean},
             {"sd": h_sd, "u": u_sd, "x": x_sd},
