@@ -1,11 +1,11 @@
-"""The coordinates in which tests are pooled: those in which one test differs from another.
+"""The coordinates in which the tests' shared quantities scatter from test to test.
 
-A test's own parameters trade off: F_c with F_s and ẋ_s, d2 with d3. What differs from test to
-test is what their sum or product does, and scatter of each by itself would count it twice. So
+In one test F_c trades off with F_s and ẋ_s, and d2 with d3: only their sums or products are known
+well, and these are what differs between tests. Scatter of each by itself would count it twice. So
 the coordinate of F_c,fwd (and bwd) is the logarithm of the slip force at a speed v_ref common
 to all tests, F_c [1 + (F_s/F_c − 1) exp(−(v_ref/ẋ_s)²)]; that of d2 is log(d2 + d3), the width
-of the gap, and that of d3 is log(d3/d2). All others are those of their priors. Determinants of
-these changes are 1.
+of the gap, and that of d3 is log(d3/d2). All others are those of their priors. These changes of
+variables have determinant 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Pooled coordinates of quantities.
+    """Shared coordinates of quantities.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Coordinates:
     speed: float
 
     def _slips(self) -> list[tuple[int, int]]:
-        """Columns of F_c and its excess, for the directions in which slip is pooled."""
+        """Columns of F_c and its excess, in the directions that have both."""
         found = []
         if "v_s" in self.names:
             for side in ("fwd", "bwd"):
@@ -49,7 +49,7 @@ class Coordinates:
         return found
 
     def _gap(self) -> tuple[int, int] | None:
-        """Columns of d2 and d3, where both are pooled."""
+        """Columns of d2 and d3, where both are shared."""
         if self._positive("d2") and self._positive("d3"):
             return self.names.index("d2"), self.names.index("d3")
         return None
@@ -60,14 +60,14 @@ class Coordinates:
         return self.priors[name].lower == 0.0 and bool(np.isinf(self.priors[name].upper))
 
     def _shift(self, own: Array, excess: int) -> Array:
-        """Log of the slip force at v_ref over F_c, (n,)."""
+        """Logarithm of the slip force at v_ref over F_c, (n,)."""
         v_s = self.priors["v_s"].value(own[:, self.names.index("v_s")])
         stribeck = np.exp(-((self.speed / np.maximum(v_s, 1e-12)) ** 2))
         share = self.priors[self.names[excess]].value(own[:, excess])
         return np.asarray(np.log1p(share * stribeck))
 
     def from_own(self, own: Array) -> Array:
-        """Pooled coordinates of those of the priors, (n, d)."""
+        """Shared coordinates from those of the priors, (n, d)."""
         q = own.copy()
         for kinetic, excess in self._slips():
             q[:, kinetic] += self._shift(own, excess)
@@ -79,7 +79,7 @@ class Coordinates:
         return q
 
     def to_own(self, q: Array) -> Array:
-        """Coordinates of the priors of the pooled ones, (n, d)."""
+        """Coordinates of the priors from the shared ones, (n, d)."""
         own = q.copy()
         for kinetic, excess in self._slips():
             own[:, kinetic] -= self._shift(q, excess)
@@ -91,17 +91,17 @@ class Coordinates:
         return own
 
     def values(self, q: Array) -> dict[str, Array]:
-        """Quantities at pooled coordinates (n, d), by name, (n,) each, internal units."""
+        """Quantities at shared coordinates (n, d), by name, (n,) each, internal units."""
         own = self.to_own(q)
         return {name: self.priors[name].value(own[:, k]) for k, name in enumerate(self.names)}
 
     def of(self, values: Mapping[str, Array]) -> Array:
-        """Pooled coordinates of quantities by name, (n, d)."""
+        """Shared coordinates of quantities by name, (n, d)."""
         own = [self.priors[name].coordinate(values[name]) for name in self.names]
         return self.from_own(np.stack(own, axis=1))
 
     def log_prior(self, q: Array) -> Array:
-        """Log density of pooled coordinates under the priors of a test by itself, (n,)."""
+        """Log density of shared coordinates under the priors of a test by itself, (n,)."""
         own = self.to_own(q)
         density = np.zeros(len(q))
         for k, name in enumerate(self.names):

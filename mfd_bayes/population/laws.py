@@ -50,7 +50,7 @@ LAWS = {
 }
 
 COMPARE = "compare"
-"""In place of a law: all of them, weighed by how well they predict levels that were left out."""
+"""In place of a law: all laws, weighted by how well they predict levels left out."""
 
 
 def default_laws() -> dict[str, str]:
@@ -71,17 +71,17 @@ def complete_laws(given: Mapping[str, str]) -> dict[str, str]:
 
 
 def shapes_of(law: str) -> tuple[str, ...]:
-    """What is inferred of a law by name besides its level; of "compare", what any law needs."""
+    """What is inferred of a law by name besides its level; of "compare", those of every law."""
     return ("share", "exponent") if law == COMPARE else LAWS[law].shapes
 
 
-_MOST = 1e100  # of a ratio, so that what is made of it is a number
+_MOST = 1e100  # largest ratio, so that what is computed from it is finite
 
 
 def ratio(relative: Array, share: Array, exponent: Array) -> Array:
-    """v(p)/v(p0) at p/p0, all broadcast; 0 at p = 0 of what is in proportion."""
+    """v(p)/v(p0) at p/p0, all broadcast; 0 at p = 0 for a proportional law."""
     positive = relative > 0
-    with np.errstate(over="ignore"):  # an actuation beyond all that is tested
+    with np.errstate(over="ignore"):  # an actuation far beyond the tests
         power = np.where(positive, np.power(np.where(positive, relative, 1.0), exponent), 0.0)
     power = np.minimum(power, _MOST)
     followed: Array = share * power + (1.0 - share)
@@ -102,7 +102,7 @@ def log_prior(shape: str, q: Array) -> Array:
 
 
 def draw_shape(shape: str, uniform: Array) -> Array:
-    """Coordinates of a shape under its prior, of uniform numbers in (0, 1)."""
+    """Coordinates of a shape drawn from its prior, from uniform numbers in (0, 1)."""
     if shape == "share":
         return np.asarray(special.logit(uniform))
     centre, sd = (1.0, 0.5) if shape == "exponent" else (0.0, SENSITIVITY)

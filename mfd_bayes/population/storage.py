@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def save_population(path: Path, population: Population) -> None:
         "hyperparameters": population.h,
         "latent": population.latent,
         "law": population.choice.astype(np.float64),
-        "together": np.asarray(population.together, dtype=np.float32),  # many, and only drawn from
+        "together": np.asarray(population.together, dtype=np.float32),  # large
     }
     facts = {
         **_facts(population.layout),
@@ -53,7 +54,7 @@ def load_population(path: Path, priors: PriorFile) -> Population:
     Raises
     ------
     StoreError
-        When the file is missing or is no such file.
+        When the file is missing, damaged or of another version of the program.
     """
     arrays, facts = load_arrays(path)
     check_facts(facts, path)
@@ -72,7 +73,7 @@ def _population(
 ) -> Population:
     laws = arrays["law"]
     if not np.all(np.isin(laws, np.arange(len(LAWS)))):
-        raise ValueError("a law has a number that none is known by")
+        raise ValueError("a law has a number that no known law has")
     return Population(
         layout=_layout_of(facts, priors),
         h=arrays["hyperparameters"].astype(np.float64),
@@ -98,7 +99,7 @@ def save_test_draws(
     path : Path
     layout : Layout
     draws : (chain, draw, D)
-        In prior units, pooled coordinates first.
+        In prior units, shared coordinates first.
     units : mapping of str to str
     test : str
     """
@@ -110,34 +111,13 @@ def save_test_draws(
 
 
 def _facts(layout: Layout) -> dict[str, Any]:
-    return {
-        "names": layout.names,
-        "speed": layout.coordinates.speed,
-        "centre": layout.centre.tolist(),
-        "spread": layout.spread.tolist(),
-        "laws": layout.laws,
-        "weights": layout.weights,
-        "groups": layout.groups,
-        "member": layout.member.tolist(),
-        "scatter_sd": layout.scatter_sd.tolist(),
-        "reference": layout.reference,
-        "settings": [
-            {"actuation": s.actuation, "session": s.session, "covariates": s.covariates}
-            for s in layout.settings
-        ],
-        "effects": [
-            {
-                "name": e.name,
-                "group": e.group,
-                "members": e.members,
-                "cells": e.cells,
-                "home": e.home,
-            }
-            for e in layout.effects
-        ],
-        "dependence": layout.dependence,
-        "covariate_reference": layout.covariate_reference,
-    }
+    """Layout as JSON can hold it."""
+    found = {f.name: getattr(layout, f.name) for f in fields(layout) if f.name != "coordinates"}
+    for name in ("centre", "spread", "member", "scatter_sd"):
+        found[name] = found[name].tolist()
+    for name in ("settings", "effects"):
+        found[name] = [asdict(one) for one in found[name]]
+    return {"names": layout.names, "speed": layout.coordinates.speed, **found}
 
 
 def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
@@ -145,28 +125,20 @@ def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
     scatter = np.array([priors.scatter[groups[g]].sd for g in facts["member"]])
     if not np.allclose(scatter, facts["scatter_sd"]):
         raise ValueError("its scatter is not that of the priors")
-    effects = tuple(
-        Effect(
-            name=e["name"],
-            group=e["group"],
-            members=tuple(e["members"]),
-            cells=tuple((str(session), float(at)) for session, at in e["cells"]),
-            home=tuple(e["home"]),
-        )
-        for e in facts["effects"]
-    )
+    arrays: dict[str, Any] = {k: np.array(facts[k]) for k in ("centre", "spread", "scatter_sd")}
     return Layout(
         coordinates=Coordinates(names, {n: priors.parameters[n] for n in names}, facts["speed"]),
-        centre=np.array(facts["centre"]),
-        spread=np.array(facts["spread"]),
-        laws=facts["laws"],
-        weights=facts["weights"],
         groups=groups,
         member=np.array(facts["member"], dtype=np.intp),
-        scatter_sd=np.array(facts["scatter_sd"]),
-        reference=facts["reference"],
         settings=tuple(Setting(**s) for s in facts["settings"]),
-        effects=effects,
+        effects=tuple(_effect(e) for e in facts["effects"]),
         dependence={name: tuple(those) for name, those in facts["dependence"].items()},
-        covariate_reference=facts["covariate_reference"],
+        **arrays,
+        **{key: facts[key] for key in ("laws", "weights", "reference", "covariate_reference")},
     )
+
+
+def _effect(facts: Mapping[str, Any]) -> Effect:
+    cells = tuple((str(session), float(at)) for session, at in facts["cells"])
+    members, home = tuple(facts["members"]), tuple(facts["home"])
+    return Effect(facts["name"], facts["group"], members, cells, home)

@@ -1,4 +1,4 @@
-"""What a stored population must hold, so that whatever is made of it can be computed."""
+"""Checks of a stored population, so that predictions from it cannot fail later."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
 _WIDEST = 40.0
-"""Of a half-normal scale: no draw of a scatter is beyond."""
+"""Largest scatter over its half-normal scale; no draw is larger."""
 
 _FARTHEST = 1e6
-"""Prior units or logarithms beyond which nothing is drawn."""
+"""Largest coordinate in prior units; no draw is larger."""
 
 _Near = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
 _Name = Annotated[str, AfterValidator(lambda name: _known(name, sampled_quantities()))]
@@ -32,7 +32,7 @@ _Level = Annotated[float, Field(ge=0, le=1e10)]
 
 def _known(name: str, names: Collection[str]) -> str:
     if name not in names:
-        raise ValueError("must be a name that is known")
+        raise ValueError("must be a known name")
     return name
 
 
@@ -77,23 +77,26 @@ class _Facts(Part):
         _need(len(set(self.names)) == d, "names must differ")
         for key in ("centre", "spread", "member", "scatter_sd"):
             _need(len(getattr(self, key)) == d, f"{key} must be as many as the names")
-        _need(max(self.member) < len(self.groups), "member must be of the groups")
-        _need(set(self.laws) <= set(self.names), "laws must be of the names")
+        _need(max(self.member) < len(self.groups), "member must be indices of groups")
+        _need(set(self.laws) <= set(self.names), "laws must be of known names")
         _need(set(self.laws.values()) <= {*LAWS, COMPARE}, "laws must be known")
         _need(set(self.weights) == set(self.laws), "weights must be those of the laws")
         _need(all(sum(w.values()) > 0 for w in self.weights.values()), "weights must not be zero")
         _need(set(self.dependence) <= set(self.names), "dependence must be of the names")
         used = {c for those in self.dependence.values() for c in those}
-        _need(used <= set(self.covariate_reference), "covariate_reference must be of all that is")
+        _need(
+            used <= set(self.covariate_reference),
+            "covariate_reference lacks a covariate",
+        )
         _need(
             all(setting.covariates.get(c, 0) > 0 for setting in self.settings for c in used),
             "covariates of the settings must be above zero",
         )
         for effect in self.effects:
-            _need(effect.group < len(self.groups), "effects must be of the groups")
-            _need(max(effect.members) < d, "members of effects must be of the names")
+            _need(effect.group < len(self.groups), "group of an effect must be an index of groups")
+            _need(max(effect.members) < d, "members of an effect must be indices of names")
             _need(len(effect.home) == len(self.settings), "home must be as many as the settings")
-            _need(max(effect.home) < len(effect.cells), "home must be of the cells")
+            _need(max(effect.home) < len(effect.cells), "home must be indices of cells")
             levels = [at for _, at in effect.cells]
             _need(effect.name == "session" or min(levels) > 0, "levels must be above zero")
         return self
@@ -105,7 +108,7 @@ def _need(holds: bool, sentence: str) -> None:
 
 
 def check_facts(facts: Any, where: object) -> None:
-    """Refuse facts of a population that are not those that an inference stores.
+    """Refuse facts that no inference stores.
 
     Raises
     ------
@@ -116,7 +119,7 @@ def check_facts(facts: Any, where: object) -> None:
 
 
 def check_draws(population: Population, where: object) -> None:
-    """Refuse draws of a population that no inference gives.
+    """Refuse draws that no inference gives.
 
     Raises
     ------
