@@ -23,6 +23,7 @@ from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.predictive import PredictiveCheck, Replicas, check_predictive
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.store.netcdf import StoredTest
 
 INFORMED = 0.5
 """Least contraction of a parameter that the data inform."""
@@ -140,15 +141,18 @@ class CheckedTest:
 
     Attributes
     ----------
+    stored : StoredTest
+        What the test has stored, read once.
     rows : sequence of Row
         Parameters with their convergence.
     replicas : Replicas
         Artificial records that the posterior predicts.
-    effort : mapping
+    effort : Effort
         Targets of the sampling.
     """
 
     test: TestResult
+    stored: StoredTest
     rows: Sequence[Row]
     replicas: Replicas
     known: Identifiability
@@ -165,18 +169,18 @@ def _convergence(found: CheckedTest) -> list[Check]:
 
 
 def _length(found: CheckedTest) -> list[Check]:
-    return [length_check(found.id, found.test.stored.facts, found.effort)]
+    return [length_check(found.id, found.stored.facts, found.effort)]
 
 
 def _predictive(found: CheckedTest) -> list[Check]:
-    posterior, values = found.test.posterior, found.test.stored.values()
+    posterior, values = found.test.posterior, found.stored.values()
     gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
     checks = check_predictive(posterior, found.replicas, gap)
     return [predictive_check(found.id, check) for check in checks]
 
 
 def _notes(found: CheckedTest) -> list[Check]:
-    return notes(found.id, found.rows, found.test.stored.facts)
+    return notes(found.id, found.rows, found.stored.facts)
 
 
 def _identifiability(found: CheckedTest) -> list[Check]:

@@ -45,7 +45,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     prior = _prior_values(test)
     rows = _rows(test.id, stored, prior)
     known = _identifiability(posterior, stored, prior)
-    checked = CheckedTest(test, rows, replicas, known, run.manifest.effort)
+    checked = CheckedTest(test, stored, rows, replicas, known, run.manifest.effort)
     stage, travel = _stages(test, values)
     informed = {row.name for row in rows if row.contraction >= INFORMED}
     return TestView(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import CampaignError, FitError
@@ -42,6 +44,7 @@ class _Score:
     validation: CrossValidation
     squares: float  # of what the median of the force leaves over, kip²
     spread: float  # of the measured force about its mean, kip²
+    short: tuple[str, ...]  # tests whose sampling fell short of its targets
 
 
 def check_models(names: Sequence[str]) -> tuple[str, ...]:
@@ -89,7 +92,8 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
     if not shared:
         raise FitError("there is nothing to compare: no test could be calibrated under every model")
     scores = {
-        model: {name: _score(run.tests[name]) for name in shared} for model, run in runs.items()
+        model: {name: _score(run.tests[name], run.manifest.effort) for name in shared}
+        for model, run in runs.items()
     }
     rows: list[ComparisonRow] = []
     for name in shared:
@@ -97,14 +101,14 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
     total = {model: _together(list(found.values())) for model, found in scores.items()}
     overall = _rows(ALL, total)
     pair = overall[0].model, overall[1].model
-    parts = [_favour(total, pair, len(shared)), _trust(runs, total, pair, shared)]
+    parts = [_favour(total, pair, len(shared)), _trust(total, pair)]
     lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
     if lost:
         parts.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
     return Comparison((*rows, *overall), " ".join(parts))
 
 
-def _score(test: TestResult) -> _Score:
+def _score(test: TestResult, effort: Effort) -> _Score:
     stored, trace = test.stored, test.trace
     rng = np.random.default_rng(stored.facts["seed"])
     values, sizes = stored.values(), stored.draws.sizes
@@ -117,7 +121,9 @@ def _score(test: TestResult) -> _Score:
     kept = slice(test.posterior.first, None)
     observed = np.asarray(trace.force)[kept]
     missed = observed - np.median(force, axis=0)[kept]
-    return _Score(validation, float(missed @ missed), float(observed.size * observed.var()))
+    short = () if _converged(test, stored.facts, effort) else (test.id,)
+    squares, spread = float(missed @ missed), float(observed.size * observed.var())
+    return _Score(validation, squares, spread, short)
 
 
 def _together(scores: list[_Score]) -> _Score:
@@ -125,6 +131,7 @@ def _together(scores: list[_Score]) -> _Score:
         join(score.validation for score in scores),
         sum(score.squares for score in scores),
         sum(score.spread for score in scores),
+        tuple(name for score in scores for name in score.short),
     )
 
 
@@ -170,31 +177,15 @@ def _favour(total: Mapping[str, _Score], pair: tuple[str, str], tests: int) -> s
     return text + (" (a rough error, of so few)." if one.cycles < FEW else ".")
 
 
-def _trust(
-    runs: Mapping[str, Run],
-    total: Mapping[str, _Score],
-    pair: tuple[str, str],
-    tests: list[str],
-) -> str:
+def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
     """Whether the diagnostics of the best two models allow trusting their difference."""
-    redone, doubts = [], []
-    for model in pair:
-        found = total[model].validation
-        if np.any(found.redone):
-            redone.append(
-                f"{found.redone.sum()} of {found.cycles} cycles of {model} "
-                f"(worst {found.psis_k.max():.2f})"
-            )
-        if np.any(found.bad):
-            doubts.append(f"k stays above {LARGEST_K:g} in {found.bad.sum()} cycles of {model}")
-        short = [name for name in tests if not _converged(runs[model], name)]
-        if short:
-            doubts.append(f"the sampling of {model} fell short in {', '.join(short)}")
+    redone = [_redone(model, total[model].validation) for model in pair]
+    doubts = [doubt for model in pair for doubt in _doubts(model, total[model])]
     text = ""
-    if redone:
+    if any(redone):
         text = (
-            f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(redone)}; these were "
-            "computed anew from the evidence with and without the cycle. "
+            f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(filter(None, redone))}; "
+            "these were computed anew from the evidence with and without the cycle. "
         )
     if not doubts:
         return text + "The diagnostics allow trusting it."
@@ -210,11 +201,27 @@ def _trust(
     return text + "."
 
 
-def _converged(run: Run, test: str) -> bool:
-    """Whether what was sampled of a test reached the targets of the run's effort."""
-    effort = run.manifest.effort
-    posterior, facts = run.tests[test].posterior, run.tests[test].stored.facts
-    for name in posterior.names:
+def _redone(model: str, found: CrossValidation) -> str:
+    """How many cycles had to be computed anew; "" where none had."""
+    if not np.any(found.redone):
+        return ""
+    share = f"{found.redone.sum()} of {found.cycles} cycles of {model}"
+    return f"{share} (worst {found.psis_k.max():.2f})"
+
+
+def _doubts(model: str, score: _Score) -> list[str]:
+    """Why the figures of a model should not be trusted."""
+    doubts, bad = [], score.validation.bad
+    if np.any(bad):
+        doubts.append(f"k stays above {LARGEST_K:g} in {bad.sum()} cycles of {model}")
+    if score.short:
+        doubts.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
+    return doubts
+
+
+def _converged(test: TestResult, facts: Mapping[str, Any], effort: Effort) -> bool:
+    """Whether the sampling of a test reached the targets of an effort."""
+    for name in test.posterior.names:
         r_hat, bulk, tail = facts["convergence"].get(name) or (None, None, None)
         if r_hat is None or r_hat > effort.r_hat or min(bulk or 0, tail or 0) < effort.ess:
             return False

@@ -17,5 +17,5 @@ def enough_samples(found):
 def test_a_check_that_is_registered_is_in_the_table(monkeypatch):
     monkeypatch.setattr(checks, "OF_TEST", (enough_samples,))
     test = SimpleNamespace(id="a", trace=SimpleNamespace(samples=99))
-    (check,) = checks_of_test(CheckedTest(test, (), None, None, {}))
+    (check,) = checks_of_test(CheckedTest(test, None, (), None, None, {}))
     assert (check.subject, check.name, check.verdict) == ("a", "samples", Verdict.FAIL)
