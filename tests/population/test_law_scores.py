@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from mfd_bayes.population.law_samples import samples_of
 from mfd_bayes.population.law_scores import (
-    _samples,
     compare_dependence,
     compare_laws,
     free_exponents,
@@ -125,7 +125,7 @@ def test_what_other_groups_have_in_common_plays_no_part(priors):
     test = SimpleNamespace(mean=np.zeros(3), covariance=np.eye(3))
     layout = lay_out(priors, ("Fc_fwd", "k3", "offset"), settings)
     assert {e.group for e in layout.effects if e.name == "session"} == {0, 1, 2}
-    sample = next(_samples(layout, [test] * 4, 0, "proportional"))
+    sample = next(samples_of(layout, [test] * 4, 0, "proportional"))
     assert sample.rows.shape == (4, 1 + 2)  # the level, and its own effect of two sessions
 
 
