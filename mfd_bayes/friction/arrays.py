@@ -1,4 +1,4 @@
-"""What the kernel does with its arrays, (rows, n) each, faster than the obvious expressions."""
+"""Array operations of the force kernels, (rows, n), faster than plain numpy expressions."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _memory = _Memory()
 
 
 def scratch(count: int, rows: int, n: int) -> list[Array]:
-    """Arrays with anything in them, valid until this thread's next call of `scratch`.
+    """Uninitialised arrays (rows, n), valid until this thread's next call of `scratch`.
 
-    They are the same memory in every call: fresh memory costs more than the work in it.
+    Every call returns the same memory: allocating it would cost more than the computation.
     """
     size = count * rows * n
     if _memory.room.size < size:
@@ -48,5 +48,5 @@ def add_outer(column: Array, row: Array, out: Array) -> Array:
 
 
 def rows_of(table: Array, index: NDArray[np.intp], out: Array) -> Array:
-    """Row of a table (k, n) for each of the output's."""
+    """Rows of a table (k, n) by index, (rows, n), written to `out`."""
     return np.take(table, index, axis=0, out=out, mode="clip")

@@ -1,4 +1,4 @@
-"""Bouc-Wen hysteresis with friction of its own in each direction, a rival of the field.
+"""Bouc-Wen hysteresis with a yield force for each direction, a competing model.
 
 Bouc (1967), Wen (1976); the admissible range of β is that of Erlicher and Point (2004).
 """
@@ -53,27 +53,28 @@ FLOOR = 1e-6
 """Least share of F_y that is left at zero actuation, so that nothing divides by zero."""
 
 PIECE = 1 << 15
-"""Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
+"""Size of a piece's arrays, in numbers: small enough for the cache."""
 
 _POSITIVE = frozenset({"k", "Fy_fwd", "Fy_bwd"})
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where n dampers that are stepped in time stand; `BoucWen.step` returns a new one.
+    """State of n dampers that are stepped in time; `BoucWen.step` returns a new one.
 
     Attributes
     ----------
     columns : dict of (n,)
-    curve : Curve
+        Parameters by name.
     reference : float, ksi or kip, or None
         Actuation that theta belongs to.
     z : (n,), kip
     origin : float, in, or None
         Displacement of the first sample; None before it.
     displacement, velocity : float, in, in/s
+        At the last sample.
     shares : dict of (n,) or (1,)
-        Factors of F_y. These three are those of the last sample.
+        Factors of F_y at the last sample.
     """
 
     columns: dict[str, Array]
@@ -94,12 +95,13 @@ class BoucWen(Model):
         dz/dx = k [1 − |z/F_y|^n (γ + β sgn(z dx))],   γ = 1 − β,   z(0) = 0
 
     x_0 is the trace's first displacement. F_y is Fy_fwd in forward and Fy_bwd in backward
-    motion; under a varying actuation it is the mean of each step's ends. z is a force: while
-    nothing moves it stays as it is, also when the actuation falls, as LuGre's bristles do.
+    motion; under a varying actuation it is the mean of its values at both ends of a step. z
+    is a force: like LuGre's bristles it stays unchanged while nothing moves, even when the
+    actuation falls.
 
-    Every change of the direction is a turn, and every turn between samples has its vertex
-    as in `Trace.path`, so that the force does not depend on the trace's hysteresis. Between
-    turns dz/dx is autonomous in k |x − x_turn| / F_y and taken from a `Curve`.
+    Every change of direction is a turn. A turn between samples has its vertex as in
+    `Trace.path`, so that the force does not depend on the trace's hysteresis. Between turns
+    z/F_y depends on k |x − x_turn|/F_y alone and is taken from a `Curve`.
     """
 
     name: ClassVar[str] = "bouc_wen"
@@ -157,7 +159,7 @@ class BoucWen(Model):
         direction : ignored
             There is no gap.
         reference_actuation : float, ksi or kip, optional
-            Actuation that theta belongs to; that of the first sample with one when left out.
+            Actuation that theta belongs to; when left out, that of the first sample with one.
 
         Raises
         ------
@@ -185,14 +187,14 @@ class BoucWen(Model):
         Parameters
         ----------
         state : State
-            It is not changed, so that a step may be tried and taken again.
+            It is not changed and may be used again.
         displacement, velocity : float, in, in/s
         dt : float, s
-            Time since the sample before; ignored at the first.
+            Time since the previous sample; ignored at the first.
         actuation : float, ksi or kip, optional
-            F_y is in proportion to it; the reference when left out.
+            F_y is proportional to it; when left out, the reference actuation.
         scales : mapping of (n,), (1,) or a number, optional
-            Factors of Fy_fwd and Fy_bwd instead.
+            Factors of Fy_fwd and Fy_bwd, used instead of the actuation.
 
         Raises
         ------
@@ -224,7 +226,7 @@ class BoucWen(Model):
 
 
 def _moved(before: State, after: State, dt: float) -> Array:
-    """Force z at the end of a step, (n,), kip, by way of the vertex if the motion turns in it."""
+    """Force z at the end of a step, (n,), kip, through the vertex if the motion turns in it."""
     x = np.array([before.displacement, after.displacement])
     v = np.array([before.velocity, after.velocity])
     _, place, vertex = vertices(np.array([0.0, dt]), x, v)
@@ -239,7 +241,7 @@ def _moved(before: State, after: State, dt: float) -> Array:
 
 
 def _advance(curve: Curve, k: Array, strength: Array, z: Array, way: Array) -> Array:
-    """Force z after each way from one start, in the direction of F_y's sign, (n, m), kip."""
+    """Force z after each distance `way` in the direction of `strength`'s sign, (n, m), kip."""
     xi = curve.place(z / strength)
     w = curve.value(curve.move(xi[:, None], (k / np.abs(strength))[:, None] * way))
     w *= strength[:, None]
@@ -263,10 +265,10 @@ def _strength(columns: dict[str, Array], sign: float, before: Shares, after: Sha
 
 
 def _stretches(x: Array, most: int, *, each: bool) -> list[tuple[int, int, float]]:
-    """Rows of at most `most` steps in one direction: first, one behind the last, direction.
+    """Ranges of at most `most` steps in one direction: first row, row after the last, direction.
 
-    Steps of no length are with those before them, and left out at the start. With `each`
-    every step that moves is on its own.
+    Steps of zero length belong to the range before them; at the start they are left out.
+    With `each` every step that moves is a range of its own.
     """
     sign = np.sign(np.diff(x))
     moving = np.flatnonzero(sign)
@@ -337,7 +339,7 @@ def _trace_shares(trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None) 
 def _step_shares(
     state: State, actuation: float | None, scales: Mapping[str, ArrayLike] | None
 ) -> Shares:
-    """Factors of F_y at a sample, (n,), (1,) or (); empty when F_y is theta's."""
+    """Factors of F_y at a sample, (n,), (1,) or (); empty when F_y is constant."""
     if actuation is not None:
         _check_number("actuation", actuation, least=0.0)
     if scales is not None:

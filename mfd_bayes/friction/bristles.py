@@ -20,18 +20,18 @@ FLOOR = 1e-9
 """Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
 
 NO_STEP = 1e-30
-"""Length, in, that stands for none: it moves nothing, and nothing divides by zero."""
+"""Length, in, that replaces a step of zero: nothing moves, and nothing divides by zero."""
 
 PIECE = 1 << 17
-"""Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
+"""Size of a piece's arrays, in numbers: small enough for the cache."""
 
 
 @dataclass(frozen=True)
 class Friction:
-    """LuGre's parameters, time first.
+    """LuGre's parameters for n vectors.
 
-    `sigma0` and the four forces are (1, n) where the actuation is constant and
-    (P, n) where it varies; the others are (1, n).
+    `sigma0` and the four forces are (1, n) where the actuation is constant and (P, n), one
+    row for each sample of the path, where it varies; the others are (1, n).
     """
 
     sigma0: Array
@@ -50,13 +50,13 @@ class Friction:
 
     @property
     def varying(self) -> bool:
-        """Whether friction follows a history of actuation."""
+        """Whether friction varies from sample to sample with the actuation."""
         followers = (self.sigma0, self.Fs_fwd, self.Fc_fwd, self.Fs_bwd, self.Fc_bwd)
         return max(map(len, followers)) > 1
 
     @classmethod
     def of(cls, stations: list[Friction]) -> Friction:
-        """Friction that varies over some samples, each with (1, n) columns."""
+        """Friction at several samples, joined from that at each, (1, n) columns."""
         columns = {}
         for f in fields(cls):
             values = [getattr(station, f.name) for station in stations]
@@ -79,13 +79,13 @@ class Friction:
 
 
 def friction_of(columns: dict[str, Array]) -> Friction:
-    """Friction of a model's columns."""
+    """Friction from a model's columns by name."""
     return Friction(**{f.name: columns[f.name] for f in fields(Friction)})
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Some samples of a path, (rows,) each, and what every parameter vector needs of them.
+    """Some samples of a path, (rows,) each, and what is the same for all parameter vectors.
 
     Attributes
     ----------
@@ -94,9 +94,9 @@ class Motion:
     step : in
         Length of the step that ends at the sample; never 0, see `NO_STEP`.
     square : in²/s²
-        Of the step's mean velocity.
+        Square of the step's mean velocity.
     backward : int
-        1 where that is negative, else 0.
+        1 where the mean velocity is negative, else 0.
     velocity : in/s
         At the sample.
     share : 1/s
@@ -124,12 +124,10 @@ class Piece:
 
     Attributes
     ----------
-    motion : Motion
-    blocks : Blocks
     own, turns : slice
         The trace's samples and the turning points that are in the piece.
     own_place, turns_place : int
-        Their rows.
+        Rows of both in the piece's arrays.
     """
 
     motion: Motion
@@ -156,7 +154,7 @@ class Piece:
 
 @lru_cache(maxsize=8)
 def _pieces(path: MotionPath, length: int) -> list[Piece]:
-    """A path in pieces; a sampler asks for the same path again and again."""
+    """A path in pieces; cached, since a sampler evaluates the same path many times."""
     samples = path.time.size
     return [
         Piece.of(path, begin, min(begin + length, samples)) for begin in range(0, samples, length)
@@ -193,15 +191,12 @@ def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tup
 
     Parameters
     ----------
-    friction : Friction
-    motion : Motion
     z : (n,), in
         Deflection of the bristles before the first step.
-    blocks : Blocks
 
     Returns
     -------
-    (rows, n), kip, scratch, and the deflection after the last step, (n,), in
+    (rows, n), kip, in scratch memory, and the deflection after the last step, (n,), in
     """
     exponent, decay, state, work = scratch(4, blocks.rows, friction.vectors)
     varying = friction.varying
@@ -225,7 +220,7 @@ def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tup
 
 
 def _steady_deflection(friction: Friction, motion: Motion, out: Array, work: Array) -> Array:
-    """Deflection towards which steps drive the bristles, sgn(v) g(v)/σ0, (rows, n), in.
+    """Deflection that the bristles approach in each step, sgn(v) g(v)/σ0, (rows, n), in.
 
     g is the Stribeck curve F_c + (F_s − F_c) exp(−(v/v_s)²).
     """
@@ -245,16 +240,16 @@ def _steady_deflection(friction: Friction, motion: Motion, out: Array, work: Arr
 
 
 def _directed(sides: list[Array], backward: Rows, out: Array) -> Array:
-    """The value forward or backward, as each row moves, (rows, n)."""
+    """The forward or backward value, by each row's direction of motion, (rows, n)."""
     if max(map(len, sides)) > 1:
         return np.where(backward[:, None], sides[1], sides[0])
     return rows_of(np.concatenate(sides), backward, out=out)
 
 
 def _unrelaxed(friction: Friction, share: Array) -> Array:
-    """Factor that bounds σ0 |z|/g, which has no bound where actuation fell at rest, (rows, n).
+    """Factor that limits σ0 |z|/g, (rows, n), needed where the actuation fell while at rest.
 
-    Under constant actuation it is at most the largest static over the least kinetic friction.
+    Under constant actuation σ0 |z|/g is at most the largest static over the least kinetic friction.
     """
     static = np.maximum(friction.Fs_fwd, friction.Fs_bwd)
     kinetic = np.minimum(friction.Fc_fwd, friction.Fc_bwd)

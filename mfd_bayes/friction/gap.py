@@ -1,4 +1,4 @@
-"""Stages 2 and 3: the gap, a play operator with memory of the side on which it last slipped."""
+"""Stages 2 and 3: the gap, a play operator that remembers on which side it last slipped."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 SATURATED = 26.0
-"""Transition lengths after which a transition is complete: exp(−26) of a force is 5e-12 of it."""
+"""Transition lengths after which a transition is taken as complete: exp(−26) is 5e-12."""
 
 SHARP = 300.0
-"""Width of the gap in transition lengths from which its ends no longer share an exponential."""
+"""Gap width, in transition lengths, above which exponents are limited (to this) before exp."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Gap:
 
     @property
     def sharp(self) -> bool:
-        """Whether a transition of any vector is very short beside its gap."""
+        """Whether any vector's transition is very short compared with its gap."""
         return bool(np.any(self.width > SHARP * self.transition))
 
 
@@ -52,8 +52,8 @@ class Crossing:
 
     The gap lies between the displacements `edge` and `edge` + D. It is crossed in the
     direction `side` = ±1, so that the travel since the last slip is u = x − edge forward and
-    edge + D − x backward. `carry` is the force, kip, that the last turning point left over
-    and that fades as the gap is crossed.
+    edge + D − x backward. `carry` is the jump of the force, kip, at the last turning point,
+    which fades as the gap is crossed.
     """
 
     side: Array
@@ -65,13 +65,12 @@ class Crossing:
         return np.where(self.side > 0, self.edge, self.edge + gap.width)
 
     def near(self, gap: Gap, displacement: Array, stretch: Rows) -> Rows:
-        """Samples at which a transition of any vector is neither 0 nor 1, (N,).
+        """Samples at which some vector is inside a transition or the gap, (N,), int.
 
         Elsewhere the force is F1: the carried force has faded, and the gap is crossed.
 
         Parameters
         ----------
-        gap : Gap
         displacement : (T,), in
         stretch : (T,), int
             Stretch to which each sample belongs.
@@ -85,14 +84,12 @@ class Crossing:
 def follow(gap: Gap, path: MotionPath, start: Array, slip: Array) -> Crossing:
     """State of the gap in every stretch between turning points.
 
-    At a turning point after slip (u ≥ D or u ≤ 0) the travel starts again at 0 in the new
-    direction, and the force just before it less that just after it is carried on; inside the
-    gap nothing is reset, so that the force retraces the path on which it came.
+    At a turning point after slip (u ≥ D or u ≤ 0) the travel restarts at 0 in the new
+    direction, and the force before minus the force after that restart is kept as `carry`.
+    Inside the gap nothing is reset, so that the force retraces its path.
 
     Parameters
     ----------
-    gap : Gap
-    path : MotionPath
     start : (n,), 1
         u/D at the first sample.
     slip : (K, n), kip
@@ -105,7 +102,7 @@ def follow(gap: Gap, path: MotionPath, start: Array, slip: Array) -> Crossing:
 def travel(gap: Gap, path: MotionPath, start: Array) -> Array:
     """Travel u since the last slip at every sample, (T, n), in; see `follow`.
 
-    From 0 to D the gap is crossed; beyond, the device slips.
+    Between 0 and D the gap is crossed; beyond D the device slips.
     """
     first = begin(gap, float(path.displacement[0]), path.direction, start)
     x = path.displacement[path.turning_points][:, None]
@@ -131,7 +128,7 @@ def _side(
 
 
 def begin(gap: Gap, displacement: float, direction: int, start: Array) -> Crossing:
-    """State before the first turning point, of one stretch; see `follow`."""
+    """State in the one stretch before the first turning point; see `follow`."""
     behind = start if direction > 0 else 1.0 - start
     shape = (1, start.size)
     return Crossing(
@@ -142,19 +139,18 @@ def begin(gap: Gap, displacement: float, direction: int, start: Array) -> Crossi
 
 
 def turn(gap: Gap, before: Crossing, at: Array, direction: int, slip: Array) -> Crossing:
-    """State of a stretch and of those that follow it, each after a turning point.
+    """State of a stretch and of the K stretches that follow it, each after a turning point.
 
     Parameters
     ----------
-    gap : Gap
     before : Crossing
         State of one stretch.
     at : (K,), in
         Turning points.
     direction : int
-        +1 or -1, that of the motion before the first of them.
+        +1 or -1, direction of motion before the first of them.
     slip : (K, n), kip
-        F1 there.
+        F1 at the turning points.
     """
     x = at[:, None]
     directions = np.where(np.arange(len(x) + 1) % 2, -1.0, 1.0) * direction
@@ -174,11 +170,11 @@ def turn(gap: Gap, before: Crossing, at: Array, direction: int, slip: Array) -> 
 def _dragged(
     gap: Gap, first: Array, x: Array, directions: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Edge of the gap before and after each turning point, (K + 1, n), and whether it slipped.
+    """Edge of the gap in each stretch, (K + 1, n), and whether each turning point ends a slip.
 
-    A motion past either end of the gap takes it along.
+    Motion beyond either end of the gap drags the gap along.
     """
-    # as if every stretch crossed the whole gap
+    # first as if every stretch crossed the whole gap; short stretches are corrected below
     beyond = x - gap.width
     edge = np.concatenate([first, np.where(directions[:-1, None] > 0, beyond, x)])
     slipped = np.ones(x.shape[:1] + first.shape[1:], dtype=bool)
@@ -193,9 +189,9 @@ def _dragged(
 def _left_over(
     gap: Gap, crossing: Crossing, x: Array, slipped: NDArray[np.bool_], slip: Array
 ) -> tuple[Array, Array | None]:
-    """Blended force before each turning point after slip less that after it, (K, n), kip.
+    """Blended force before minus after each turning point that follows slip, (K, n), kip.
 
-    And the share of the force carried before that has not faded, (K, n), if any has.
+    Also the share of the previous `carry` that is left there, (K, n), or None if none is.
     """
     # after the turn, at u = 0
     build_up = expit(gap.width / gap.transition) * expit(-gap.d2 / gap.transition)
@@ -214,7 +210,7 @@ def _left_over(
 def blend(gap: Gap, crossing: Crossing, stretch: Rows, displacement: Array, force: Array) -> None:
     """Turn F1 into the force of the three stages (paper Eqs. 1 and 2; model.md section 4).
 
-    With E = exp(−u/ℓ) the weights are quotients of it: m12 = (1 − E)/(1 + E) for u ≥ 0,
+    With E = exp(−u/ℓ) the weights are m12 = (1 − E)/(1 + E) for u ≥ 0,
     m23 = 1/(1 + A) with A = E exp(d2/ℓ) and m31 = 1/(1 + B) with B = E exp(D/ℓ), so that
 
         F − F1 = {[A (1 − E) (F2 − F1) + (1 + E) (F3 − F1)] B / ((1 + A)(1 + B)) + 2 E ΔF} / (1 + E)
@@ -223,8 +219,6 @@ def blend(gap: Gap, crossing: Crossing, stretch: Rows, displacement: Array, forc
 
     Parameters
     ----------
-    gap : Gap
-    crossing : Crossing
     stretch : (N,), int
         Stretch to which each sample belongs.
     displacement : (N,), in
@@ -281,5 +275,5 @@ def blend(gap: Gap, crossing: Crossing, stretch: Rows, displacement: Array, forc
 
 
 def _along(table: Array, stretch: Rows, displacement: Array, slope: Array, out: Array) -> Array:
-    """Straight lines in the displacement, (N, n): a table's row of each stretch + slope x."""
+    """Straight lines, (N, n): the table's row of each sample's stretch + slope × displacement."""
     return add_outer(displacement, slope, rows_of(table, stretch, out=out))

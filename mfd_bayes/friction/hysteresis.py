@@ -14,16 +14,16 @@ NEAR = 2e-9
 """Distance from w = 1 at which z has reached F_y."""
 
 REACH = 4.0
-"""Least value of w that is resolved, over the ratio of the two F_y."""
+"""The curve is resolved down to w = −`REACH` times the ratio of the two F_y."""
 
 FAR = 1e7
-"""How much further w may be after friction fell."""
+"""Factor by which w may go below that range after friction has fallen."""
 
 CELLS = 96
-"""Cells of a part of the curve, on which it is evaluated."""
+"""Cells of each part of the curve, where it is evaluated."""
 
 QUADRATURE = 128
-"""Cells of a part of the curve, on which it is integrated."""
+"""Cells of each part of the curve, where it is integrated."""
 
 _NODES = np.array([-(0.6**0.5), 0.0, 0.6**0.5])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 9.0  # Gauss-Legendre on [-1, 1]
@@ -31,29 +31,29 @@ _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 9.0  # Gauss-Legendre on [-1, 1]
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """What z follows in one direction, for n vectors: w = sz/F_y over ξ = k |x| / F_y.
+    """Curve of z in one direction s = ±1, for n vectors: w = s z/F_y against ξ = k |x|/F_y.
 
         dw/dξ = 1 + (2β − 1) |w|^n for w < 0,   1 − |w|^n for w ≥ 0;   w(0) = 0
 
-    Tabulated by Gauss-Legendre quadrature of dξ/dw and resampled so that the cell of any ξ
-    is a closed expression. Between knots it is the monotone rational quadratic spline of
-    Gregory and Delbourgo (1982), whose inverse is a closed expression as well. Cells are
-    graded as t² from the steep, lower end of each part.
+    Tabulated by Gauss-Legendre quadrature of dξ/dw and resampled so that a formula
+    gives the cell of any ξ. Between knots it is the monotone rational quadratic spline of
+    Gregory and Delbourgo (1982), which a formula inverts too. Cell sizes are graded as t²
+    from the steep, lower end of each part.
 
-    A wide curve has more parts, which only falling friction needs: w far below, one cell,
-    and, behind a gap of length 1 in ξ, w above 1, where ξ is the way that is still to go.
+    A wide curve has three more parts, needed only where friction falls: one cell for w far
+    below 0; a gap of length 1 in ξ; and w above 1, where ξ measures the distance to the end.
 
     Attributes
     ----------
     parts : list of (n, 1)
         Lengths in ξ: below and above w = 0; when wide, far below, below, above, gap, beyond 1.
     cells : int
-        Of every vector.
+        Number of cells of each vector.
     low, rise, entry, bend : (n cells,)
-        w at the start of each cell, its rise, its slope there over that rise, and the sum
-        of both slopes over the rise, less 2.
+        Of each cell: w at its start, rise of w, slope at the start divided by the rise, and
+        sum of the slopes at both ends divided by the rise, minus 2.
     keys : (n (cells + 1),)
-        Increasing function of w and vector at the knots.
+        Search keys of the knots: they increase with the vector and with w.
     """
 
     parts: list[Array]
@@ -66,7 +66,7 @@ class Curve:
 
     @classmethod
     def of(cls, exponent: Array, beta: Array, ratio: Array, *, wide: bool) -> Curve:
-        """Curves for w from −`REACH` × `ratio`, the ratio of the F_y; all arguments (n,)."""
+        """Curves for w ≥ −`REACH` × `ratio`, larger over smaller F_y; all arguments are (n,)."""
         power, soft = exponent[:, None, None], 2.0 * beta[:, None, None] - 1.0
 
         def slope(w: Array) -> Array:
@@ -105,7 +105,7 @@ class Curve:
         return len(self.parts) > 2
 
     def move(self, xi: Array, way: Array) -> Array:
-        """ξ after a way, (n, m), from ξ, (n, 1); it ends where w is 1 to 1e-9."""
+        """ξ after a distance `way`, (n, m), from `xi`, (n, 1); it stops where w has reached 1."""
         end = self.parts[2 if self.wide else 1]
         after = np.minimum(xi + way, end)
         if self.wide and np.any(over := xi > end + 0.5):
@@ -155,7 +155,7 @@ def _part(
 ) -> tuple[Array, Array, Array]:
     """Length in ξ, (n, 1), and w and its slope at the knots, (n, cells + 1), of a part of a curve.
 
-    It lies between increasing values w, (n, M). `flip` grades the cells from the upper end.
+    Its `w`, (n, M), increases. With `flip` the cells are graded from the upper end.
     """
     half = 0.5 * np.diff(w)
     inside = (w[:, :-1] + half)[..., None] + half[..., None] * _NODES
@@ -180,7 +180,7 @@ def _part(
 
 
 def _spline(at: Array, low: Array, rise: Array, entry: Array, bend: Array) -> Array:
-    """Rational quadratic between knots, at a share of the way; `entry` is overwritten."""
+    """Rational quadratic spline at a share `at` of each cell; `entry` is overwritten."""
     rest = 1.0 - at
     entry *= rest
     entry += at
@@ -195,7 +195,7 @@ def _spline(at: Array, low: Array, rise: Array, entry: Array, bend: Array) -> Ar
 
 
 def _inverse(share: Array, entry: Array, bend: Array) -> Array:
-    """Share of the way at which `_spline` has risen by a share of its rise."""
+    """Share of the cell at which `_spline` has made a given share of its rise."""
     b = entry - share * bend
     root = np.sqrt(np.maximum(b * b + 4.0 * (1.0 - b) * share, 0.0))
     stable = 2.0 * share / np.maximum(b + root, 1e-300)
@@ -203,5 +203,5 @@ def _inverse(share: Array, entry: Array, bend: Array) -> Array:
 
 
 def _keys(w: Array) -> Array:
-    """Increasing function of the vector and its values w, (n, m)."""
+    """Search keys, (n, m), which increase with the vector and with its values w."""
     return w / (1.0 + np.abs(w)) + 4.0 * np.arange(len(w))[:, None]

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SHORT = 24
-"""Steps that are taken one after the other rather than in blocks."""
+"""Up to this many steps are taken one after the other, without blocks."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """N steps in blocks of consecutive ones, laid out with the j-th step of every block together.
+    """N steps in blocks of consecutive steps, stored with the j-th steps of all blocks together.
 
-    In this order one numpy call takes a step in all blocks at once, on neighbouring numbers.
+    In this order one numpy call takes a step in all blocks at once, on contiguous memory.
 
     Attributes
     ----------
     length, count : int
         Steps of a block, and number of blocks.
     order : (rows,), int
-        Step in each row. The rows that fill up the last block hold the last step again.
+        Step in each row. Rows that fill up the last block repeat the last step.
     place : (N,), int
         Row of each step.
     """
@@ -48,7 +48,7 @@ class Blocks:
 
     @property
     def rows(self) -> int:
-        """Rows of the arrays that `solve` takes, at least N."""
+        """Number of rows of the arrays given to `relax` and `solve`, at least N."""
         return self.order.size
 
     def relax(self, decay: Array, state: Array, first: Array) -> None:
@@ -71,7 +71,7 @@ class Blocks:
         self._join(a, z, first, work)
 
     def solve(self, decay: Array, state: Array, first: Array) -> None:
-        """Overwrite the drive in `state` with z_k = decay_k z_{k−1} + drive_k; as `relax`."""
+        """Overwrite the drive in `state` with z_k = decay_k z_{k−1} + drive_k; see `relax`."""
         a, z, work = self._views(decay, state)
         for j in range(1, self.length):
             z[j] += np.multiply(a[j], z[j - 1], out=work)
@@ -83,7 +83,7 @@ class Blocks:
         return decay.reshape(shape), state.reshape(shape), np.empty(shape[1:])
 
     def _join(self, decay: Array, state: Array, first: Array, work: Array) -> None:
-        """Add to blocks that started from 0 what the state before each leaves of itself."""
+        """Add to each block, solved from 0, the decayed state from the end of the block before."""
         work[0] = first
         work[1:] = solve(decay[-1, :-1], state[-1, :-1], first)
         decay *= work

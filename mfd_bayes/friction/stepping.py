@@ -1,4 +1,4 @@
-"""Models stepped in time, for hybrid simulation and for structures that a damper is part of."""
+"""Friction models stepped in time, for hybrid simulation and structural analysis."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Damper:
-    """What stays the same from step to step.
+    """What does not change from step to step.
 
     Attributes
     ----------
     friction : Friction
         At the reference actuation, (1, n) each.
-    gap : Gap, optional
     start : (n,), optional
         u/D at the first sample.
     direction : int, optional
-        +1 or -1, that of the first motion.
+        +1 or -1, direction of the first motion.
     reference : float, optional
         Actuation to which the parameters belong; that of the first step when left out.
     """
@@ -55,7 +54,6 @@ class State:
 
     Attributes
     ----------
-    damper : Damper
     friction : Friction
         At the actuation of the last sample, (1, n) each.
     displacement, velocity : float, in, in/s
@@ -63,13 +61,13 @@ class State:
     direction : int
         +1 or -1; 0 before the first sample.
     moved : bool
-        Whether the direction is known rather than supposed.
+        Whether the damper has moved, or its direction was given; else it is assumed.
     bristles : (n,), in
-        Their deflection z.
+        Deflection z.
     slip : (1, n), kip
         F1.
     crossing : Crossing, optional
-        Of the stretch of motion that the sample is in.
+        State of the gap in the current stretch of motion.
     """
 
     damper: Damper
@@ -115,7 +113,7 @@ class State:
         if np.isnan(self.displacement):
             return state._first(friction, displacement, velocity)
         _check("dt", dt, isfinite(dt) and dt > 0, "finite and positive, in seconds")
-        # the path to the sample, by way of the vertex if the motion turns on it
+        # the path to the sample, through the vertex if the motion turns before it
         t = np.array([0.0, dt])
         x = np.array([self.displacement, displacement])
         v = np.array([self.velocity, velocity])
@@ -133,7 +131,7 @@ class State:
         return replace(state, friction=friction, velocity=velocity, bristles=bristles)
 
     def _referred(self, actuation: float | None) -> State:
-        """With the first step's actuation as the reference when none was given."""
+        """The state with this actuation as the reference, if none is known yet."""
         if actuation is None or self.damper.reference is not None or not actuation > 0:
             return self
         return replace(self, damper=replace(self.damper, reference=actuation))
@@ -157,7 +155,7 @@ class State:
         return replace(self, direction=direction, crossing=crossing)
 
     def _moved(self, displacement: float, slip: Array) -> State:
-        """State at the next point of the path, turned first if the motion turns."""
+        """State at the next point of the path; a reversal of the motion is handled first."""
         state = self
         way = displacement - self.displacement
         if way * self.direction < 0:
@@ -175,7 +173,7 @@ class State:
 
 
 class Stepped(PaperModel):
-    """What the models whose states are these have in common."""
+    """Base of the models that are stepped with `State`."""
 
     def step(
         self,
@@ -190,21 +188,21 @@ class Stepped(PaperModel):
         """Force of every parameter vector at the next sample of a motion, and the state there.
 
         It equals `force` on the same samples, velocities and actuation if the trace has no
-        reversal smaller than its hysteresis (`hysteresis=0` makes it so): that a reversal
-        will come to nothing is not known while it happens.
+        reversal smaller than its hysteresis (`hysteresis=0` makes it so): while a reversal
+        happens, it is not known whether it will stay that small.
 
         Parameters
         ----------
         state : State
-            Of `start`, or of the step before; it stays as it is and may be used again.
+            From `start` or the previous step; it is not changed and may be used again.
         displacement, velocity : in, in/s
         dt : s
-            Time since the sample before; of no account at the first.
+            Time since the previous sample; ignored at the first.
         actuation : ksi or kip, optional
-            Friction is in proportion to it; when left out, theta holds as it is. A record's
-            `force` refers to its `reference_actuation`: give that to `start` for the same.
+            Friction is proportional to it; when left out, theta is used unchanged. To get
+            a record's `force`, give the record's `reference_actuation` to `start`.
         scales : mapping of scalars or (n,), optional
-            Factors of the parameters that follow the actuation, instead of the proportion.
+            Factors of the parameters that follow the actuation, used instead of it.
 
         Returns
         -------
@@ -222,7 +220,7 @@ class Stepped(PaperModel):
 def _actuated(
     damper: Damper, actuation: float | None, scales: Mapping[str, ArrayLike] | None
 ) -> Friction:
-    """Friction at a sample: in proportion to its actuation, or by the given factors."""
+    """Friction at a sample: proportional to its actuation, or by the given factors."""
     if scales is None:
         if actuation is None:
             return damper.friction

@@ -1,4 +1,4 @@
-"""A campaign into a run folder: every test's posterior, then the population of tests."""
+"""Calibration of a campaign into a run folder: every test's posterior, then the population."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mfd_bayes.runs.folder import (
     pooled_of,
     posterior_of,
     record_of,
-    sweep,
+    remove_partial_files,
 )
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Manifest, Status
@@ -36,7 +36,7 @@ from mfd_bayes.store.netcdf import save_trace
 Observe = Callable[[Step], None]
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
-"""Keys of the manifest that say what was found of the population."""
+"""Keys of the manifest that hold results of the population."""
 
 
 def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
@@ -44,16 +44,15 @@ def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
 
     Parameters
     ----------
-    plan : Plan
     out : Path
         Run folder; must not exist unless the plan's options say `resume` or `force`.
     observe : callable
-        Told of every step of every test.
+        Called with every step of every test.
 
     Raises
     ------
     MfdError
-        When something cannot be used; nothing is written then.
+        When an input cannot be used; nothing is written then.
     """
     options = plan.options
     if options.resume and options.force:
@@ -72,15 +71,15 @@ def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
                 manifest = _infer_population(plan, manifest, results, out, observe)
             manifest = _finish(manifest, out)
         finally:
-            sweep(out)
+            remove_partial_files(out)
     return Run(out, manifest, plan.priors, results, plan.held_out)
 
 
 def _calibrate_tests(
     plan: Plan, manifest: Manifest, out: Path, observe: Observe
 ) -> tuple[Manifest, bool]:
-    """Store the posterior of every test that has none yet; whether there was one to sample."""
-    manifest.write(out)  # before all else: it makes the folder a run's
+    """Store the posterior of every test that has none; also whether any had to be sampled."""
+    manifest.write(out)  # first of all: a folder with a manifest is a run folder
     write_bytes(out / CAMPAIGN, plan.campaign.path.read_bytes())
     write_bytes(out / PRIORS, plan.priors.path.read_bytes())
     for name, trace in plan.held_out.items():
@@ -115,7 +114,7 @@ def _results(plan: Plan, manifest: Manifest, out: Path) -> dict[str, TestResult]
 
 
 def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
-    """The manifest with what was found of the population, where an earlier session finished."""
+    """The manifest with the population's results, if an earlier session finished."""
     if before.status != Status.FINISHED or not (out / POPULATION).is_file():
         return manifest
     keys = [key for key in (*_POPULATION, "crossvalidation") if key in before.model_fields_set]
@@ -155,7 +154,7 @@ def _save(inference: Inference, results: Mapping[str, TestResult], out: Path) ->
 
 
 def _finish(manifest: Manifest, out: Path) -> Manifest:
-    """The manifest of a finished run, written, with the hashes of all that is stored."""
+    """The manifest of the finished run with the hashes of all stored files; it is written."""
     names = [file(test) for test in manifest.tests for file in (posterior_of, pooled_of, record_of)]
     manifest = manifest.changed(
         files=hash_stored(out, [PRIORS, POPULATION, *names]),

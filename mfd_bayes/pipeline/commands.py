@@ -58,7 +58,7 @@ def calibrate_campaign(
     Raises
     ------
     MfdError
-        When something cannot be used; nothing is written then.
+        When an input cannot be used; nothing is written then.
     """
     run = calibrate(plan_campaign(campaign, options), out, observe)
     return write_report(run, observe, jobs=options.jobs)
@@ -87,14 +87,12 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
 
 
 def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:
-    """Effort that is asked for, or else that of the run which is resumed, or "standard".
+    """The given effort, else that of the run which is resumed, else "standard".
 
     Parameters
     ----------
     out : Path
         A run folder, or one that holds a run folder for each model.
-    asked : str or None
-    resume : bool
     """
     if asked is not None:
         return asked

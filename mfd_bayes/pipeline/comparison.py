@@ -38,15 +38,13 @@ def compare(
 
     Parameters
     ----------
-    campaign : Path
     out : Path
         OUT/comparison.csv is written last.
     models : sequence of str
         Two or more of "three_stage", "lugre" and "bouc_wen".
     options : Options
-        `model` does not count; `by` says what is left out of each run too, as by
+        `model` is ignored; with `by`, each run is also cross-validated, as by
         `crossvalidate`.
-    observe : callable
 
     Returns
     -------
@@ -57,7 +55,7 @@ def compare(
     Raises
     ------
     MfdError
-        When something cannot be used under one of the models; nothing is written then.
+        When an input cannot be used under one of the models; nothing is written then.
     """
     plans = _plan_models(campaign, out, check_models(models), options)
     for model, plan in plans.items():

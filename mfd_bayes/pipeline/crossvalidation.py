@@ -1,4 +1,4 @@
-"""A campaign whose parts are predicted, each from all the others."""
+"""Cross-validation of a campaign: each part is predicted from all others."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.setting import setting_of
-from mfd_bayes.runs.folder import sweep
+from mfd_bayes.runs.folder import remove_partial_files
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.results import CampaignCrossValidation
 from mfd_bayes.runs.run import Run
@@ -28,15 +28,14 @@ def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe)
     Parameters
     ----------
     campaign, out : Path
-        As of `calibrate_campaign`; OUT/crossvalidation.csv is written besides.
+        As in `calibrate_campaign`; OUT/crossvalidation.csv is written too.
     options : Options
         `by` says what is left out at a time.
-    observe : callable
 
     Raises
     ------
     MfdError
-        When something cannot be used, or there are too few parts; nothing is written then.
+        When an input cannot be used, or there are too few parts; nothing is written then.
     """
     plan = plan_campaign(campaign, options)
     parts = check_parts(plan)
@@ -56,11 +55,11 @@ def check_parts(plan: Plan) -> Collection[str]:
 
 
 def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
-    """Predict every part of a run from the others; the run with these predictions."""
+    """The run with predictions of every part from all others in its manifest."""
     kind = part_kind(options.by)
     with alone_in(run.folder):
         try:
             found = run_folds(run, folds_of(run, kind, options.effort), options, observe)
             return run.rewrite(crossvalidation=CampaignCrossValidation(kind, found))
         finally:
-            sweep(run.folder)
+            remove_partial_files(run.folder)

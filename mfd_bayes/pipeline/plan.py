@@ -40,11 +40,10 @@ class Options(Workplace):
     Attributes
     ----------
     effort : {"quick", "standard", "thorough"}
-    seed : int
     resume, force : bool
-        What to do with a folder that exists: finish it, or replace it.
+        Whether to finish or replace a run folder that exists.
     command : str
-        Kept for the record.
+        The command line, stored in the manifest.
     model : {"three_stage", "lugre", "bouc_wen"}, optional
         Instead of the campaign's own.
     by : {"", "test", "level", "session"}
@@ -66,9 +65,6 @@ class Plan:
 
     Attributes
     ----------
-    campaign : Campaign
-    options : Options
-    priors : PriorFile
     tasks : tuple of Task
         One for each test to calibrate.
     held_out : mapping of str to Trace
@@ -76,7 +72,7 @@ class Plan:
     manifest : Manifest
         What is known before the first draw.
     records : mapping of str to Record
-        Every test's record, where they were asked for.
+        Every test's record, if they are to be kept.
     """
 
     campaign: Campaign
@@ -89,15 +85,14 @@ class Plan:
 
 
 def plan_campaign(path: Path, options: Options, *, keep_records: bool = False) -> Plan:
-    """Everything that can be wrong with a campaign, checked; nothing is written.
+    """Plan of a campaign, after all checks; nothing is written.
 
     Parameters
     ----------
     path : Path
         Campaign file.
-    options : Options
     keep_records : bool
-        Whether the plan holds the records as they were read, besides the traces to fit.
+        Whether the plan also holds the records as they were read.
 
     Raises
     ------
@@ -137,7 +132,7 @@ def plan_campaign(path: Path, options: Options, *, keep_records: bool = False) -
 
 
 def _session(options: Options) -> dict[str, Any]:
-    """What the manifest says of this session of the program, and of files it has yet to store."""
+    """Keys of the manifest about this session of the program."""
     return {
         "status": Status.RUNNING,
         "format": FORMAT,
@@ -176,12 +171,12 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
 
 
 def _inside(campaign: Campaign, test: Test) -> str:
-    """Path of a test's file in the folder of its campaign, with slashes."""
+    """Path of a test's file relative to its campaign's folder, with slashes."""
     return test.path.relative_to(campaign.folder).as_posix()
 
 
 def _check_population(tasks: Sequence[Task], settings: Settings) -> None:
-    """Refuse laws and priors that make no population of the tests."""
+    """Refuse laws and priors from which no population of the tests can be set up."""
     some = tasks[0]
     names = some.posterior().names
     under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]

@@ -26,7 +26,7 @@ from mfd_bayes.units import parse_actuation
 
 @dataclass(frozen=True)
 class Question:
-    """A prediction that is asked for.
+    """A requested prediction.
 
     Attributes
     ----------
@@ -35,11 +35,10 @@ class Question:
     actuation : str
         Such as "1000 psi".
     kind : {"device", "new_test", "observation"}
-    probability : float
     bands : Path
-        CSV to write; a PNG and the derived quantities go beside it.
+        CSV to write; a PNG and the derived quantities are written beside it.
     compare : bool
-        Whether the force that the motion's file holds is shown beside the prediction.
+        Whether the force in the motion's file is shown with the prediction.
     """
 
     motion: Path
@@ -56,7 +55,7 @@ class Question:
 
 
 def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]]:
-    """Force band for a motion and an actuation, and what derives from it, written as files.
+    """Force band for a motion and an actuation, and derived quantities; both are written.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What comes before a calibration: a first campaign file, the records and the priors looked at."""
+"""Preparation of a calibration: a first campaign file, and checks of records and priors."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from mfd_bayes.store.files import write_bytes, write_text
 
 
 def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
-    """Write a first campaign.toml of the test files in a folder: its path, and what it says.
+    """Path and content of a first campaign.toml, written for the test files in a folder.
 
     Raises
     ------
     MfdError
-        When the folder holds no test, or a campaign.toml that is not to be replaced; nothing is
+        When the folder holds no test, or a campaign.toml and `force` is not given; nothing is
         written then.
     """
     path = folder / "campaign.toml"
@@ -35,7 +35,7 @@ def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
 
 
 def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
-    """What a test file, or every test of a campaign, holds; with a PNG each in `folder`.
+    """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
 
 
 def find_warnings(plan: Plan) -> list[tuple[str, str]]:
-    """What would spoil a fit of each test of a campaign: test's id and sentence.
+    """Faults that would spoil the fit of a test, for all tests of a campaign: test id and sentence.
 
     The plan must hold the records.
     """
@@ -81,7 +81,7 @@ def find_warnings(plan: Plan) -> list[tuple[str, str]]:
 
 
 def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:
-    """Prior predictive loops beside the data of every test, with a PNG each in `folder`.
+    """Prior predictive loops compared with the data of every test, with a PNG each in `folder`.
 
     Returns
     -------

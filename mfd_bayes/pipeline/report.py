@@ -25,18 +25,18 @@ Observe = Callable[[Step], None]
 def report(
     out: Path, observe: Observe = lambda _: None, *, jobs: int = 0, pdf: bool = False
 ) -> CampaignView:
-    """Make the tables, figures and pages of a finished run from what is stored.
+    """Write the tables, figures and report of a finished run, from its stored results.
 
     Parameters
     ----------
     out : Path
         Run folder.
     observe : callable, optional
-        Told of every step.
+        Called with every step.
     jobs : int
-        Processes that draw the figures of many tests; 0 for as many as there are processors.
+        Processes that draw figures; 0 for as many as there are processors.
     pdf : bool
-        Whether the report is printed to report.pdf too.
+        Whether report.pdf is also written.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def report(
 
 
 def write_report(run: Run, observe: Observe, *, jobs: int, pdf: bool = False) -> CampaignView:
-    """Make the tables, figures and pages of a run that is open."""
+    """Write the tables, figures and report of an open run."""
     from mfd_bayes.reporting.publication import publish
 
     observe(Step("report", "checks and bands"))

@@ -18,32 +18,33 @@ CAMPAIGN = "campaign.toml"
 PRIORS = "priors.toml"
 POPULATION = "population.nc"
 FOLDERS = ("tests", "figures", "crossvalidation")
-"""Folders of a run folder."""
+"""Folders in a run folder."""
 
 
 def posterior_of(test_id: str) -> str:
-    """Where a run folder holds the posterior of a test."""
+    """Path of a test's posterior in a run folder."""
     return f"tests/{test_id}/posterior.nc"
 
 
 def pooled_of(test_id: str) -> str:
-    """Where a run folder holds the posterior of a test after pooling."""
+    """Path of a test's posterior after pooling in a run folder."""
     return f"tests/{test_id}/pooled.nc"
 
 
 def record_of(test_id: str) -> str:
-    """Where a run folder holds the record of a test that is predicted, never fitted."""
+    """Path of the record of a held-out test (predicted, never fitted) in a run folder."""
     return f"tests/{test_id}/record.nc"
 
 
 def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
-    """Refuse a run folder that leads out of itself, where it is read or written.
+    """Refuse links that lead out of a run folder, where it is read or written.
 
     Parameters
     ----------
     out : Path
+        Run folder.
     names : iterable of str
-        Folders in it that are looked at.
+        Folders in it that are checked.
 
     Raises
     ------
@@ -67,7 +68,7 @@ def _check_inside(path: Path, home: Path) -> None:
 
 
 def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
-    """Path of a stored file that is in its run folder and, where its hash is known, unchanged.
+    """Path of a stored file, checked: it is in the run folder and its hash, if known, is unchanged.
 
     Parameters
     ----------
@@ -76,12 +77,12 @@ def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
     name : str
         Path of the file in it, with slashes.
     digests : mapping of str to str
-        SHA-256 of files by such names.
+        SHA-256 of files, by name.
 
     Raises
     ------
     StoreError
-        When the file lies elsewhere, is missing, or is another than was written.
+        When the file is a link to elsewhere, is missing, or is not the one that was written.
     """
     path = out / name
     try:
@@ -97,7 +98,7 @@ def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
 
 
 def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
-    """SHA-256 of those files of a run folder that there are."""
+    """SHA-256 of the named files that exist in a run folder."""
     return {name: hash_file(out / name) for name in names if (out / name).is_file()}
 
 
@@ -115,7 +116,7 @@ DISCARDED = f".{MANIFEST}.discarded"
 
 
 def discard(out: Path) -> None:
-    """Remove what a run wrote, and nothing else; what is begun is known for such until its end.
+    """Remove what a run wrote, and nothing else; if it is interrupted, it can be repeated.
 
     Raises
     ------
@@ -129,7 +130,7 @@ def discard(out: Path) -> None:
             (out / MANIFEST).replace(begun)
         elif not begun.exists():
             raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
-        sweep(out)
+        remove_partial_files(out)
         for name in FOLDERS:
             if (out / name).exists():
                 shutil.rmtree(out / name)
@@ -140,10 +141,10 @@ def discard(out: Path) -> None:
         raise StoreError(f"cannot remove {error.filename}: {error.strerror}") from error
 
 
-def sweep(out: Path) -> None:
-    """Remove from a run folder what a killed process was writing, where it can be removed."""
+def remove_partial_files(out: Path) -> None:
+    """Remove the partly written files that a killed process left in a run folder, if possible."""
     folders = [out / name for name in FOLDERS]
     for parts in (out.glob, *(folder.rglob for folder in folders)):
         for part in parts(f".*{PART}"):
-            with suppress(OSError):  # why not will be said of what is to be written
+            with suppress(OSError):  # if the folder is read-only, the next write reports it
                 part.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The manifest of a run: what was calibrated, from what, how far it came, and what it found."""
+"""The manifest of a run: its inputs, settings, progress and results."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Id = Annotated[str, AfterValidator(check_id)]
 LAWS = get_args(LawName)
 
 FORMAT = 1
-"""Of a run folder. It grows when what older versions of this program wrote is read otherwise; of
-the first, without a number, the manifest has no hashes."""
+"""Format number of a run folder. It is raised when folders of older versions must be read in
+another way. Folders of the first version have no number, and their manifest no hashes."""
 
 
 def _known_law(name: str) -> str:
@@ -65,7 +65,7 @@ class Entry(Part):
 
 
 class TestSettings(Part):
-    """What a campaign says of a test; the file, the columns and the window are only kept."""
+    """What a campaign says of a test; file, columns and window are stored but not used."""
 
     __test__ = False
 
@@ -77,7 +77,7 @@ class TestSettings(Part):
 
 
 class Settings(Part):
-    """What a campaign asks for."""
+    """What a campaign specifies."""
 
     model: str
     noise: str
@@ -102,17 +102,17 @@ class Settings(Part):
 
 
 class Truth(Part):
-    """The quantities that a synthetic campaign was made with."""
+    """The true quantities from which a synthetic campaign was made."""
 
     population: Mapping[str, float | None]
     tests: Mapping[Id, Mapping[str, float | None]]
 
 
 class Manifest(Part):
-    """A run, as its manifest.json says; the keys stand in the order in which they are written.
+    """Content of a run's manifest.json, with the keys in the order in which they are written.
 
-    What an earlier version did not write has a default, and keys that this version does not know
-    are kept.
+    Keys that an earlier version did not write have a default, and keys that this version does
+    not know are kept.
     """
 
     status: Status = Status.RUNNING
@@ -136,7 +136,7 @@ class Manifest(Part):
     free_exponents: Mapping[str, Three] = Field(default_factory=dict)
     dependence_scores: tuple[DependenceScore, ...] = ()
     population_sampler: Any = None
-    """Acceptance rates and number of sweeps; written, and not read."""
+    """Acceptance rates and number of sweeps; written, never read."""
     finished: str = ""
     crossvalidation: CampaignCrossValidation | None = None
     comparison: Comparison | None = None
@@ -164,22 +164,22 @@ class Manifest(Part):
         return self
 
     def model_post_init(self, _context: Any, /) -> None:
-        """Note what is written of it."""
+        """Store the keys that are written."""
         self._content = self.model_dump(exclude_unset=True)
 
     @property
     def content(self) -> Mapping[str, Any]:
-        """What its file holds, key for key, whether this version reads it or not."""
+        """All keys of its file, also those that this version does not know."""
         return self._content
 
     def changed(self, **parts: Any) -> Self:
-        """The manifest with other parts."""
+        """The manifest with changed keys."""
         found = self.model_copy(update=parts)
         found._content = self._content | found.model_dump(include=set(parts), exclude_unset=True)
         return found
 
     def with_test(self, name: str, **values: Any) -> Self:
-        """The manifest with other values of a test."""
+        """The manifest with changed values of a test."""
         entry = self.tests[name].model_copy(update=values)
         return self.changed(tests={**self.tests, name: entry})
 
@@ -188,7 +188,7 @@ class Manifest(Part):
         return self.changed(files={**(self.files or {}), **hashes})
 
     def longer(self, seconds: float) -> Self:
-        """The manifest after so many more seconds of computing."""
+        """The manifest with this computing time, s, added."""
         return self.changed(seconds=self.seconds + seconds)
 
     def write(self, folder: Path) -> None:
@@ -203,7 +203,7 @@ class Manifest(Part):
 
 
 class _Predictions(Part):
-    """What is stored of a part that was left out."""
+    """Stored predictions of a part that was left out."""
 
     key: dict[str, Any]
     predictions: AtLeastOne[Prediction]
@@ -249,7 +249,7 @@ def _checked(path: Path, content: dict[str, Any]) -> Manifest:
 
 
 def _check_version(path: Path, manifest: Mapping[str, Any]) -> None:
-    """Refuse a run folder that a later version wrote, in which things may mean something else."""
+    """Refuse a run folder of a later version, in which keys may have another meaning."""
     number = manifest.get("format", 0)
     if not isinstance(number, int) or number <= FORMAT:
         return

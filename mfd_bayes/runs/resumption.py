@@ -1,4 +1,4 @@
-"""Whether a run may be started, resumed or replaced in a folder, and what of it is kept."""
+"""Checks whether a run may be started, resumed or replaced in a folder, and what is kept."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ _SAME = ("settings", "inputs", "seed", "effort", "versions")
 """Keys of the manifest that must not change from one session of a run to the next."""
 
 _TOLD = 10
-"""Most changed entries that a message lists."""
+"""Largest number of changed entries that a message lists."""
 
 
 def prepare_folder(
     manifest: Manifest, home: Path, out: Path, *, resume: bool, force: bool
 ) -> tuple[Manifest, Manifest | None]:
-    """Check that a run may be started, resumed or replaced in a folder, and remove what goes.
+    """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
 
     Parameters
     ----------
     manifest : Manifest
-        Of the run that is to be calibrated.
+        Of the run to be calibrated.
     home : Path
-        Folder of the campaign file, links resolved: it may be in the run folder.
+        Folder of the campaign file, links resolved; it may lie in the run folder.
     out : Path
         Run folder.
     resume, force : bool
-        What to do with a run that is there: resume it, or replace it.
+        Whether to resume or replace a run that exists.
 
     Returns
     -------
     Manifest
-        The given one, with what is kept of an earlier session.
+        The given one, with the results that are kept from an earlier session.
     Manifest or None
-        That of the earlier session, where one is resumed.
+        The earlier session's manifest, if it is resumed.
 
     Raises
     ------
     StoreError
-        When the folder may not be used, or holds something else than this run.
+        When the folder may not be used, or holds something other than this run.
     """
     check_links(out)
     if _is_free(home, out):
@@ -83,7 +83,7 @@ def prepare_folder(
 
 
 def _with_results(manifest: Manifest, before: Manifest) -> Manifest:
-    """The manifest with what an earlier session found out."""
+    """The manifest with the results of an earlier session."""
     if before.truth is not None:
         manifest = manifest.changed(truth=before.truth)
     for name, entry in before.tests.items():
@@ -93,10 +93,10 @@ def _with_results(manifest: Manifest, before: Manifest) -> Manifest:
 
 
 def _kept_files(tests: Iterable[str], out: Path, digests: Mapping[str, str]) -> dict[str, str]:
-    """Hashes of the posteriors that are kept, after a check that the files are still theirs.
+    """Hashes of the posteriors that are kept, after a check that the files are unchanged.
 
-    No hash of another file is kept, nor of one that is gone: such a file is written anew before
-    its hash is, and a kill in between would leave a file with the hash of the one before.
+    Hashes of other or missing files are dropped: such a file is written again before its hash
+    is, and a kill in between would leave a new file with an old hash.
     """
     names = [name for name in map(posterior_of, tests) if (out / name).is_file()]
     for name in (*names, *([POPULATION] if (out / POPULATION).is_file() else [])):
@@ -116,7 +116,7 @@ def _is_free(home: Path, out: Path) -> bool:
 
 
 def _changes(old: object, new: object) -> str | None:
-    """Names of entries that differ, in brackets; "" for a plain value, None where all are equal."""
+    """Names of entries that differ, in brackets; "" for a plain value, None if all are equal."""
     if old == new:
         return None
     if not (isinstance(old, dict) and isinstance(new, dict)):

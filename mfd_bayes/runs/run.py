@@ -40,9 +40,6 @@ class Run:
 
     Attributes
     ----------
-    folder : Path
-    manifest : Manifest
-    priors : PriorFile
     tests : mapping of str to TestResult
         Calibrated tests.
     held_out : mapping of str to Trace
@@ -72,11 +69,11 @@ class Run:
 
     @property
     def hashed(self) -> bool:
-        """Whether the manifest has the hashes of the stored files, so that changes are seen."""
+        """Whether the manifest has hashes of the stored files, so that changes are detected."""
         return bool(self.manifest.files)
 
     def rewrite(self, **parts: Any) -> Run:
-        """The run with other parts in its manifest, which is written."""
+        """The run with changed keys in its manifest; the manifest is written."""
         manifest = self.manifest.changed(**parts)
         manifest.write(self.folder)
         return replace(self, manifest=manifest)
@@ -100,20 +97,20 @@ class Run:
         seed: int = 0,
         session: str = "",
     ) -> Band:
-        """Band of the force under a motion and an actuation, seen or not.
+        """Band of the force under any motion and actuation, tested or new.
 
         Parameters
         ----------
         trace : Trace
             With its actuation, in `actuation_unit`.
         kind : {"device", "new_test", "observation"}
-            The calibrated parameters' uncertainty; plus test-to-test scatter; plus the
-            record's offset and noise.
+            What the band includes: the calibrated parameters' uncertainty; also test-to-test
+            scatter; also the record's offset and noise.
         probability : float
-            Of the equal-tailed band at each sample.
+            Probability of the equal-tailed band at each sample.
         draws, seed : int
         session : str
-            That of the test, where the campaign declares sessions.
+            Session of the test, where the campaign declares sessions.
 
         Returns
         -------
@@ -123,7 +120,7 @@ class Run:
         Raises
         ------
         FitError
-            When the trace has no actuation, or kind or probability make no sense.
+            When the trace has no actuation, or kind or probability is invalid.
         """
         forecast = Forecast(kind, probability, draws, seed, session)
         some = next(iter(self.tests.values())).posterior
@@ -132,7 +129,7 @@ class Run:
         return replace(band, remarks=self._remarks(trace))
 
     def _remarks(self, trace: Trace) -> tuple[str, ...]:
-        """Why a prediction should be trusted less than it says."""
+        """Reasons to trust a prediction less than its band suggests."""
         remarks = []
         tested = [test.trace.reference_actuation for test in self.tests.values()]
         asked = np.atleast_1d(trace.actuation)
@@ -151,7 +148,7 @@ class Run:
         return tuple(remarks)
 
     def _at_level(self, trace: Trace) -> dict[str, Array] | None:
-        """Draws of the tests at this constant actuation, in equal number, or None."""
+        """Draws of the tests at this constant actuation, equally many from each, or None."""
         level = trace.reference_actuation
         near = [
             test.stored.values()

@@ -11,7 +11,7 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import sweep
+from mfd_bayes.runs.folder import remove_partial_files
 from mfd_bayes.store.files import (
     is_part,
     read_json,
@@ -159,11 +159,11 @@ def test_a_disk_that_becomes_read_only_is_a_store_error_with_the_files_name(tmp_
         monkeypatch.setattr(Path, name, refuse)
     with pytest.raises(StoreError, match=r"report\.html.*Read-only"):
         write_text(tmp_path / "report.html", "")
-    sweep(tmp_path)  # at the end of a run, where it is not to hide what was said
+    remove_partial_files(tmp_path)  # at the end of a run: it must not hide the first error
     monkeypatch.undo()
     (part,) = tmp_path.iterdir()
     assert is_part(part, "report.html")
-    sweep(tmp_path)
+    remove_partial_files(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
