@@ -1,13 +1,13 @@
-"""Derived quantities: what a designer asks of a damper, of draws of its force (model.md section 7).
+"""Derived quantities for design, from draws of a damper's force (model.md section 7).
 
 The force is the damper's own: without the load cell's offset, and without noise.
 
-A **full cycle** runs from one turning point to the second next; cycles follow each other from
-the first turning point on, so that the motion before it, and after the last full cycle, is left
-out. In a motion of changing amplitude a cycle does not quite close; what one leaves open, the
-next takes up. Every reversal that counts as a turning point ends a cycle, however small: in an
-earthquake record the mean cycle is smaller than the largest. A record with fewer than three
-turning points has no full cycle, and what is of cycles is NaN there.
+A **full cycle** runs from one turning point to the second one after it. Cycles follow each other
+from the first turning point; the motion before it and after the last full cycle is left out.
+Where the amplitude changes, a cycle does not close exactly; the next one starts where it ends.
+Turning points of small reversals count too: in an earthquake record the mean cycle is smaller
+than the largest. A record with fewer than three turning points has no full cycle, and its
+cycle quantities are NaN.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def derive_from_force(force: ArrayLike, trace: Trace, *, first: int = 0) -> dict
     Parameters
     ----------
     force : (n, T), kip
-        Draws of the damper's force, or the measured one with its offset taken off.
+        Draws of the damper's force, or the measured force minus its offset.
     trace : Trace
         The motion.
     first : int
@@ -50,7 +50,7 @@ def derive_from_force(force: ArrayLike, trace: Trace, *, first: int = 0) -> dict
     Raises
     ------
     FitError
-        When the force is not of this motion.
+        When the force does not have the length of the motion.
     """
     forward, backward = peak_forces(force, trace, first=first)
     energies = cycle_energies(force, trace, first=first)
@@ -69,24 +69,23 @@ def derive_from_parameters(
     pressure: float = float("nan"),
     area: float | None = None,
 ) -> dict[str, Array]:
-    """Gap width and self-energizing factors by name, (n,) each, as far as they are known.
+    """Gap width and self-energizing factors by name, (n,) each; unknown ones are left out.
 
     Parameters
     ----------
-    model : Model
     values : mapping of str to (n,)
-        Draws of its parameters.
+        Draws of the model's parameters.
     pressure : float, ksi
-        The level that the draws belong to.
+        Actuation level of the draws.
     area : float, in², or None
-        The actuator's. Without it, or without pressure, there are no factors.
+        Area of the actuator. Without it, or without pressure, there are no factors.
 
     Returns
     -------
     dict
         `gap`, in, the drum's travel from one side of the gap to the other; `C_fwd` and `C_bwd`,
-        C = F_c/(p A), the friction force in slip over the actuator's thrust: by so much the
-        shoes energize themselves in that direction (model.md section 7).
+        C = F_c/(p A), the friction force in slip over the actuator's thrust: the self-energizing
+        of the shoes in each direction (model.md section 7).
     """
     gap = model.gap(values)
     found = {} if gap is None else {"gap": gap}
@@ -114,12 +113,12 @@ def cycle_energies(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
 def equivalent_damping(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
     """Equivalent viscous damping coefficient over the full cycles, (n,), kip·s/in.
 
-    The dashpot that dissipates as much in the same motion, c_eq = ∫ F dx / ∫ v² dt. In
-    harmonic motion of amplitude X and circular frequency ω the lower integral is π ω X² a
+    The dashpot that dissipates the same energy in the same motion, c_eq = ∫ F dx / ∫ v² dt. In
+    harmonic motion of amplitude X and circular frequency ω the lower integral is π ω X² per
     cycle, which makes it the usual c_eq = E/(π ω X²) (Chopra, Dynamics of Structures,
     "Energy dissipated in viscous damping" and "Equivalent viscous damping", chapter 3).
 
-    Parameters are those of `cycle_energies`; NaN where there is no full cycle.
+    Parameters are as in `cycle_energies`; NaN without a full cycle.
     """
     energies = cycle_energies(force, trace, first=first)
     if not energies.shape[1]:

@@ -1,4 +1,4 @@
-"""What draws say about their own convergence, and what the data say about parameters."""
+"""Convergence diagnostics of draws, importance weights and contraction."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Convergence:
         return float(min(self.ess_bulk.min(), self.ess_tail.min()))
 
     def reached(self, r_hat: float, ess: float) -> bool:
-        """Whether every coordinate keeps both limits."""
+        """Whether every coordinate meets both limits."""
         return self.worst_r_hat <= r_hat and self.worst_ess >= ess
 
     def share(self, r_hat: float, ess: float) -> float:
-        """Share of the steps to both limits that is done, about, from 0 to 1.
+        """Approximate share of the steps needed for both limits that is done, from 0 to 1.
 
-        Effective sample sizes grow as the steps do, and R̂ - 1 falls as they grow.
+        The effective sample size is taken as proportional to the steps, and R̂ - 1 to 1/steps.
         """
         excess = self.worst_r_hat - 1.0
         agreed = (r_hat - 1.0) / excess if excess > 0.0 else 1.0
@@ -50,8 +50,8 @@ class Convergence:
 def autocorrelation_time(chains: Array) -> Array:
     """Integrated autocorrelation time of every coordinate, in steps, (dim,).
 
-    Walkers are centred on the mean over all ensembles and steps, not on their own: a walker
-    that hardly moves then counts as fully correlated, however few its steps. The sum is cut
+    Walkers are centred on the mean over all ensembles and steps, not on their own mean, so
+    that a walker that hardly moves counts as fully correlated. The sum stops
     where the lag exceeds five times its value (Sokal's window).
 
     Parameters
@@ -78,7 +78,7 @@ def autocorrelation_time(chains: Array) -> Array:
 def measure(chains: Array) -> Convergence:
     """Convergence of ensembles.
 
-    R̂ compares ensembles and their halves in time, for the walkers of one ensemble are not
+    R̂ compares ensembles and their halves in time, since the walkers of one ensemble are not
     independent chains. The effective sample size follows each walker along its steps.
 
     Parameters
@@ -105,7 +105,7 @@ def measure_draws(draws: Array, walkers: int) -> Convergence:
 
 
 def _import_arviz() -> Any:
-    """Import ArviZ, whose first import may announce something, or need a folder to write to."""
+    """ArviZ, imported without its announcements and also where no cache folder is writable."""
     with warnings.catch_warnings():
         # 0.23 announces its refactoring on the first import of a day
         warnings.simplefilter("ignore", FutureWarning)
@@ -118,12 +118,12 @@ def _import_arviz() -> Any:
 
 
 def _is_classic(arviz: Any) -> bool:
-    """Whether this ArviZ is 0.2x, and not 1.x."""
+    """Whether this ArviZ is 0.x, not 1.x."""
     return int(arviz.__version__.split(".")[0]) < 1
 
 
 def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
-    """Rank-normalised split R̂ and ESS of an array (chain, draw), from either ArviZ."""
+    """Rank-normalised split R̂ and ESS of an array (chain, draw), from ArviZ 0.x or 1.x."""
     classic = _import_arviz()
     if _is_classic(classic):
         return (
@@ -143,22 +143,22 @@ def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
 
 
 def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
-    """Pareto-smoothed log weights, whose weights sum to 1, (n,), and Pareto k, of either ArviZ.
+    """Normalised Pareto-smoothed log weights, (n,), and Pareto k, from ArviZ 0.x or 1.x.
 
     Vehtari, Simpson, Gelman, Yao and Gabry (2024). Above k = 0.7 the weights cannot be trusted.
 
     Parameters
     ----------
     log_ratios : (n,)
-        Log density that is wanted over that of the draws.
+        Log of the target density over the density of the draws.
     efficiency : float
         Effective sample size over n.
     """
     ratios = log_ratios - log_ratios.max()
-    if np.all(ratios == 0.0):  # nothing to fit a tail to, and none is needed
+    if np.all(ratios == 0.0):  # equal weights have no tail to fit
         return ratios - np.log(ratios.size), -np.inf
     classic = _import_arviz()
-    with np.errstate(over="ignore"):  # in the fit to a very heavy tail, where it does no harm
+    with np.errstate(over="ignore"):  # harmless, in the fit to a very heavy tail
         if _is_classic(classic):
             weights, k = classic.psislw(ratios, reff=efficiency)
         else:
@@ -175,16 +175,16 @@ def contraction(prior_sd: Array, draws: Array) -> Array:
     Parameters
     ----------
     prior_sd : (dim,)
-        Of the coordinates under the prior.
+        Standard deviations of the coordinates under the prior.
     draws : (n, dim)
-        Of the coordinates under the posterior.
+        Posterior draws of the coordinates.
     """
     shrunk: Array = 1.0 - draws.var(axis=0) / prior_sd**2
     return shrunk
 
 
 def log_if_positive(*samples: Array) -> tuple[Array, ...]:
-    """The logarithm of every sample if all of them are positive, else as they are."""
+    """Logarithms of all samples if all are positive, else the samples unchanged."""
     if all(np.all(sample > 0) for sample in samples):
         return tuple(np.log(sample) for sample in samples)
     return samples

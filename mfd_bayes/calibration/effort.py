@@ -1,4 +1,4 @@
-"""How far a sampling goes, by name."""
+"""Named settings of how long to sample."""
 
 from __future__ import annotations
 
@@ -9,28 +9,27 @@ from mfd_bayes.errors import FitError
 
 @dataclass(frozen=True)
 class Effort:
-    """How far a sampling goes.
+    """Length and targets of a sampling.
 
     Attributes
     ----------
-    name : str
     ess : float
         Bulk and tail effective sample size that every quantity must reach.
     limit : int
-        Steps of each ensemble after which it stops in any case, and says what fell short.
+        Largest number of steps of each ensemble; the report shows targets that were missed.
     r_hat : float
         Largest R̂ across ensembles.
     length : float
-        Autocorrelation times that are kept, at the least: the effective sample size alone
+        Least number of kept steps, in autocorrelation times: the effective sample size alone
         cannot tell walkers that have not moved from independent draws.
     ensembles : int
         Independent ensembles, each a chain.
     walkers : int
-        Walkers of each ensemble, more where there are many dimensions.
+        Walkers of each ensemble; more are used where there are many dimensions.
     kept : int
-        Draws of each ensemble that are kept, about.
+        Approximate number of draws kept from each ensemble.
     starts : int
-        Points from which modes are looked for: a minor one is missed from few.
+        Points from which modes are searched; with few points a minor mode is missed.
     """
 
     name: str = field(default="", kw_only=True)
@@ -57,7 +56,7 @@ def find_effort(effort: str | Effort) -> Effort:
     Raises
     ------
     FitError
-        When there is none; the names that there are are listed.
+        When there is none; the message lists the known names.
     """
     if isinstance(effort, Effort):
         return effort

@@ -1,4 +1,4 @@
-"""Chains of a density by emcee: ensembles of walkers that run until they agree."""
+"""Sampling of a density by emcee: ensembles of walkers that run until they converge."""
 
 from __future__ import annotations
 
@@ -22,56 +22,56 @@ from mfd_bayes.jobs.job import Progress
 Array = NDArray[np.float64]
 
 STORED = 3000
-"""Steps of each walker that are stored at most: beyond it, every second, third, … one."""
+"""Largest number of steps stored for each walker; beyond it, every second one is dropped."""
 
 ROUND = 20
-"""Steps after which the proposal is learned anew while the sampler warms up."""
+"""Steps after which the proposal is learned again during the warm-up."""
 
 ROUNDS = 12
-"""Such rounds at most; fewer where they no longer help."""
+"""Largest number of such rounds at full power; fewer where they no longer help."""
 
 HEAT = (0.3, 0.3, 0.4, 0.4, 0.5, 0.5, 0.65, 0.8)
-"""Powers of the density in the first rounds, so that walkers see its tails and other modes."""
+"""Powers of the density in the first rounds, so that walkers reach its tails and other modes."""
 
 BROAD = 0.5
-"""The power at which a proposal is learned that stays a part of all later ones."""
+"""The proposal learned at this power stays part of all later ones."""
 
 PATIENCE = 4
-"""Rounds in a row that may accept no more than the best before the warm-up ends."""
+"""The warm-up ends after this many rounds without a better acceptance rate."""
 
 SLOW = 40.0
-"""Autocorrelation time, steps, from which the proposal is worth learning again. No walk is taken
-to be quicker either: a far tail is visited more seldom than the figures can tell."""
+"""Autocorrelation time, steps, above which the proposal is learned again. It is also the least
+value used for the length of a run: far tails are visited more rarely than the estimate shows."""
 
 PARTS = 6
-"""Student-t densities of a learned proposal at most, besides its wide part."""
+"""Largest number of Student-t components of a learned proposal, besides the wide one."""
 
 REQUIRED = 200
-"""Draws, which are correlated, that each of them takes per dimension."""
+"""Correlated draws per dimension that each component needs."""
 
 JUMPS = 0.7
-"""Share of the steps that are independence proposals; the others are differential evolution."""
+"""Share of independence proposals among the steps; the others are differential evolution."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """Draws of a density, ensembles as chains.
+    """Draws of a density; each ensemble is a chain.
 
     Attributes
     ----------
     q : (chain, draw, dim)
-        A chain's draws are ordered by walker, and along a walker by step, so that the
+        A chain's draws are ordered by walker and, within a walker, by step, so that the
         autocorrelation of a chain is that of its walkers.
     log_prob : (chain, draw)
     walkers : int
     steps, thin, discarded : int
-        Steps of each ensemble; the interval of steps at which draws are kept (thinning); steps
-        of the warm-up at the start, in which the proposal was learned and none is kept.
+        Steps of each ensemble; the interval of steps between kept draws; steps of the warm-up,
+        in which the proposal was learned and no draw is kept.
     acceptance : (chain,)
     autocorrelation : (dim,)
         Integrated autocorrelation time, steps.
     convergence : Convergence
-        Of the coordinates, the log density, and what is derived, in this order.
+        Of the coordinates, the log density and the derived quantities, in this order.
     """
 
     q: Array
@@ -87,14 +87,14 @@ class Chains:
 
 @dataclass(frozen=True)
 class Watch:
-    """What is followed while chains grow.
+    """What is computed and reported while sampling.
 
     Attributes
     ----------
     derived : callable, optional
         Other quantities that must converge too, (n, dim) -> (n, m).
     report : callable, optional
-        Called with a `Progress` each time that the convergence is measured.
+        Called with a `Progress` each time the convergence is measured.
     """
 
     derived: Callable[[Array], Array] | None = None
@@ -110,19 +110,11 @@ def sample_density(
 ) -> Chains:
     """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes.
 
-    Walkers start at a power of the density below 1, which is raised round by round, and a
-    mixture of Student-t densities is learned from where they are. It is then frozen; what is
-    kept comes after that, from independence proposals of the mixture together with
-    differential evolution. Should those mix slowly, or much be left to do, the mixture is
-    learned again from what they found, and what is kept starts again.
-
-    Parameters
-    ----------
-    density : callable
-    modes : sequence of Mode
-    effort : Effort
-    rng : numpy.random.Generator
-    watch : Watch, optional
+    In the warm-up, walkers sample a power of the density, raised in rounds to 1, and a mixture
+    of Student-t densities is learned from their positions. The mixture is then frozen, and
+    draws are kept: from independence proposals of the mixture and differential evolution. If
+    the chains mix slowly, or are far from the effort's target, the mixture is learned again
+    from the kept draws, which are then discarded.
     """
     watch = watch or Watch()
     walk = _Walk(density, modes, effort, rng, watch.derived)
@@ -144,7 +136,7 @@ def sample_density(
 
 
 class _Walk:
-    """The walkers of all ensembles in lock-step, their proposal, and where they have been."""
+    """The walkers of all ensembles, which move together, their proposal and stored steps."""
 
     def __init__(
         self,
@@ -180,7 +172,7 @@ class _Walk:
         self._freeze()
 
     def warm_up(self) -> None:
-        """Learn the proposal in rounds, until a round accepts hardly more than the best one."""
+        """Learn the proposal in rounds, until its acceptance rate no longer rises."""
         for power in HEAT:
             if self.steps >= self._effort.limit // 4:
                 break
@@ -204,21 +196,21 @@ class _Walk:
         self._freeze()
 
     def _raise(self, power: float) -> None:
-        """Go on with a power of the density, and forget where the walkers were before."""
+        """Continue at a new power of the density, without the steps stored before."""
         state = emcee.State(self._state, copy=True)
-        if state.log_prob is not None:  # as at the start
+        if state.log_prob is not None:  # None before the first step
             state.log_prob *= power / self._power
         self._state, self._power = state, power
         self._freeze()
 
     def learn_again(self) -> None:
-        """Learn the proposal from what was kept, if that is plenty; keep what comes after."""
+        """Learn the proposal from the kept steps, if there are enough, and start keeping anew."""
         if len(self._coords) * self._stride >= 4 * self._learned:
             self._learn(0.75)
             self._freeze()
 
     def _learn(self, share: float) -> None:
-        """Learn the proposal from the last of the stored steps."""
+        """Learn the proposal from the last share of the stored steps."""
         late = self._coords[-math.ceil(share * len(self._coords)) :]
         self._learned = len(late) * self._stride
         draws = np.concatenate(late)
@@ -226,14 +218,14 @@ class _Walk:
         self._independent.source = learn(draws, parts, self._rng, self._anchors)
 
     def _freeze(self) -> None:
-        """Forget where the walkers have been: what is kept must come from one proposal."""
+        """Drop the stored steps: all kept draws must come from one proposal."""
         self.fresh, self._stride = 0, 1
         self._coords: list[Array] = []
         self._log_prob: list[Array] = []
         self._moved = np.zeros(self._sampler.nwalkers)
 
     def run(self, steps: int) -> None:
-        """Go on for some steps, and store every stride-th of them."""
+        """Continue for some steps, and store every stride-th of them."""
         for state in self._sampler.sample(
             self._state, iterations=steps, store=False, skip_initial_state_check=True
         ):
@@ -249,13 +241,13 @@ class _Walk:
         self.steps += steps
 
     def length(self, chains: Chains) -> float:
-        """Steps that are kept over those that the effort asks for."""
+        """Number of kept steps over the number that the effort requires."""
         slowest = max(float(np.max(chains.autocorrelation)), SLOW)
         asked = self._effort.length * slowest
         return self.fresh / asked if asked > 0.0 else math.inf
 
     def progress(self, chains: Chains) -> Progress:
-        """Where the sampling stands."""
+        """Progress of the sampling."""
         effort, found = self._effort, chains.convergence
         reached = min(found.share(effort.r_hat, effort.ess), self.length(chains))
         left = self.fresh * (1.0 / reached - 1.0) if reached > 0.0 else math.inf
@@ -265,7 +257,7 @@ class _Walk:
         return Progress(self.steps, effort.limit, *worst, seconds, share)
 
     def chains(self) -> Chains:
-        """Draws since the proposal was frozen, thinned, and what they say of convergence."""
+        """Thinned draws since the proposal was frozen, with their convergence."""
         ensembles, walkers = self._effort.ensembles, self._walkers
         shape = (len(self._coords), ensembles, walkers)
         full = np.swapaxes(np.reshape(self._coords, (*shape, -1)), 0, 1)

@@ -1,4 +1,4 @@
-"""What the data of one test tell about its parameters, and what only the prior does."""
+"""What the data of one test say about its parameters, and what comes only from the prior."""
 
 from __future__ import annotations
 
@@ -17,28 +17,27 @@ from mfd_bayes.errors import FitError
 Array = NDArray[np.float64]
 
 SENSITIVE = 0.05
-"""Power-scaling sensitivity above which a posterior is said to depend on a component."""
+"""Power-scaling sensitivity above which a posterior depends on the prior or likelihood."""
 
 TRADE_OFF = 0.7
-"""Rank correlation from which two parameters are said to trade off."""
+"""Absolute rank correlation from which two parameters trade off."""
 
 CONFLICT = "possible prior–data conflict"
 PRIOR_LED = "strong prior or weak data"
 
 _SCALING = 1.01
-"""Power α to which a component is raised, and 1/α."""
+"""Power α to which the prior or likelihood is raised; 1/α is used too."""
 
-_LOADED = 0.1  # of a direction's squared length: a parameter with less does not carry it
+_LOADED = 0.1  # least share of a direction's squared length for a parameter to carry it
 _CARRIERS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Directions in parameter space by how much the data say about them.
+    """Directions in parameter space, ordered by how much the data say about them.
 
     Attributes
     ----------
-    names : tuple of str
     curvature : (dim,)
         Curvature of the log likelihood along each direction in prior units: the precision
         that the data add, as a multiple of the prior's; largest first.
@@ -52,17 +51,17 @@ class Directions:
 
     @property
     def informed(self) -> int:
-        """How many directions the data tell more about than the prior, curvature > 1."""
+        """Number of directions about which the data say more than the prior: curvature > 1."""
         return int(np.sum(self.curvature > 1.0))
 
     @property
     def narrowing(self) -> Array:
-        """How many times narrower than the prior the posterior is along each, (dim,)."""
+        """Ratio of prior to posterior width along each direction, (dim,)."""
         times: Array = np.sqrt(1.0 + self.curvature)
         return times
 
     def carriers(self, direction: int) -> tuple[str, ...]:
-        """Parameters that carry a direction, strongest first, three at most."""
+        """Parameters that contribute most to a direction, strongest first, at most three."""
         share = self.axes[:, direction] ** 2
         order = np.argsort(-share)[:_CARRIERS]
         return tuple(self.names[i] for i in order if share[i] >= _LOADED)
@@ -83,12 +82,11 @@ class Sensitivity:
 
     Attributes
     ----------
-    name : str
     prior, likelihood : float
-        Power-scaling sensitivities, chance removed.
+        Power-scaling sensitivities, with the part due to chance removed.
     prior_limit, likelihood_limit : float
-        What they must exceed to be more than nothing: `SENSITIVE`, or twice what chance
-        gives with so few draws where that is more.
+        Limits above which they are significant: `SENSITIVE`, or twice the sensitivity that
+        chance gives with this number of draws, whichever is larger.
     """
 
     name: str
@@ -107,11 +105,10 @@ class Sensitivity:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What the data of a test tell about its sampled parameters.
+    """What the data of a test say about its sampled parameters.
 
     Attributes
     ----------
-    directions : Directions
     pairs : tuple of Pair
         Strongest first.
     sensitivities : tuple of Sensitivity
@@ -130,15 +127,14 @@ def identify(
     log_prior: Array,
     log_likelihood: Array,
 ) -> Identifiability:
-    """Identifiability of a test's sampled parameters, of its stored draws.
+    """Identifiability of a test's sampled parameters, from its stored draws.
 
     Everything is on the scale on which each prior is sampled, the logarithm for most: there
     the priors are independent, and a prior raised to a power widens about its median. γ1 is
-    not sampled and not here: it keeps its prior.
+    left out: it is not sampled but keeps its prior.
 
     Parameters
     ----------
-    posterior : Posterior
     values : mapping of str to (chain, draw)
         Posterior draws by name; two independent chains or more.
     prior : mapping of str to (m,)
@@ -166,20 +162,19 @@ def find_directions(names: tuple[str, ...], prior_sd: Array, draws: Array) -> Di
     """Directions that the data inform, from the covariance of posterior draws.
 
     With prior covariance C0 = diag(prior_sd²) and posterior covariance C, the likelihood's
-    curvature in prior units is H = C0^½ C⁻¹ C0^½ − I, and its eigenvectors span what the data
-    inform (Spantini et al., SIAM J. Sci. Comput. 37, 2015; Cui et al., Inverse Problems 30,
-    2014). That is exact for a linear model with Gaussian prior and noise; else it is that of
-    the Gaussian with the posterior's covariance, which speaks of the whole posterior where
-    derivatives at a mode speak of one point. A negative eigenvalue is a posterior wider than
-    its prior.
+    curvature in prior units is H = C0^½ C⁻¹ C0^½ − I, and its eigenvectors are the directions
+    that the data inform (Spantini et al., SIAM J. Sci. Comput. 37, 2015; Cui et al., Inverse
+    Problems 30, 2014). That is exact for a linear model with Gaussian prior and noise.
+    Otherwise it holds for the Gaussian with the posterior's covariance: it describes the whole
+    posterior, where derivatives at a mode describe one point. A negative eigenvalue means a
+    posterior wider than its prior.
 
     Parameters
     ----------
-    names : tuple of str
     prior_sd : (dim,)
-        Of the coordinates, which are independent under the prior.
+        Standard deviations of the coordinates, which are independent under the prior.
     draws : (n, dim)
-        Of the coordinates under the posterior.
+        Posterior draws of the coordinates.
     """
     covariance = np.atleast_2d(np.cov(draws / prior_sd, rowvar=False))
     variances, axes = np.linalg.eigh(covariance)  # smallest first: best known first
@@ -189,7 +184,7 @@ def find_directions(names: tuple[str, ...], prior_sd: Array, draws: Array) -> Di
 
 def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:
     """Pairs whose posterior draws (n, dim) have a rank correlation of ±0.7 or beyond."""
-    with np.errstate(invalid="ignore"):  # of draws that never moved none is known
+    with np.errstate(invalid="ignore"):  # draws that never move have no correlation
         correlation = np.atleast_2d(np.corrcoef(rankdata(draws, axis=0), rowvar=False))
     pairs = [
         Pair(names[i], names[j], float(correlation[i, j]))
@@ -205,19 +200,18 @@ def measure_sensitivity(
     """Power-scaling sensitivity of every parameter to the whole prior and the likelihood.
 
     The prior, or the likelihood, is raised to α = 1.01 and 1/1.01 by weighting the draws with
-    p^(α − 1), and the sensitivity is how fast each marginal posterior moves away,
-    ½ (d(α) + d(1/α)) / log2 α, d the cumulative Jensen–Shannon distance (Kallioinen,
-    Paananen, Bürkner, Vehtari, Stat. Comput. 34:57, 2024). So near to 1 the
-    weights differ by a few percent (their Pareto k is about α − 1 where p has Gaussian
-    tails), so that they need no Pareto smoothing.
+    p^(α − 1). The sensitivity is the rate at which each marginal posterior changes,
+    ½ (d(α) + d(1/α)) / log2 α, with d the cumulative Jensen–Shannon distance (Kallioinen,
+    Paananen, Bürkner, Vehtari, Stat. Comput. 34:57, 2024). With α so near
+    to 1 the weights differ by a few percent (their Pareto k is about α − 1 where p has
+    Gaussian tails) and need no Pareto smoothing.
 
-    d is positive even where there is nothing, by chance. How much so is measured with the
-    weights of one chain on the draws of another, which know nothing of each other, and is
-    taken off in squares.
+    By chance d is positive even without any dependence. This part is measured by applying
+    the weights of one chain to the draws of another, independent one, and its square is
+    subtracted from the squared sensitivity.
 
     Parameters
     ----------
-    names : tuple of str
     draws : (dim, chain, draw)
     log_prior, log_likelihood : (chain, draw)
 
@@ -254,8 +248,8 @@ def cjs_distance(draws: Array, weights: Array) -> Array:
     """Cumulative Jensen–Shannon distance of weighted draws from the draws themselves.
 
     With P and Q the two distribution functions, M = (P + Q)/2 and
-    D(P‖M) = ∫ P log2(P/M) + (M − P)/ln 2 dx, it is √[(D(P‖M) + D(Q‖M)) / ∫ P + Q dx], and
-    the larger of that and of the same with −x for x (Nguyen and Vreeken, ECML PKDD 2015; as
+    D(P‖M) = ∫ P log2(P/M) + (M − P)/ln 2 dx, it is √[(D(P‖M) + D(Q‖M)) / ∫ P + Q dx],
+    computed for x and for −x, of which the larger counts (Nguyen and Vreeken, ECML PKDD 2015; as
     Kallioinen et al. and ArviZ use it).
 
     Parameters

@@ -19,10 +19,10 @@ STEP = 1e-4
 """Finite-difference step, in prior standard deviations."""
 
 APART = 0.05
-"""Largest difference, in prior standard deviations, of two ends of least squares that are one."""
+"""Two least-squares results that differ less, in prior standard deviations, count as one."""
 
 HOPELESS = 400.0
-"""How far the log posterior may be below the best where least squares ends, to be climbed from."""
+"""Least-squares results whose log posterior is this far below the best one are dropped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Mode:
     q : (dim,)
     log_prob : float
     covariance : (dim, dim)
-        Inverse curvature at the mode, made positive definite in prior units.
+        Inverse curvature at the mode, made positive definite.
     """
 
     q: Array
@@ -53,8 +53,9 @@ def find_modes(
 ) -> tuple[Mode, ...]:
     """Distinct modes, best first.
 
-    Of many prior draws some that fit well and differ most, least squares on residual and prior
-    from each, then BFGS on the log posterior from each distinct end.
+    From many prior draws, those that fit well and differ most are chosen; least squares on
+    residual and prior starts from each, then BFGS on the log posterior from each distinct
+    result.
 
     Raises
     ------
@@ -104,11 +105,11 @@ def _starting_points(
 
 
 def _least_squares(posterior: Posterior, begin: Array, mean: Array, sd: Array) -> Array:
-    """Mode of an iid fit with a Gaussian prior, its noise then read off the residual, (dim,)."""
+    """Mode of a fit with iid noise and Gaussian prior; noise set from the residual, (dim,)."""
     moves = np.array([not name.startswith("noise") for name in posterior.names])
     force = np.asarray(posterior.trace.force)[posterior.first :]
     unit = 0.1 * float(np.std(force)) + 1e-12
-    inflation = np.sqrt(min(1.0, 200.0 / force.size))  # neighbours are correlated
+    inflation = np.sqrt(min(1.0, 200.0 / force.size))  # neighbouring samples are correlated
 
     def residuals(points: Array) -> Array:
         q = np.tile(begin, (len(points), 1))
@@ -157,7 +158,7 @@ def _read_noise(posterior: Posterior, q: Array) -> Array:
 
 
 def climb(density: Density, begin: Array, sd: Array) -> Mode:
-    """Mode that BFGS reaches from `begin`, in coordinates whitened by the curvature near it.
+    """Mode that BFGS reaches from `begin`, in whitened coordinates.
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ def climb(density: Density, begin: Array, sd: Array) -> Mode:
 
 
 def _ascend(density: Density, origin: Array, axes: Array) -> Array:
-    """Where BFGS ends that starts at `origin` and steps along `axes`, (dim,)."""
+    """Point that BFGS reaches from `origin` in coordinates along `axes`, (dim,)."""
 
     def whitened(w: Array) -> Array:
         return np.maximum(density(origin + w @ axes.T), -1e15)
@@ -199,8 +200,8 @@ def _ascend(density: Density, origin: Array, axes: Array) -> Array:
 def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
     """Inverse of the negative Hessian of a log density at q, (dim, dim).
 
-    Eigenvalues are taken in prior units and kept between that of a prior four times as
-    wide and that of one 1e4 times as narrow, so that it is positive definite.
+    The Hessian's eigenvalues, in prior units, are limited so that each standard deviation is
+    between 1e-4 and 4 times the prior's, and the result is positive definite.
     """
 
     def scaled(w: Array) -> Array:
@@ -226,7 +227,7 @@ def _gradient(density: Density, points: Array, step: float) -> Array:
 
 
 def _same(mode: Mode, other: Mode) -> bool:
-    """Whether two ends are one mode: near in the metric of the other, and as high."""
+    """Whether two modes are the same: near by the other's covariance, and equally high."""
     gap = mode.q - other.q
     distance = gap @ np.linalg.solve(other.covariance, gap)
     return bool(distance < 4.0 * len(gap) and abs(mode.log_prob - other.log_prob) < 5.0)

@@ -1,4 +1,4 @@
-"""Densities that are learned from draws: what an independence proposal is drawn from."""
+"""Proposal densities for independence sampling, learned from draws."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from scipy import optimize, special
 Array = NDArray[np.float64]
 
 DRAWS = 8000
-"""Draws that a fit uses at most."""
+"""Largest number of draws used in a fit."""
 
 WIDE = 0.1
-"""Weight of the wide part that keeps a learned proposal's tails above the target's."""
+"""Weight of the wide component that keeps a learned proposal's tails above the target's."""
 
 ANCHORED = 0.25
 """Weight of the anchors in a learned proposal."""
 
 BENT = 1.5
-"""Largest parameters of a coordinate's shape, so that few draws bend it but so much."""
+"""Bound on the parameters of a coordinate's warp, so that few draws cannot distort it much."""
 
 SHRINKAGE = 2.0
-"""Draws per dimension that the covariance of all of them counts for in each part's own."""
+"""Pseudo-draws per dimension that shrink each component's covariance to the overall one."""
 
 
 PROBABILITIES = np.array([0.01, 0.025, 0.07, 0.16, 0.31, 0.5, 0.69, 0.84, 0.93, 0.975, 0.99])
-"""Of the quantiles to which each coordinate's shape is fitted."""
+"""Probabilities of the quantiles to which each coordinate's warp is fitted."""
 
 
 class Proposal(Protocol):
@@ -96,7 +96,7 @@ class Mixture:
         return density
 
     def draw(self, random: np.random.RandomState, n: int) -> Array:
-        """Independent draws, (n, dim); emcee's moves draw from a RandomState."""
+        """Independent draws, (n, dim); from a RandomState, as emcee's moves use."""
         part = random.choice(self.weights.size, size=n, p=self.weights)
         normal = random.standard_normal((n, self.dim))
         normal /= np.sqrt(random.chisquare(self.dof[part]) / self.dof[part])[:, None]
@@ -106,10 +106,10 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """Map of each coordinate by itself to one that is about standard normal, (dim,) each.
+    """Map of each coordinate separately to an approximately standard normal one, (dim,) each.
 
     z = sinh(tail asinh((q − centre)/scale) − skew), after Jones and Pewsey (2009): smooth,
-    one to one, and with a closed inverse.
+    one-to-one, with an explicit inverse.
     """
 
     centre: Array
@@ -119,7 +119,7 @@ class Warp:
 
     @classmethod
     def of(cls, draws: Array) -> Warp:
-        """Map under which the quantiles of draws (n, dim) are those of the normal."""
+        """Map fitted so that quantiles of the draws (n, dim) become those of the normal."""
         target = special.ndtri(PROBABILITIES)
         found = []
         for quantiles in np.quantile(draws, PROBABILITIES, axis=0).T:
@@ -150,7 +150,7 @@ class Warp:
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """A mixture of coordinates that each were mapped by themselves."""
+    """A mixture in warped coordinates."""
 
     mixture: Mixture
     warp: Warp
@@ -167,7 +167,7 @@ class Warped:
 
 @dataclass(frozen=True, eq=False)
 class Either:
-    """One of several proposals, by their weights."""
+    """A weighted mixture of several proposals."""
 
     weights: Array
     parts: Sequence[Proposal]
@@ -188,20 +188,20 @@ class Either:
 def learn(
     draws: Array, parts: int, rng: np.random.Generator, anchors: Proposal | None = None
 ) -> Proposal:
-    """Proposal that resembles draws, somewhat wider than they are.
+    """Proposal that resembles the draws and is somewhat wider.
 
-    Each coordinate is first mapped to about a normal one by itself. Parts are normal while
-    they are fitted, by expectation–maximization with covariances shrunk to that of all
-    draws, and given tails after it. Some of the weight goes to a wide part and some to the
-    anchors, so that a proposal goes on reaching places that the draws have not seen.
+    Each coordinate is first warped separately to approximate normality. Normal components
+    are fitted by expectation–maximization, with covariances shrunk to that of all draws, and
+    then given Student-t tails. Some weight goes to a wide component and some to the anchors,
+    so that the proposal still reaches regions that the draws have not visited.
 
     Parameters
     ----------
     draws : (n, dim)
     parts : int
-    rng : numpy.random.Generator
+        Number of components, reduced when there are few draws.
     anchors : Proposal, optional
-        Such as the modes' own.
+        A proposal that stays part of the result, such as one around the modes.
     """
     if len(draws) > DRAWS:
         draws = draws[rng.choice(len(draws), DRAWS, replace=False)]

@@ -12,17 +12,11 @@ Array = NDArray[np.float64]
 
 
 class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
-    """A move of emcee's within each of several ensembles that know nothing of each other.
+    """An emcee move applied within each of several independent ensembles.
 
-    The walkers of a sampler are taken as `ensembles` blocks. Each block is split at random
-    in two halves, and each half is proposed from the other half of its own block alone, as
-    emcee's red–blue moves do; only the evaluation of the density is shared, one batch for
-    all blocks.
-
-    Parameters
-    ----------
-    move : emcee.moves.RedBlueMove
-    ensembles : int
+    The walkers of a sampler form `ensembles` blocks. Each block is split at random in two
+    halves, and each half is proposed from the other half of its own block alone, as emcee's
+    red–blue moves do. Only the density is evaluated for all blocks in one batch.
     """
 
     def __init__(self, move: emcee.moves.RedBlueMove, ensembles: int) -> None:
@@ -61,14 +55,10 @@ class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
 
 
 class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
-    """Metropolis–Hastings with proposals that do not depend on where a walker is.
+    """Metropolis–Hastings with proposals that do not depend on a walker's position.
 
-    Walkers know nothing of each other here, so that all are moved in one batch. The target
-    stays invariant while the proposal does; who learns it from draws discards those.
-
-    Parameters
-    ----------
-    proposal : Proposal
+    Walkers are independent here, so that all move in one batch. The target stays invariant
+    as long as the proposal is unchanged; draws from which it was learned must be discarded.
     """
 
     def __init__(self, proposal: Proposal) -> None:
@@ -76,12 +66,12 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
         self.forget()
 
     def forget(self) -> None:
-        """Count proposals anew."""
+        """Reset the acceptance rate."""
         self._proposed = self._accepted = 0
 
     @property
     def acceptance(self) -> float:
-        """Share of the proposals that were accepted."""
+        """Acceptance rate since the last `forget`."""
         return self._accepted / max(self._proposed, 1)
 
     def propose(
@@ -101,9 +91,10 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
 
 
 def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves.Move, float]]:
-    """Moves of differential evolution in each ensemble with their weights.
+    """Differential evolution moves within each ensemble, with their weights.
 
-    One step in five goes by the whole difference of two walkers, so that it can change modes.
+    One step in five moves by the full difference of two walkers, so that it can jump between
+    modes.
 
     emcee 3.1.6's DESnookerMove does not sample the target and is not used.
     """

@@ -24,11 +24,11 @@ class Replicas:
     Attributes
     ----------
     force : (n, T), kip
-        Model and offset, of posterior draws.
+        Model force and offset, for posterior draws.
     observed : (n, T), kip
         The same with noise.
     values : mapping of str to (n,)
-        The draws that they were made of.
+        The posterior draws that were used.
     """
 
     force: Array
@@ -53,21 +53,18 @@ def replicate(
 
     Parameters
     ----------
-    posterior : Posterior
     values : mapping of str to (draws,)
-        Posterior draws of all quantities; n of them are taken, evenly.
-    rng : numpy.random.Generator
-    n : int
+        Posterior draws of all quantities; n of them are used, evenly spaced.
 
     Raises
     ------
     RecordError
-        When a force would be beyond all range.
+        When a force is too large to be a measurement.
     """
     total = len(values["offset"])
     pick = np.linspace(0, total - 1, min(n, total)).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}
-    with np.errstate(over="ignore", invalid="ignore"):  # it is refused right below
+    with np.errstate(over="ignore", invalid="ignore"):  # refused just below
         force = posterior.force(taken) + taken["offset"][:, None]
         noise = posterior.noise.draw(rng, posterior.trace.time, taken, posterior.travel(taken))
     check_magnitude("the replicated force", force + noise)
@@ -81,10 +78,8 @@ def check_predictive(
 
     Parameters
     ----------
-    posterior : Posterior
-    replicas : Replicas
     gap : float, in, or None
-        Width at half of which the force at mid-gap is read, where there is a gap.
+        Gap width; the force at mid-gap is taken at half of it.
     """
     kept = slice(posterior.first, None)
     force, replica = replicas.force[:, kept], replicas.observed[:, kept]

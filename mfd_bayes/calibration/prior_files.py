@@ -17,14 +17,14 @@ from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
 _LONGEST = 1000
-"""Most characters of what is said of a fault, whatever names and words stand in the file."""
+"""Largest length of an error message, in characters, however long the names in the file."""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Half-normal prior of a group's test-to-test scatter.
+    """Half-normal prior of the test-to-test scatter of a group of parameters.
 
-    `sd` is that of the logarithm, or in internal units for a quantity of either sign.
+    `sd` is of the logarithm, or in internal units for a quantity that may be negative.
     """
 
     parameters: tuple[str, ...]
@@ -34,15 +34,7 @@ class Scatter:
 
 @dataclass(frozen=True)
 class PriorFile:
-    """One device family's priors.
-
-    Attributes
-    ----------
-    path : Path
-    title : str
-    parameters : mapping of str to Prior
-    scatter : mapping of str to Scatter
-    """
+    """Priors of one device family, by parameter and by group."""
 
     path: Path
     title: str
@@ -59,12 +51,12 @@ class PriorFile:
 def find_priors(name: str, folder: Path | None = None) -> Path:
     """Path of a prior file named "mfd", "brfd", … or given by its path.
 
-    With a `folder`, the path is relative to it and must lie in it once links are followed.
+    With a `folder`, the path is relative to it and, with links resolved, must lie in it.
 
     Raises
     ------
     PriorError
-        When there is no such file, with the names that there are, or it lies elsewhere.
+        When there is no such file (the message lists the known names), or it lies elsewhere.
     """
     home = _home()
     if name in (path.stem for path in home.glob("*.toml")):
@@ -155,7 +147,7 @@ def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
             kind = known[name].kind if figure.dimensional else None
             figures[key] = _figure(f"{where}, {key}", value, kind)
         elif key not in ("family", "reason"):
-            figures[key] = np.nan  # refused by the family
+            figures[key] = np.nan  # the family refuses unknown keys
     try:
         return Prior(chosen, figures, str(table.get("reason", "")))
     except PriorError as error:

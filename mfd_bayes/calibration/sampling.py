@@ -27,7 +27,7 @@ class Draws:
     Attributes
     ----------
     names : tuple of str
-        What q's columns stand for.
+        Names of q's columns.
     q : (chain, draw, dim)
         Unconstrained coordinates.
     theta : (chain, draw, p)
@@ -35,7 +35,6 @@ class Draws:
     values : mapping of str to (chain, draw)
         All quantities by name, γ1 drawn from its prior.
     log_prob, log_prior, log_likelihood : (chain, draw)
-    chains : Chains
     modes : tuple of Mode
         Where the walkers started, best first.
     wall_time : float, s
@@ -54,7 +53,7 @@ class Draws:
 
     @property
     def convergence(self) -> Convergence:
-        """R̂ and effective sample sizes of every coordinate, and of what is derived."""
+        """R̂ and effective sample sizes of every coordinate and derived quantity."""
         return self.chains.convergence
 
     @property
@@ -74,7 +73,6 @@ def sample(
 
     Parameters
     ----------
-    posterior : Posterior
     effort : {"quick", "standard", "thorough"} or Effort
     seed : int or sequence of int
         The same seed gives the same draws.
@@ -120,11 +118,10 @@ def sample(
 def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
     """Share of each chain's draws that is nearest to each mode, (chain, mode).
 
-    Nearest is where Laplace's approximation to the mode alone has the greatest density.
+    The nearest mode is the one whose Laplace approximation has the greatest density.
 
     Parameters
     ----------
-    modes : sequence of Mode
     q : (chain, draw, dim)
     """
     flat = q.reshape(-1, q.shape[-1])

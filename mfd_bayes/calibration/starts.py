@@ -1,4 +1,4 @@
-"""Where the walkers of an ensemble start: around the modes, spread as the density is."""
+"""Starting points of the walkers: around the modes, spread like the density."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 
 
 def around_modes(modes: Sequence[Mode], power: float) -> Mixture:
-    """Laplace's approximation to a power of the density at every mode that may hold mass.
+    """Laplace's approximation to a power of the density, at every mode that may matter.
 
-    Laplace's masses are rough, so each mode has the cube root of its mass as its weight. Modes
-    more than 20 e-folds below the best are left out: the walkers find them if they matter.
+    Laplace's masses are rough, so each mode's weight is the cube root of its mass. Modes whose
+    log mass is more than 20 below the best are left out.
     """
     evidence = np.array([mode.log_evidence for mode in modes])
     weights = np.exp(np.maximum(evidence - evidence.max(), -300.0) / 3.0)

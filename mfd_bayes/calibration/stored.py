@@ -1,4 +1,4 @@
-"""What a test's stored posterior must hold, so that whatever is made of it can be computed."""
+"""Checks of a test's stored posterior, so that all later results can be computed from it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _Share = Annotated[float, Field(ge=0, le=1.001)]
 
 
 class _Facts(Part):
-    """What is read of a sampling's facts."""
+    """Facts of a sampling that are read back."""
 
     model: str
     noise: str
@@ -36,7 +36,7 @@ class _Facts(Part):
 
 
 def check_facts(facts: Any, where: Path) -> None:
-    """Refuse facts of a sampling that are not those that a calibration stores.
+    """Refuse sampling facts that no calibration stores.
 
     Raises
     ------
@@ -49,19 +49,12 @@ def check_facts(facts: Any, where: Path) -> None:
 
 
 def check_draws(stored: StoredTest, posterior: Posterior, where: Path) -> None:
-    """Refuse draws that no sampling gives: of other names or sizes, or out of the priors' support.
-
-    Parameters
-    ----------
-    stored : StoredTest
-    posterior : Posterior
-        Of the same file.
-    where : Path
+    """Refuse draws with wrong names or sizes, or outside the support of their priors.
 
     Raises
     ------
     StoreError
-        When the file's draws are not those of this posterior.
+        When the draws in the file are not from this posterior.
     """
     level = posterior.trace.reference_actuation
     if not level > 0:

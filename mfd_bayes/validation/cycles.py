@@ -1,4 +1,4 @@
-"""The log density of one cycle of a record, given all others."""
+"""Log density of each cycle of a record, given all others."""
 
 from __future__ import annotations
 
@@ -16,23 +16,22 @@ Array = NDArray[np.float64]
 Cycles = NDArray[np.intp]
 
 FEWEST = 3
-"""Cycles that a record must have at least, for one to be left out."""
+"""Least number of cycles of a record from which one can be left out."""
 
 _LOG_2PI = float(np.log(2 * np.pi))
-_PIECE = 1 << 19  # numbers per array that are worked on together
+_PIECE = 1 << 19  # size of the arrays of one piece, in numbers
 
 
 def find_cycles(trace: Trace, first: int = 0) -> Cycles:
-    """Samples at which the cycles of a record begin, and its end, (C + 1,).
+    """First sample of each cycle of a record, and the end of the record, (C + 1,).
 
-    A cycle ends at every second turning point, as a harmonic record's does. In an irregular
-    record small loops are joined until they last half the mean period 2π sd(x)/sd(v), so that
-    a block is no ripple between neighbours that give it away; so is what is left at the end.
-    The cycles follow from the motion alone: they are the same for every model.
+    A cycle ends at every second turning point, as in a harmonic record. In an irregular record
+    small loops are joined until they last half the mean period 2π sd(x)/sd(v): a shorter block
+    would be predicted too easily from its neighbours. A short rest at the end joins the last
+    cycle. The cycles follow from the motion alone: they are the same for every model.
 
     Parameters
     ----------
-    trace : Trace
     first : int
         Samples before this one are in no cycle.
 
@@ -67,7 +66,6 @@ def cycle_log_likelihood(
 
     Parameters
     ----------
-    posterior : Posterior
     values : mapping of str to (n,)
         Draws of all quantities.
     cycles : (C + 1,)
@@ -105,14 +103,13 @@ def conditional_density(
 ) -> tuple[Array, Array]:
     """Log density of every block of a Markov chain given all others, (n, C), and of all, (n,).
 
-    With a the first sample of a block and b the first behind it,
+    With a the first sample of a block and b the first sample after it,
 
         p(y_c | y_-c) = Π_{n=a}^{b} p(e_n | e_{n−1}) / p(e_b | e_{a−1}),
 
-    where the last density bridges the hole: its φ is the product of all φ from a to b. That
-    is exact for Gaussian noise. A sum of Student-t innovations has no closed form: there the
-    bridge is a Student-t of the same degrees of freedom, which has the sum's mean and
-    variance.
+    where the last density bridges the gap: its φ is the product of all φ from a to b. That
+    is exact for Gaussian noise. A sum of Student-t innovations has no closed form: there a
+    Student-t with the same degrees of freedom and the sum's mean and variance is used.
 
     Parameters
     ----------
@@ -120,7 +117,7 @@ def conditional_density(
     decay, scale : (n, T)
         From `Noise.memory`.
     starts : (C,)
-        First sample of each block, the first of them 0; a block ends where the next begins.
+        First sample of each block, starting with 0; a block ends where the next begins.
     dof : (n,), optional
         Degrees of freedom of Student-t innovations.
     """
@@ -138,7 +135,7 @@ def conditional_density(
 
 
 def _transition(after: Array, before: Array, decay: Array, dof: Array | None) -> Array:
-    """Log density of standardised noise given that before it, with φ = exp(−decay)."""
+    """Log density of standardised noise given its previous value, with φ = exp(−decay)."""
     shrink = -np.expm1(-2.0 * decay)
     squares = (after - np.exp(-decay) * before) ** 2 / shrink
     if dof is None:

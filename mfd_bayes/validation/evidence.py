@@ -1,4 +1,4 @@
-"""The marginal likelihood of a density, by importance sampling that adapts its proposal."""
+"""Evidence (integral of a density) by importance sampling with an adaptive proposal."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ DRAWS = 4000
 """Draws from each proposal."""
 
 ROUNDS = 16
-"""Proposals at most."""
+"""Largest number of proposals."""
 
 SHARE = 0.1
-"""Effective share of the draws from which the next proposal is learned."""
+"""Effective sample size, as a share of the draws, from which the next proposal is learned."""
 
 ENOUGH = 0.6
-"""Pareto k at which the proposal is good enough, with some distance to 0.7."""
+"""Pareto k at which the proposal is good enough, with a margin below 0.7."""
 
 PARTS = 2
-"""Student-t densities of a proposal, besides its wide part."""
+"""Student-t components of a proposal, besides its wide one."""
 
 
 def log_evidence(
@@ -35,21 +35,20 @@ def log_evidence(
     log_weights: Array,
     rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Log of the integral of a density, and the Pareto k of the weights it is the mean of.
+    """Log of the integral of a density, and the Pareto k of its importance weights.
 
     Population Monte Carlo (Cappé et al., 2004) with tempered weights (Koblents and Míguez,
-    2015): a proposal is learned from weighted draws, drawn from and weighted in turn, until k
-    is small. As long as few draws have all the weight, a power of the weights is taken.
+    2015): a proposal is learned from weighted draws, new draws from it are weighted, and so on
+    until k is small. While few draws have all the weight, a power of the weights is used.
 
     Parameters
     ----------
     density : callable
         Log density, unnormalised, (n, dim) -> (n,).
     draws : (n, dim)
-        From a density not too far away.
+        From a density not too different.
     log_weights : (n,)
-        Log of the density over theirs, unnormalised.
-    rng : numpy.random.Generator
+        Log of the density over that of the draws, unnormalised.
     """
     random = np.random.RandomState(int(rng.integers(2**32)))
     best = (-np.inf, np.inf)
@@ -70,7 +69,7 @@ def log_evidence(
 
 
 def _temper(log_weights: Array) -> float:
-    """Power of the weights at which their effective share is `SHARE`, at most 1."""
+    """Power of the weights, at most 1, at which the effective sample size is `SHARE` × n."""
     floor = np.log(SHARE * log_weights.size)
 
     def excess(power: float) -> float:

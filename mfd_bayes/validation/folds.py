@@ -1,7 +1,7 @@
-"""Cross-validation of a calibrated campaign: every part in turn predicted from all the others.
+"""Cross-validation of a calibrated campaign: each part is predicted from all others.
 
-Nothing is sampled twice: the tests' posteriors are those that are stored, and only the
-population is inferred anew without the part that is left out.
+The tests' stored posteriors are used; only the population is inferred again without the part
+that is left out.
 """
 
 from __future__ import annotations
@@ -31,24 +31,22 @@ from mfd_bayes.store.files import read_json, write_json
 from mfd_bayes.validation.scores import score
 
 DRAWS = 800
-"""Draws of a band that is scored."""
+"""Number of draws of each scored band."""
 
 FOLDER = "crossvalidation"
 
 
 @dataclass(frozen=True)
 class Fold:
-    """One part to be left out: what a process needs for it.
+    """A part to be left out, as the job of one process.
 
     Attributes
     ----------
     part : str
     file : str
-        Where its scores are stored, under OUT/crossvalidation.
+        File of its scores, under OUT/crossvalidation.
     left_out, kept : tuple of str
-        Tests.
-    effort : str
-    seed : int
+        Ids of tests.
     """
 
     part: str
@@ -60,16 +58,16 @@ class Fold:
 
     @property
     def id(self) -> str:
-        """What it is called."""
+        """Its name as a job."""
         return fold_id(self.part)
 
     @property
     def makes(self) -> tuple[str, ...]:
-        """Its scores."""
+        """Files that it writes: its scores."""
         return (f"{FOLDER}/{self.file}",)
 
     def needs(self, out: Path) -> tuple[str, ...]:
-        """Everything of a finished run that `open_run` reads."""
+        """Files of a finished run that `open_run` reads."""
         stored = (out / "tests").glob("*/*.nc")
         records = [p for p in stored if p.name in ("posterior.nc", "record.nc")]
         return MANIFEST, "priors.toml", *sorted(p.relative_to(out).as_posix() for p in records)
@@ -97,19 +95,19 @@ class Fold:
         return Outcome(self.id, State.DONE, time.perf_counter() - began)
 
     def stored(self, out: Path) -> bool:
-        """Whether its scores are there, and are of this very fold."""
+        """Whether its scores are stored, for exactly this fold."""
         file = out / FOLDER / self.file
         key = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
-        return file.is_file() and read_json(file).get("key") == key  # as JSON gives it back
+        return file.is_file() and read_json(file).get("key") == key  # JSON has lists for tuples
 
 
 def fold_id(part: str) -> str:
-    """What the prediction of a part from all the others is called."""
+    """Name of the job that predicts a part from all others."""
     return f"without {part}"
 
 
 def part_kind(by: str) -> PartKind:
-    """What is left out of a campaign at a time, by its name.
+    """The kind of parts to leave out, by name, checked.
 
     Raises
     ------
@@ -130,11 +128,11 @@ def parts_of(
     Parameters
     ----------
     settings : mapping of str to Setting
-        Of every calibrated test, by its id.
+        Setting of every calibrated test, by id.
     by : {"test", "level", "session"}
     actuation_unit : {"ksi", "kip"}
     where : Path
-        Campaign or run, named where there are too few parts.
+        Campaign or run, named in the error message.
 
     Raises
     ------
@@ -172,12 +170,12 @@ def parts_of(
 
 
 def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
-    """Every part of a run that is to be left out.
+    """A fold for every part of a run.
 
     Raises
     ------
     CampaignError
-        When there are fewer than two.
+        When there are fewer than two parts.
     """
     settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
     parts = parts_of(settings, by, run.actuation_unit, run.folder)
@@ -198,12 +196,12 @@ def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
 def leave_out(
     run: Run, fold: Fold, observe: Callable[[Step], Any] = lambda _: None
 ) -> tuple[Prediction, ...]:
-    """Predictions of the tests of one part from all the others.
+    """Predictions of the tests of one part, from all others.
 
     Raises
     ------
     MfdError
-        When the others do not make a population.
+        When no population can be inferred from the others.
     """
     others = {name: run.tests[name] for name in fold.kept}
     inference = infer_population(
@@ -232,7 +230,7 @@ def _fitted(test: TestResult) -> Score:
 
 
 def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
-    """Predictions of folds that were stored.
+    """Stored predictions of folds.
 
     Raises
     ------
@@ -247,7 +245,7 @@ def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
 def run_folds(
     run: Run, folds: Sequence[Fold], workplace: Workplace, observe: Callable[[Step], None]
 ) -> tuple[Prediction, ...]:
-    """Predictions of every part, so many at a time; those that are stored are not done again.
+    """Predictions of every part, computed in parallel; stored ones are not computed again.
 
     Raises
     ------

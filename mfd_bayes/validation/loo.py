@@ -1,4 +1,4 @@
-"""How well a model predicts each cycle of a record from all others."""
+"""Leave-one-cycle-out cross-validation of a calibrated test."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ LARGEST_K = 0.7
 class CrossValidation:
     """Leave-one-cycle-out figures, one for each cycle.
 
-    Vehtari, Gelman and Gabry (2017), with cycles for points, since neighbouring samples of a
-    record depend on each other. Where a cycle tells so much that the weights of PSIS cannot be
-    trusted, p(y_c | y_-c) = p(y)/p(y_-c) is found from both evidences instead.
+    As in Vehtari, Gelman and Gabry (2017), but whole cycles are left out, since neighbouring
+    samples of a record depend on each other. Where PSIS weights cannot be trusted because a
+    cycle is too informative, p(y_c | y_-c) = p(y)/p(y_-c) is computed from both evidences.
 
     Attributes
     ----------
     elpd : (C,)
         Expected log predictive density, log p(y_c | y_-c).
     lppd : (C,)
-        The same of the posterior that has seen the cycle.
+        The same under the posterior with the cycle included.
     psis_k : (C,)
-        Pareto k of PSIS from the posterior's draws.
+        Pareto k of PSIS with the posterior's draws.
     k : (C,)
-        Pareto k of the weights that `elpd` is from, which may be those of the evidences.
+        Pareto k of the weights behind `elpd`, from PSIS or from the evidences.
     """
 
     elpd: Array
@@ -71,11 +71,11 @@ class CrossValidation:
 
     @property
     def redone(self) -> NDArray[np.bool_]:
-        """Whether a cycle was too much for PSIS, (C,)."""
+        """Whether PSIS failed for a cycle, (C,)."""
         return ~(self.psis_k <= LARGEST_K)
 
     def part(self, chosen: NDArray[np.bool_]) -> CrossValidation:
-        """Figures of some of the cycles; `chosen` is (C,)."""
+        """Figures of the chosen cycles; `chosen` is (C,)."""
         return CrossValidation(
             self.elpd[chosen], self.lppd[chosen], self.psis_k[chosen], self.k[chosen]
         )
@@ -92,12 +92,10 @@ def cross_validate(
 
     Parameters
     ----------
-    posterior : Posterior
     values : mapping of str to (chain · draw,)
-        Posterior draws of all quantities, in the order they are stored in.
+        Posterior draws of all quantities, in their stored order.
     chains, walkers : int
-        Number of chains, and of each one's walkers.
-    rng : numpy.random.Generator
+        Number of chains, and of walkers in each.
 
     Raises
     ------
@@ -140,10 +138,10 @@ def without_cycle(posterior: Posterior, cycles: Cycles, cycle: int) -> Callable[
 
 
 def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, float, float]:
-    """Elpd, lppd and Pareto k of one cycle, of its log density under each draw, (n,).
+    """Elpd, lppd and Pareto k of one cycle, from its log density under each draw, (n,).
 
-    The posterior without the cycle is the draws' over p(y_c | y_-c, θ), by which they are
-    weighted.
+    The posterior without the cycle is the full one divided by p(y_c | y_-c, θ): the draws are
+    weighted by the inverse of that.
     """
     log_weights, k = psis(-log_likelihood, efficiency)
     elpd = np.logaddexp.reduce(log_weights + log_likelihood)
@@ -152,20 +150,20 @@ def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, fl
 
 
 def join(parts: Iterable[CrossValidation]) -> CrossValidation:
-    """The cycles of several tests as those of one."""
+    """Figures of several tests, joined over all their cycles."""
     several = list(parts)
     names = ("elpd", "lppd", "psis_k", "k")
     return CrossValidation(*(np.concatenate([getattr(p, n) for p in several]) for n in names))
 
 
 def standard_error(figures: Array) -> float:
-    """Standard error of a sum over cycles, √(C var); not a number for fewer than two."""
+    """Standard error of a sum over cycles, √(C var); NaN for fewer than two."""
     if figures.size < 2:
         return float("nan")
     return float(np.sqrt(figures.size * np.var(figures, ddof=1)))
 
 
 def difference(one: CrossValidation, other: CrossValidation) -> tuple[float, float]:
-    """Elpd of one less that of the other, and its standard error, paired over cycles."""
+    """Elpd of one minus that of the other, and its standard error, paired over cycles."""
     apart = one.elpd - other.elpd
     return float(apart.sum()), standard_error(apart)

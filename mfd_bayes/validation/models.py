@@ -1,4 +1,4 @@
-"""Which model the records favour: runs of one campaign under several models, compared."""
+"""Comparison of models: runs of one campaign under several models."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from mfd_bayes.validation.loo import (
 Array = NDArray[np.float64]
 
 CLEAR = 2.0
-"""Standard errors from which one model is called better than another."""
+"""Number of standard errors from which one model counts as better than another."""
 
 FEW = 10
-"""Cycles below which a standard error over cycles is itself rough."""
+"""Number of cycles below which a standard error over cycles is rough."""
 
 ALL = "all"
 _DRAWS = 400  # for the median of the force
@@ -39,16 +39,16 @@ _DRAWS = 400  # for the median of the force
 
 @dataclass(frozen=True, eq=False)
 class _Score:
-    """A model on one test, or on several."""
+    """Scores of a model on one or several tests."""
 
     validation: CrossValidation
-    squares: float  # of what the median of the force leaves over, kip²
-    spread: float  # of the measured force about its mean, kip²
-    short: tuple[str, ...]  # tests whose sampling fell short of its targets
+    squares: float  # sum of squares of the force minus its predicted median, kip²
+    spread: float  # sum of squares of the force about its mean, kip²
+    short: tuple[str, ...]  # tests whose sampling missed its targets
 
 
 def check_models(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of two models or more, in their own order.
+    """Names of two or more models, in the program's order.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def check_models(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def check_cycles(task: Task) -> None:
-    """Refuse a test of which no cycle can be left out.
+    """Refuse a test with too few cycles to leave one out.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
 
 
 def _favour(total: Mapping[str, _Score], pair: tuple[str, str], tests: int) -> str:
-    """Which of the best two models the records favour, if any."""
+    """Sentence on which of the best two models the records favour, if any."""
     best, second = pair
     one, other = total[best].validation, total[second].validation
     apart, error = difference(one, other)
@@ -178,7 +178,7 @@ def _favour(total: Mapping[str, _Score], pair: tuple[str, str], tests: int) -> s
 
 
 def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
-    """Whether the diagnostics of the best two models allow trusting their difference."""
+    """Sentence on whether the diagnostics of the best two models support their difference."""
     redone = [_redone(model, total[model].validation) for model in pair]
     doubts = [doubt for model in pair for doubt in _doubts(model, total[model])]
     text = ""
@@ -202,7 +202,7 @@ def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
 
 
 def _redone(model: str, found: CrossValidation) -> str:
-    """How many cycles had to be computed anew; "" where none had."""
+    """Number of cycles for which PSIS failed, as text; "" where there is none."""
     if not np.any(found.redone):
         return ""
     share = f"{found.redone.sum()} of {found.cycles} cycles of {model}"
@@ -210,7 +210,7 @@ def _redone(model: str, found: CrossValidation) -> str:
 
 
 def _doubts(model: str, score: _Score) -> list[str]:
-    """Why the figures of a model should not be trusted."""
+    """Reasons not to trust the figures of a model."""
     doubts, bad = [], score.validation.bad
     if np.any(bad):
         doubts.append(f"k stays above {LARGEST_K:g} in {bad.sum()} cycles of {model}")

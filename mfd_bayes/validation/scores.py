@@ -1,4 +1,4 @@
-"""How well a predicted band and its draws met a measured force."""
+"""Scores of a predicted band and its draws against a measured force."""
 
 from __future__ import annotations
 
@@ -42,6 +42,6 @@ def crps(draws: Array, observed: Array) -> Array:
 
 
 def rrse(predicted: Array, observed: Array) -> float:
-    """Root relative squared error √(Σ(F − F̂)² / Σ(F − F̄)²), NaN of a force that is constant."""
+    """Root relative squared error √(Σ(F − F̂)² / Σ(F − F̄)²), NaN for a constant force."""
     error, spread = np.sum((observed - predicted) ** 2), np.sum((observed - observed.mean()) ** 2)
     return float(np.sqrt(error / spread)) if spread > 0 else float("nan")
