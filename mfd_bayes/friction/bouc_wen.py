@@ -18,11 +18,18 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.hysteresis import Curve
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.yield_shares import (
+    ACTUATED,
+    Shares,
+    check_number,
+    step_shares,
+    trace_shares,
+)
 from mfd_bayes.records.motion import vertices
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
-Shares = dict[str, Array]
+
 
 _QUANTITIES = (
     Quantity("k", "stiffness", "k", "k", "stiffness of Bouc-Wen hysteresis"),
@@ -46,8 +53,6 @@ _QUANTITIES = (
     Quantity("c", "damping", "c", "c", "viscous damping of Bouc-Wen hysteresis"),
 )
 
-ACTUATED = ("Fy_fwd", "Fy_bwd")
-"""The parameters that follow the actuation."""
 
 FLOOR = 1e-6
 """Least share of F_y that is left at zero actuation, so that nothing divides by zero."""
@@ -126,7 +131,7 @@ class BoucWen(Model):
         """
         columns = _check_theta(self, theta)
         n = columns["k"].size
-        shares = _trace_shares(trace, n, scales)
+        shares = trace_shares(trace, n, scales)
         t, x, v = trace.time, trace.displacement, trace.velocity
         left, place, vertex = vertices(t, x, v)
         nearest = np.insert(np.arange(t.size), left + 1, np.where(place < 0.5, left, left + 1))
@@ -168,7 +173,7 @@ class BoucWen(Model):
         """
         columns = _check_theta(self, theta)
         if reference_actuation is not None:
-            _check_number("reference_actuation", reference_actuation, least=0.0)
+            check_number("reference_actuation", reference_actuation, least=0.0)
         curve = Curve.of(columns["exponent"], columns["beta"], _ratio(columns), wide=True)
         return State(columns, curve, reference_actuation, np.zeros(columns["k"].size))
 
@@ -202,14 +207,14 @@ class BoucWen(Model):
             When a number is not finite, dt not positive, the actuation negative, or a name
             or a value in `scales` does not fit.
         """
-        _check_number("displacement", displacement)
-        _check_number("velocity", velocity)
+        check_number("displacement", displacement)
+        check_number("velocity", velocity)
         if state.reference is None and actuation is not None:
             state = replace(state, reference=actuation)
-        shares = _step_shares(state, actuation, scales)
+        shares = step_shares(state.z.size, state.reference, actuation, scales)
         first = state.origin is None
         if not first:
-            _check_number("dt", dt)
+            check_number("dt", dt)
             if dt <= 0:
                 raise FitError(f"dt must be positive, got {dt} s")
         after = replace(
@@ -304,46 +309,3 @@ def _check_theta(model: BoucWen, theta: ArrayLike) -> dict[str, Array]:
             got = column[np.argmax(bad)]
             raise FitError(f"parameter {q.name} must be finite and {words}, got {got}")
     return columns
-
-
-def _check_number(name: str, value: float, *, least: float = -np.inf) -> None:
-    if not (np.isfinite(value) and value >= least):
-        words = "finite" if least < 0 else "finite and not negative"
-        raise FitError(f"{name} must be {words}, got {value}")
-
-
-def _check_shares(scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...], ...]) -> Shares:
-    shares = {name: np.asarray(share, dtype=np.float64) for name, share in scales.items()}
-    expected = " or ".join(map(str, shapes))
-    for name, share in shares.items():
-        if name not in ACTUATED or share.shape not in shapes:
-            raise FitError(
-                f"scales may hold {' and '.join(ACTUATED)} with shape {expected}, "
-                f"got {name} with {share.shape}"
-            )
-        if not np.all(np.isfinite(share) & (share >= 0)):
-            raise FitError(f"scales of {name} must be finite and not negative")
-    return shares
-
-
-def _trace_shares(trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None) -> Shares:
-    """Factors of F_y at each sample, (n, T) or (1, T); empty when F_y is constant."""
-    if scales is not None:
-        return _check_shares(scales, ((n, trace.samples), (1, trace.samples)))
-    if not trace.varying:
-        return {}
-    share = np.asarray(trace.actuation)[None] / (trace.reference_actuation or 1.0)
-    return dict.fromkeys(ACTUATED, share)
-
-
-def _step_shares(
-    state: State, actuation: float | None, scales: Mapping[str, ArrayLike] | None
-) -> Shares:
-    """Factors of F_y at a sample, (n,), (1,) or (); empty when F_y is constant."""
-    if actuation is not None:
-        _check_number("actuation", actuation, least=0.0)
-    if scales is not None:
-        return _check_shares(scales, ((state.z.size,), (1,), ()))
-    if actuation is None:
-        return {}
-    return dict.fromkeys(ACTUATED, np.array([actuation / (state.reference or 1.0)]))

@@ -1,0 +1,64 @@
+"""Factors of Bouc-Wen's yield force where it follows the actuation, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+Shares = dict[str, Array]
+
+ACTUATED = ("Fy_fwd", "Fy_bwd")
+"""The parameters that follow the actuation."""
+
+
+def check_number(name: str, value: float, *, least: float = -np.inf) -> None:
+    """Refuse a number that is not finite or below its least value, by a FitError with its name."""
+    if not (np.isfinite(value) and value >= least):
+        words = "finite" if least < 0 else "finite and not negative"
+        raise FitError(f"{name} must be {words}, got {value}")
+
+
+def _check_shares(scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...], ...]) -> Shares:
+    shares = {name: np.asarray(share, dtype=np.float64) for name, share in scales.items()}
+    expected = " or ".join(map(str, shapes))
+    for name, share in shares.items():
+        if name not in ACTUATED or share.shape not in shapes:
+            raise FitError(
+                f"scales may hold {' and '.join(ACTUATED)} with shape {expected}, "
+                f"got {name} with {share.shape}"
+            )
+        if not np.all(np.isfinite(share) & (share >= 0)):
+            raise FitError(f"scales of {name} must be finite and not negative")
+    return shares
+
+
+def trace_shares(trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None) -> Shares:
+    """Factors of F_y at each sample, (n, T) or (1, T); empty when F_y is constant."""
+    if scales is not None:
+        return _check_shares(scales, ((n, trace.samples), (1, trace.samples)))
+    if not trace.varying:
+        return {}
+    share = np.asarray(trace.actuation)[None] / (trace.reference_actuation or 1.0)
+    return dict.fromkeys(ACTUATED, share)
+
+
+def step_shares(
+    n: int,
+    reference: float | None,
+    actuation: float | None,
+    scales: Mapping[str, ArrayLike] | None,
+) -> Shares:
+    """Factors of F_y at a sample, (n,), (1,) or (); empty when F_y is constant."""
+    if actuation is not None:
+        check_number("actuation", actuation, least=0.0)
+    if scales is not None:
+        return _check_shares(scales, ((n,), (1,), ()))
+    if actuation is None:
+        return {}
+    return dict.fromkeys(ACTUATED, np.array([actuation / (reference or 1.0)]))
