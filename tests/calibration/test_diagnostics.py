@@ -38,7 +38,7 @@ def test_stuck_walkers_have_a_long_autocorrelation_time():
     places = np.random.default_rng(2).normal(size=(4, 1, 20, 1))
     stuck = np.broadcast_to(places, (4, steps, 20, 1))
     assert autocorrelation_time(stuck)[0] >= steps
-    # nearly stuck: each walker jitters about a place of its own
+    # nearly stuck: each walker moves only about a point of its own
     jitter = places + 0.1 * np.random.default_rng(3).normal(size=(4, steps, 20, 1))
     assert autocorrelation_time(jitter)[0] >= steps / 5
     # the control: the same places visited in a random order by every walker

@@ -27,7 +27,7 @@ NAMES = ("a", "b", "c")
 
 
 def exact_draws(covariance, n=4000, seed=0):
-    """Draws (n, dim) whose covariance is as asked to the last digit."""
+    """Draws (n, dim) whose covariance is exactly the given one."""
     draws = np.random.default_rng(seed).normal(size=(n, len(covariance)))
     draws -= draws.mean(axis=0)
     root = np.linalg.cholesky(np.cov(draws, rowvar=False))
@@ -131,7 +131,7 @@ def normal_normal(prior_mean, prior_sd, data_mean, data_sd, alphas=(1.0, 1.0)):
 
 
 def normal_distance(base, moved, low, high):
-    """The distance of two normals by quadrature, from the formula."""
+    """The distance of two normals, by quadrature of its formula."""
     p, q = stats.norm(*base), stats.norm(*moved)
     sides = []
     for name in ("cdf", "sf"):
@@ -210,7 +210,7 @@ def test_diagnosis_heeds_the_limit_that_chance_sets():
 
 
 def walks(seed, phi=0.98, steps=500, walkers=8):
-    """Slow AR(1) chains, (4, walkers · steps), ordered by walker: an ESS of some 160."""
+    """Slow AR(1) chains, (4, walkers · steps), ordered by walker: an ESS of about 160."""
     noise = np.random.default_rng(seed).normal(size=(steps, 4, walkers))
     walk = np.empty_like(noise)
     walk[0] = noise[0]
@@ -225,9 +225,9 @@ def test_few_draws_do_not_pass_for_sensitivity():
         for seed in range(20)
     ]
     raised = [s for s in found if s.prior_limit > SENSITIVE]
-    assert len(raised) > 15  # with so few draws chance alone passes the limit …
-    assert sum(s.diagnosis != "" for s in found) <= 3  # … and is known for it
-    # the control: as few draws do show what is there
+    assert len(raised) > 15  # with so few draws, chance alone exceeds the limit …
+    assert sum(s.diagnosis != "" for s in found) <= 3  # … and is recognised as chance
+    # the control: the same number of draws shows a real effect
     x = walks(7)
     seen = measure_sensitivity(("x",), x[None], 8 * x, walks(207))[0]
     assert seen.diagnosis == PRIOR_LED
@@ -235,7 +235,7 @@ def test_few_draws_do_not_pass_for_sensitivity():
 
 def test_sensitivity_is_that_of_arviz():
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what it and its own imports announce
+        warnings.simplefilter("ignore")  # announcements of it and of its imports
         import arviz as az
     x, log_prior, log_likelihood = drawn(CASES["conflict"], 4000)
     if hasattr(az, "psens"):

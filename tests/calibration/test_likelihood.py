@@ -111,7 +111,7 @@ def test_draws_have_the_stated_spread_and_memory(name, noise_time, kurtosis):
     phi = np.exp(-1 / 64 / noise_time) if name == "ou" else 0.0
     scores = z_scores(noise, 0.2, phi, kurtosis)
     assert np.max(np.abs(scores)) < 4
-    # the control: a spread and a memory that are a few percent off are told apart
+    # the control: a scale or a correlation time that is a few percent off is detected
     assert abs(z_scores(noise, 0.2 * 1.04, phi, kurtosis)[0]) > 4
     assert abs(z_scores(noise, 0.2, phi + 0.03, kurtosis)[1]) > 4
 

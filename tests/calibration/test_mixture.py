@@ -30,7 +30,7 @@ def test_draws_have_the_density():
         f = stats.multivariate_normal(MEANS[1], scale * COVARIANCES[1])
         ratios = f.pdf(draws) / np.exp(MIXTURE.log_density(draws))
         assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(20000))
-        # the control: another mixture's density is told apart
+        # the control: the density of another mixture is detected
         other = Mixture(MIXTURE.weights[::-1], MIXTURE.means, MIXTURE.factors, MIXTURE.dof)
         wrong = f.pdf(draws) / np.exp(other.log_density(draws))
         assert abs(np.mean(wrong) - 1.0) > 6 * np.std(wrong) / np.sqrt(20000)
@@ -97,7 +97,7 @@ def test_density_of_what_is_warped_or_either_integrates_to_one():
     random = np.random.RandomState(11)
     for proposal in (warped, either):
         draws = proposal.draw(random, 20000)
-        # a bounded density well inside: the middle of the draws
+        # a bounded density, well inside: the middle of the draws
         middle, spread = np.median(draws, axis=0), np.quantile(draws, 0.6, axis=0)
         f = stats.multivariate_normal(middle, np.diag((0.5 * (spread - middle)) ** 2))
         ratios = f.pdf(draws) / np.exp(proposal.log_density(draws))

@@ -26,7 +26,7 @@ def log_density(q):
 
 
 def apart(move):
-    """Red–blue moves within each ensemble; the others as they are."""
+    """Red–blue moves applied within each ensemble; other moves unchanged."""
     return Apart(move, ENSEMBLES) if hasattr(move, "get_proposal") else move
 
 
@@ -74,7 +74,7 @@ def run(moves, *, seed=0, steps=STEPS, begin=None):
 
 @dataclass(frozen=True)
 class Verdict:
-    """How far draws are from the target: means and variances, and a KS test's p-value."""
+    """Errors of the draws' means and variances, and the p-value of a KS test."""
 
     mean_error: float
     variance_ratio: np.ndarray
@@ -99,7 +99,7 @@ def judge(chains):
 
 
 class Snooker(emcee.moves.DESnookerMove):
-    """emcee's snooker move, which wants its complement in three parts."""
+    """emcee's snooker move, which needs its complement in three parts."""
 
     def get_proposal(self, s, c, random):
         return super().get_proposal(s, np.array_split(c[0], 3), random)
@@ -163,13 +163,13 @@ def test_ensembles_are_independent():
 
     assert n > 30
     assert worst(thinned) * np.sqrt(n) < 4
-    # the control: a quarter of a neighbour's mean is seen
+    # the control: mixing in a part of a neighbour's mean is detected
     mixed = thinned + 0.5 * np.roll(thinned, 1, axis=0)
     assert worst(mixed) * np.sqrt(n) > 4
 
 
 def test_an_ensemble_is_deaf_to_where_the_others_are():
-    # moved far away and flat, three ensembles leave the first one's proposals as they were
+    # moving three ensembles far away, and flat, does not change the first one's proposals
     class Recorder:
         def __init__(self):
             self.move = emcee.moves.DEMove(sigma=1e-3)

@@ -116,7 +116,7 @@ def test_both_directions_of_friction_have_a_pivot():
 
 
 def test_friction_that_follows_from_several_coordinates_is_derived():
-    # both static forces, and both kinetic ones, which stand behind a pivot
+    # both static forces, and both kinetic ones, which are computed from a pivot
     posterior = build()
     q = points(posterior)
     theta = posterior.theta(posterior.values(q))
@@ -244,7 +244,7 @@ def test_mask_drops_the_samples_before_the_first_slip():
     assert travel.max() > 2 * FILE.gap
     assert build().first == 0
 
-    # what lies before it cannot matter; what comes after does
+    # samples before it do not matter; those after it do
     changed = FORCE.copy()
     changed[: posterior.first] += 5.0
     q = points(posterior)
@@ -335,7 +335,7 @@ def test_log_posterior_at_truth_is_above_that_of_far_points():
 def test_priors_beyond_what_bouc_wen_admits_are_refused(name, prior, words):
     with pytest.raises(PriorError, match=rf"{name} in brfd.toml.*{words}"):
         build("bouc_wen", priors={name: prior})
-    build("lugre", priors={name: prior})  # where they do not count
+    build("lugre", priors={name: prior})  # a model without these parameters
 
 
 def test_priors_of_a_model_are_needed_only_where_it_is_chosen():

@@ -1,4 +1,4 @@
-"""Replicated records are numbers, or there are none."""
+"""Replicated records are finite, or they are refused."""
 
 import numpy as np
 import pytest

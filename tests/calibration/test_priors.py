@@ -91,7 +91,7 @@ def test_values_and_coordinates_invert_each_other(prior, law):
 def test_draws_follow_the_law(prior, law):
     draws = prior.draw(np.random.default_rng(11), 4000)
     assert stats.kstest(draws, law.cdf).pvalue > 0.001
-    # the control: an eighth of a standard deviation off is seen
+    # the control: an error of an eighth of a standard deviation is detected
     assert stats.kstest(draws + law.std() / 8, law.cdf).pvalue < 0.001
     again = prior.draw(np.random.default_rng(11), 4000)
     np.testing.assert_array_equal(draws, again)

@@ -1,4 +1,4 @@
-"""A new model, noise or prior family is one class, and one entry of its registry."""
+"""A new model, noise or prior family needs one class and one entry in its registry."""
 
 from types import MappingProxyType
 
@@ -52,7 +52,7 @@ actuation = "500 psi"
 
 
 class Coulomb(Model):
-    """Dry friction: the friction force against every motion."""
+    """Dry friction: a constant force against the motion."""
 
     name = "coulomb"
     quantities = (Quantity("mu", "force", r"\mu", "μ", "friction force"),)

@@ -1,4 +1,4 @@
-"""Noise that is larger, and forgets faster, where the force builds up."""
+"""Noise that is larger, and decorrelates faster, where the force builds up."""
 
 import itertools
 
@@ -91,7 +91,7 @@ def test_records_of_any_length_have_their_density(samples, monkeypatch):
 
 
 class Impulses:
-    """In place of a generator: each of n draws has one of the n normal numbers 1, the others 0."""
+    """Replaces a generator: in draw i of n, normal number i is 1 and the others are 0."""
 
     def standard_normal(self, shape):
         return np.eye(*shape)

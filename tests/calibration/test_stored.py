@@ -1,4 +1,4 @@
-"""Draws of a stored posterior are those of its model and priors, or they are refused."""
+"""Stored draws are refused unless they fit their model and priors."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def posterior():
 
 
 def make(posterior, **changed):
-    """Draws of the prior, some of them changed; None for none."""
+    """Prior draws, some changed by functions; a function of a new name is given None."""
     flat = posterior.draw_prior(np.random.default_rng(0), 24)
     flat |= dict(zip(posterior.model.parameters, posterior.theta(flat).T, strict=True))
     values = {name: draws.reshape(2, 12) for name, draws in flat.items()}

@@ -123,7 +123,7 @@ def test_random_turns_equal_an_ode_solver():
     corners = np.concatenate([[0.0], np.cumsum(rng.normal(size=40) * 0.06)])
     motion = np.concatenate([np.linspace(a, b, 5)[:-1] for a, b in zip(corners, corners[1:])])  # noqa: B905, RUF007
     time = np.arange(motion.size) * 0.01
-    # no velocity, so that no turn has a vertex beyond its corner
+    # zero velocity, so that no turning point lies beyond its corner
     trace = Trace.from_arrays(time, motion, velocity=np.zeros(motion.size))
     z = [0.0]
     for way in np.diff(motion):

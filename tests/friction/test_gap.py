@@ -17,7 +17,7 @@ def a_gap(ell=ELL, n=1):
 
 
 def literal(u, side, slip, ell=ELL):
-    """Force and weights written as in model.md section 4, for scalars."""
+    """Force and weights for scalars, written as in model.md section 4."""
 
     def m(x):
         return 0.5 * (1 + math.tanh(0.5 * x / ell))
@@ -45,7 +45,7 @@ def states(trace, start=0.5, slip=0.0, **kwargs):
 
 
 def force_at(gap, u, side, slip, carry=0.0):
-    """Force at travels u (N,) of one crossing, and with a force carried on, (N,)."""
+    """Force at travels u of one crossing, and with a carried force, (N,) each."""
     edge = 0.0 if side > 0 else -gap.width[0]
     crossing = Crossing(*(np.full((1, 1), value) for value in (side, edge, carry)))
     force = np.broadcast_to(np.asarray(slip, dtype=float), np.shape(u))[:, None].copy()
@@ -66,14 +66,14 @@ def test_blend_equals_the_literal_formulas(side, ell):
     expected = [literal(ui, side, fi, ell) for ui, fi in zip(u, slip, strict=True)]
     got = force_at(a_gap(ell), u, side, slip)
     np.testing.assert_allclose(got, expected, rtol=1e-10, atol=1e-10)
-    # without the travels below 0, which take another branch
+    # without travels below 0, which use another branch
     ahead = u >= 0
     got = force_at(a_gap(ell), u[ahead], side, slip[ahead])
     np.testing.assert_allclose(got, np.array(expected)[ahead], rtol=1e-10, atol=1e-10)
 
 
 def test_very_sharp_transitions_equal_the_literal_formulas():
-    # they take separate exponentials, since exp(D/ℓ) overflows
+    # these use separate exponentials, since exp(D/ℓ) overflows
     ell = D / 900
     near = np.array([-3.0, -0.5, 0.0, 0.5, 2.0, 7.0]) * ell
     u = np.concatenate([near, D2 + near, D + near, [0.5 * D2, D2 + 0.5 * D3, 2 * D]])

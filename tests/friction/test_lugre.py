@@ -111,7 +111,7 @@ def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms(way, 
 
 
 def test_bristles_without_stiffness_give_no_nan():
-    # either refused by name, or the limit: nothing but the viscous part
+    # either refused by name, or the limit: only the viscous part
     expected = VALUES["sigma2"] * 0.5
     try:
         force = LuGre().force(theta(sigma0=0.0, sigma1=0.0), ramp(0.5))[0]

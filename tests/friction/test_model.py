@@ -87,7 +87,7 @@ def test_scales_take_every_parameter_that_follows_the_actuation(name):
     scales = {name: np.full((1, trace.samples), 1.5)}
     changed = {name: 1.5 * VALUES[name]}
     pair = {"Fc_fwd": "Fs_fwd", "Fc_bwd": "Fs_bwd"}.get(name)
-    if pair:  # static friction has to stay above
+    if pair:  # static friction must stay above it
         scales[pair] = scales[name]
         changed[pair] = 1.5 * VALUES[pair]
     expected = MODEL.force(theta(**changed), trace)

@@ -91,7 +91,7 @@ def test_parameters_belong_to_the_first_actuation_when_no_reference_is_given(lev
     theta = dampers(2)
     for model in MODELS:
         np.testing.assert_array_equal(steps(model, theta, constant), steps(model, theta, trace))
-        # the control: with a reference of its own, friction is in proportion to it
+        # the control: with a given reference, friction is proportional to actuation over it
         other = steps(model, theta, constant, reference_actuation=2.0 * level)
         assert np.max(np.abs(other - steps(model, theta, trace))) > 0.01
 

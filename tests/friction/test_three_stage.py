@@ -108,7 +108,7 @@ def reference_slip(values, motion, time):
 
 
 def reference_gap(values, x, slip, w0):
-    """Force by model.md sections 3 and 4, one sample after the other."""
+    """Force by model.md sections 3 and 4, sample by sample."""
     d2, width = values["d2"], values["d2"] + values["d3"]
     ell = values["gamma2"] / values["gamma1"]
     moving = np.flatnonzero(np.diff(x))
@@ -170,7 +170,7 @@ def test_agreement_holds_for_other_starts_and_soft_transitions(start):
 
 
 def test_agreement_is_not_for_lack_of_a_gap():
-    # the control: the same comparison tells a gap that is a fiftieth wider
+    # the control: the same comparison detects a gap that is a fiftieth wider
     expected = reference(VALUES, FULL)
     force = MODEL.force(theta(d2=1.02 * VALUES["d2"]), FULL.trace())[0]
     assert np.max(np.abs(force - expected)) > 2e-3 * np.max(np.abs(expected))

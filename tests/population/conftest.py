@@ -1,4 +1,4 @@
-"""Linear-Gaussian populations, with their answers by brute force."""
+"""Linear-Gaussian populations, with reference results by brute force."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def priors() -> PriorFile:
 def gaussian_test(
     mean: Array, covariance: Array, rng: np.random.Generator, draws: int = 4000
 ) -> TestLikelihood:
-    """A test with a Gaussian likelihood that does not say so, after a N(0, 1) interim prior."""
+    """A test with a Gaussian likelihood as a plain function, and draws under a N(0, 1) prior."""
     d = len(mean)
     precision = np.linalg.inv(covariance)
     spread = np.linalg.inv(precision + np.eye(d))
@@ -52,7 +52,7 @@ def gaussian_test(
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Means and sds of everything, and exact draws of (log scatter, log effect sd), u and x."""
+    """Means and sds of all quantities, and exact draws of h (log scatter, log effect sd), u, x."""
 
     mean: dict[str, Array]
     sd: dict[str, Array]
@@ -63,10 +63,10 @@ class Moments:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Tests with data y_j = x_j + e_j, x_j as `Layout` says, power laws, Gaussian scatter.
+    """Tests with data y_j = x_j + e_j and x_j by `Layout`: power laws, Gaussian scatter.
 
-    u are the N(0, 1) levels (d), then parts of the effects of the first quantity (its levels of
-    actuation), then its standardised exponent.
+    u holds the d levels, the effects of the first quantity at each actuation, and its exponent,
+    all standardised to N(0, 1).
     """
 
     layout: Layout
@@ -81,7 +81,7 @@ class Linear:
         return [gaussian_test(*told, rng) for told in zip(self.y, self.covariances, strict=True)]
 
     def _design(self, omega: Array) -> tuple[Array, Array]:
-        """Offsets (J, d), and what each test has of u for each sd of the effects, (n, J, d, u)."""
+        """Offsets (J, d), and design matrices from u to tests, by effect sd, (n, J, d, u)."""
         count, d = self.y.shape
         follows = bool(self.layout.laws)
         cells, home = np.unique(self.actuations, return_inverse=True)
@@ -101,10 +101,10 @@ class Linear:
         return offsets, design
 
     def conditional(self, h: Array) -> tuple[Array, Array, Array]:
-        """Log density of y, and moments of u and x (flat) together, given log sds.
+        """Log density of y, joint mean and covariance of u and x (flattened), given log sds.
 
-        `h` is (n, sds): of the scatter, and of the effects where there are some. The density is
-        (n,), the means are (n, m) and the covariances (n, m, m).
+        `h` is (n, sds): log sds of the scatter, and of the effects if there are any. The density
+        is (n,), the means are (n, m) and the covariances (n, m, m).
         """
         n, (count, d) = len(h), self.y.shape
         offsets, design = self._design(np.exp(h[:, -1]))
@@ -130,7 +130,7 @@ class Linear:
         return density, mean, everything - gain @ with_y.swapaxes(1, 2)
 
     def solve(self, rng: np.random.Generator, n: int = 4096, points: int = 40) -> Moments:
-        """Everything by a grid over log scatter and log effect sd, and n exact draws."""
+        """Moments by a grid over log scatter and log effect sd, and n exact draws."""
         d = self.y.shape[1]
         effects = len(self.layout.effects)
         scales = np.append(self.layout.scatter_sd, self.layout.scatter_sd[:1].repeat(effects))
@@ -178,7 +178,7 @@ def make_linear(priors: PriorFile) -> Callable[..., Linear]:
         noise: float = 0.5,
         seed: int = 1,
     ) -> Linear:
-        """A campaign with noise in every test, in units of its scatter, that is not small."""
+        """A campaign in which the noise of every test, relative to the scatter, is not small."""
         laws = {"Fc_fwd": "power"} if "Fc_fwd" in names else {}
         settings = [Setting(p) for p in actuations]
         layout = lay_out(priors, names, settings, laws)

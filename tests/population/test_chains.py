@@ -1,4 +1,4 @@
-"""Snapshots of sweeps evenly apart in bounded memory, and the draws that they become."""
+"""Snapshots of evenly spaced sweeps in bounded memory, and the draws made from them."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_enough_states_are_left_evenly_apart(wanted, sweeps):
     assert len(set(np.diff(kept))) <= 1
     for sweep, found in states.items():
         assert found.x.dtype == np.float32
-        assert np.all(found.x[:, 0] == sweep)  # none is written over
+        assert np.all(found.x[:, 0] == sweep)  # no snapshot is overwritten
         assert np.all(found.x[:, 1:] == sweep + 0.5)
     assert min(kept) >= sweeps // 10
     assert sweeps - 1 - max(kept) < max(np.diff(kept), default=sweeps)

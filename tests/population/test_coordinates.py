@@ -1,4 +1,4 @@
-"""Shared coordinates: what they say they are, and changes of variables of determinant 1."""
+"""Shared coordinates: their values, and that their transforms have determinant 1."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def draw(priors, names=NAMES, n=50):
 
 SUBSETS = (
     NAMES,
-    ("Fc_fwd", "static_excess_fwd"),  # no v_s: nothing to compare speeds by
+    ("Fc_fwd", "static_excess_fwd"),  # without v_s there is no reference for speeds
     ("Fc_fwd", "static_excess_fwd", "v_s"),
     ("k3", "d2", "d3"),
     ("d3", "offset"),

@@ -1,4 +1,4 @@
-"""Every move of a sweep leaves a linear-Gaussian joint posterior as it is; broken ones do not."""
+"""Every move of a sweep leaves a linear-Gaussian joint posterior invariant; broken ones do not."""
 
 from dataclasses import replace
 from functools import partial
@@ -24,7 +24,7 @@ FAR = 5.0
 
 
 class Case:
-    """Exact draws of a campaign's joint posterior, and the density that has to keep them."""
+    """Exact draws of a campaign's joint posterior, which every move must leave invariant."""
 
     def __init__(self, linear, seed=3):
         rng = np.random.default_rng(seed)
@@ -60,18 +60,18 @@ def case(make_linear):
 
 @pytest.fixture(scope="module")
 def pair(make_linear):
-    """Two quantities whose likelihoods are correlated, without laws' effects."""
+    """Two quantities with correlated likelihoods, without effects."""
     return Case(make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "offset"), seed=3))
 
 
 @pytest.fixture(scope="module")
 def vague(make_linear):
-    """Friction that each test tells less of than its prior, and far from its prior's middle."""
+    """Friction about which each test says less than its prior, far from the prior's median."""
     return Case(make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd",), level=2.5, noise=6.0, seed=3))
 
 
 def features(chains: Chains) -> np.ndarray:
-    """What must not change, (n, features): everything, and some products."""
+    """Features whose means must not change, (n, features): all values, and some products."""
     x = np.concatenate(chains.x, axis=1)
     first = np.concatenate([chains.h, chains.latent.reshape(len(x), -1), x], axis=1)
     first = first[:, first.std(axis=0) > 0]
@@ -93,7 +93,7 @@ def shift(case: Case, move, times: int = 30, sampler: Sampler | None = None) -> 
         move(sampler, chains)
     after = features(chains)
     assert np.any(after != before)
-    # both are of the same n chains, and independent of each other at the most
+    # an upper bound: the draws before and after are taken as independent
     error = np.sqrt((before.var(axis=0) + after.var(axis=0)) / CHAINS)
     return float(np.max(np.abs(after.mean(axis=0) - before.mean(axis=0)) / error))
 
@@ -109,23 +109,23 @@ def of_one_test(move):
 
 
 def latent(sampler: Sampler, chains: Chains) -> None:
-    """Levels and effects."""
+    """Update of levels and effects."""
     draw_latent(sampler.joint, chains, sampler.rng)
 
 
 def hyper(sampler: Sampler, chains: Chains) -> None:
-    """Scatter and shapes, and levels, which are integrated out meanwhile."""
+    """Update of scatter and shapes with levels integrated out, then of the levels."""
     evolve_hyperparameters(sampler.joint, chains, sampler.rng)
     latent(sampler, chains)
 
 
 def together(move, sampler: Sampler, chains: Chains, k: int = 0):
-    """One move of a quantity's scatter and level with its tests, and what it accepted."""
+    """One move of a quantity's scatter and level with its tests; returns its acceptance."""
     return move(sampler.joint, chains, sampler.rng, sampler.tuning, k)[0][1]
 
 
 def along_lines(move):
-    """Scatter and level of each quantity in turn, with the tests' values of it."""
+    """Update of each quantity's scatter and level in turn, with the tests' values of it."""
 
     def kernel(sampler: Sampler, chains: Chains) -> None:
         for k in range(sampler.joint.d):
@@ -167,7 +167,7 @@ def test_a_move_keeps_tests_that_tell_little(vague, name):
 
 
 def broken_prior(case: Case) -> Sampler:
-    """With the Jacobian of the logarithms of sds three times."""
+    """Prior with the Jacobian of log sds counted three times."""
 
     class Wrong(Layout):
         def log_prior(self, h):
@@ -182,14 +182,14 @@ def broken_prior(case: Case) -> Sampler:
 
 
 def broken_weights(case: Case) -> Sampler:
-    """Stored draws that are not weighed by the prior they were drawn under."""
+    """Stored draws that are not weighted by the interim prior."""
     tests = [replace(t, draws_log_prior=np.zeros(len(t.draws))) for t in case.tests]
     tests = [replace(t, log_interim_prior=lambda x: np.zeros(len(x))) for t in tests]
     return sampler_of(case, tests)
 
 
 def broken_scatter(case: Case) -> Sampler:
-    """Scatter half of what it is."""
+    """Scatter that is half of its true value."""
 
     class Wrong(Layout):
         def scatter(self, h):
@@ -230,14 +230,14 @@ def test_transport_that_forgets_how_it_spreads_the_tests_does_not(vague, monkeyp
         return centre, np.ones_like(sd), weight
 
     assert shift(vague, MOVES["transport"], 20) < FAR
-    monkeypatch.setattr(Lines, "gaussian", narrow)  # keeps distances: no Jacobian, still exact
+    monkeypatch.setattr(Lines, "gaussian", narrow)  # preserves distances: no Jacobian, still exact
     assert shift(vague, MOVES["transport"], 20) < FAR
     monkeypatch.setattr(Lines, "accept", forgetful(Lines.accept))
     assert shift(vague, MOVES["transport"], 40) > 1.5 * FAR
 
 
 def forgetful(accept):
-    """Moves that are weighed as if the population's density of the tests did not matter."""
+    """Acceptance that ignores the population's density of the tests."""
 
     def wrong(lines, new, t, log_ratio, log_uniform):
         lost = lines.log_population(t, new)
@@ -253,7 +253,7 @@ def test_redraws_whose_densities_are_forgotten_do_not(vague, monkeypatch):
 
 
 def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
-    """A bend and a step within a test's sd, at which profiles are wrong by much."""
+    """The likelihood has a kink and a step within a test's sd, where profiles fit badly."""
 
     def bent(test: TestLikelihood) -> TestLikelihood:
         def log_likelihood(x):
@@ -265,7 +265,7 @@ def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
     tests = [bent(test) for test in vague.tests]
     sampler, chains = sampler_of(vague, tests), vague.chains()
     sampler.take_over(chains)
-    for _ in range(60):  # to the joint posterior of these, without what is tested
+    for _ in range(60):  # warm-up to the new joint posterior, without the tested move
         hyper(sampler, chains)
         MOVES["near"](sampler, chains)
         together(transport, sampler, chains)
@@ -278,7 +278,7 @@ def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
 
 
 def test_redraws_are_taken_where_lines_are_smooth(vague):
-    """Also where they are no parabolas, and whatever constant a likelihood has."""
+    """Also where they are not parabolas, and for any constant in a likelihood."""
 
     def smooth(test: TestLikelihood) -> TestLikelihood:
         def log_likelihood(x):
@@ -325,7 +325,7 @@ def test_stored_likelihoods_are_those_of_the_coordinates(case):
 
 
 def test_chains_never_leave_the_support_of_a_test(case):
-    """A likelihood that is nothing on one side, where the Gaussian near it reaches."""
+    """The likelihood is zero on one side, where its Gaussian approximation is not."""
     edge = case.tests[0].mean[0]
 
     def bounded(test: TestLikelihood) -> TestLikelihood:
@@ -369,14 +369,14 @@ def test_products_are_of_the_standardised_places_summed_over_tests(pair):
 
 
 def test_tests_are_drawn_from_the_density_that_is_said(vague):
-    """Of one chain, many times: the shares below each value against the density's integral."""
+    """Many draws at one chain state: their shares below each value, against the integral."""
     chains = vague.chains()
     for array in (chains.h, chains.latent, *chains.x, *chains.log_likelihood):
         array[:] = array[:1]
     sampler = sampler_of(vague)
     through = Lines.through(sampler.joint, chains, sampler.tuning, 0)
     profile = Profile.along(through, sampler.tuning)
-    profile.coefficients[..., 1:4] += (0.4, -0.5, 0.2)  # skewed and heavy, as real ones may be
+    profile.coefficients[..., 1:4] += (0.4, -0.5, 0.2)  # skewed and heavy-tailed
     here = through.here
     drawn, told = profile.draw(here, np.random.default_rng(5))
     np.testing.assert_allclose(profile.log_density(drawn, here), told, rtol=1e-6, atol=1e-9)

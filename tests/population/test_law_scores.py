@@ -1,4 +1,4 @@
-"""Laws compared by levels left out, against brute force; and exponents that are free."""
+"""Comparison of laws by leaving out levels, against brute force; and free exponents."""
 
 from dataclasses import replace
 from functools import partial
@@ -72,7 +72,7 @@ def grid_of(law):
 
 
 def brute_force(layout, tests, law, session_effect=False):
-    """Log density of all tests and of those outside each fold, by grids and scipy."""
+    """Log density of all tests, and of those outside each fold, by grids and scipy."""
     k, scale = 0, layout.scatter_sd[0] / layout.spread[0]
     data = np.array([t.mean[k] for t in tests])
     noise = np.diag([t.covariance[k, k] for t in tests])
@@ -126,7 +126,7 @@ def test_what_other_groups_have_in_common_plays_no_part(priors):
     layout = lay_out(priors, ("Fc_fwd", "k3", "offset"), settings)
     assert {e.group for e in layout.effects if e.name == "session"} == {0, 1, 2}
     sample = next(samples_of(layout, [test] * 4, 0, "proportional"))
-    assert sample.rows.shape == (4, 1 + 2)  # the level, and its own effect of two sessions
+    assert sample.rows.shape == (4, 1 + 2)  # the level, and the effects of two sessions
 
 
 def test_scores_are_always_the_same(campaign):
@@ -241,7 +241,7 @@ def test_a_dependence_needs_tests_and_speeds_that_differ(campaign):
     assert compare_dependence(*campaign(levels=MANY)) == ()
     layout, tests = campaign(levels=MANY, velocities=SPEEDS)
     assert compare_dependence(layout, tests) != ()
-    unknown = (Setting(MANY[0]), *layout.settings[1:])  # of one test no speed is known
+    unknown = (Setting(MANY[0]), *layout.settings[1:])  # one test without a speed
     assert compare_dependence(replace(layout, settings=unknown), tests) == ()
 
 

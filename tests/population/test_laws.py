@@ -21,12 +21,12 @@ DENSITIES = {
     "velocity": stats.norm(0.0, SENSITIVITY),
     "amplitude": stats.norm(0.0, SENSITIVITY),
 }
-"""Of the coordinates of shapes; a logistic logit is a uniform share."""
+"""Densities of the coordinates of shapes; a logistic logit is a uniform share."""
 SOME = {"share": 0.3, "exponent": 0.6}
 
 
 def at(law: str, relative: np.ndarray, **free: float) -> np.ndarray:
-    """Ratio of a law by name, at shapes of its own where they are free."""
+    """Ratio of a law by name, with the given share and exponent where they are free."""
     share, exponent = (
         np.array(getattr(LAWS[law], s) if getattr(LAWS[law], s) is not None else (SOME | free)[s])
         for s in ("share", "exponent")
@@ -47,7 +47,7 @@ def test_what_is_in_proportion_vanishes_without_actuation(law):
 
 @pytest.mark.parametrize("exponent", [-1.5, 0.0, 2.0])
 def test_a_power_law_has_no_friction_without_actuation_whatever_its_exponent(exponent):
-    # exponents below zero are within reach of the prior where all tests are at one level
+    # the prior allows exponents below zero where all tests are at one level
     with np.errstate(all="raise"):
         found = at("power", np.array([0.0, 0.5]), exponent=exponent)
     np.testing.assert_allclose(found, [0.0, 0.5**exponent])
@@ -88,7 +88,7 @@ def test_draws_of_shapes_are_their_quantiles(shape):
 
 
 def test_a_dependence_is_expected_to_change_a_parameter_by_a_third_per_e_fold_at_most():
-    # one prior sd, and what lies within two of them
+    # at one prior sd, and at two
     assert draw_shape("velocity", stats.norm.cdf(1.0)) == pytest.approx(0.3)
     assert np.exp(draw_shape("amplitude", stats.norm.cdf(2.0))) == pytest.approx(np.exp(0.6))
 

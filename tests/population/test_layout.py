@@ -1,4 +1,4 @@
-"""Layout of the hyperparameters: effects, laws of chains, priors, and what is refused."""
+"""Layout of the hyperparameters: effects, laws of chains, priors, and refused input."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_levels_belong_to_the_geometric_mean_of_the_actuations(priors):
 
 
 def test_tests_are_compared_at_the_mean_speed_of_a_sine_of_their_typical_peak(priors):
-    peaks = (1.0, 8.0, 0.0)  # none is known of the last
+    peaks = (1.0, 8.0, 0.0)  # 0: the last has none
     those = [Setting(0.5, "", {"velocity": v}) for v in peaks]
     sine = np.abs(np.cos((np.arange(1000) + 0.5) * np.pi / 1000))
     expected = sine.mean() * np.sqrt(8.0)

@@ -1,4 +1,4 @@
-"""Bands of a population that is written down, not sampled."""
+"""Bands of a population with given values, not sampled."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ NOISE = find_noise("ou")
 
 
 def make_population(laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessions=None):
-    """Medians known to 1 %, at 1 ksi, with 10 % of scatter."""
+    """A population with medians known to 1 % at 1 ksi, and 10 % scatter."""
     priors = load_priors("mfd")
     settings = [
         Setting(p, session, {"velocity": 3.1})
@@ -116,12 +116,12 @@ def test_a_run_without_a_gap_predicts_what_the_gap_does_not_need(population):
     without = predict(replace(population, priors=known), trace, device)
     np.testing.assert_array_equal(without.values["start"], 0.5)
     fixed = predict(population, trace, device)
-    late = TIME > 2.0  # of the start nothing is left
+    late = TIME > 2.0  # the start no longer matters
     np.testing.assert_allclose(without.draws[:, late], fixed.draws[:, late], rtol=1e-9, atol=1e-9)
 
 
 def test_a_tested_level_is_known_better_than_one_that_is_not():
-    """Where levels deviate from the law, and the tested ones' deviation is known."""
+    """Levels deviate from the law, and the deviation of tested levels is known."""
     known = make_population(effect=0.15, scatter=0.05)
     tested, near, far = (width(known, p, kind="new_test") / p for p in (1.0, 1.3, 8.0))
     assert 1.1 * tested < near
@@ -180,7 +180,7 @@ def test_without_actuation_there_is_no_slip_force(population):
     band = ask(population, 0.0, kind="new_test", draws=100)
     assert np.all(np.isfinite(band.draws))
     speed = np.abs(np.gradient(MOTION, TIME))
-    # what slides is held by the viscous part alone: 0.015 kip·s/in, with scatter at most twice
+    # in slip only the viscous part remains: 0.015 kip·s/in, with scatter at most twice that
     assert np.all(np.abs(band.draws[:, SLIDING]) < 2 * (0.015 + 0.02) * speed[SLIDING])
     assert np.median(np.abs(ask(population, 1.0).median[SLIDING])) > 1.0  # the control
 
@@ -198,7 +198,7 @@ def test_a_history_of_two_levels_follows_either_of_them(law):
     history = ask(population, step, kind="device", draws=20).median
     before, after = (ask(population, p, kind="device", draws=20).median for p in (0.5, 1.5))
     early = (TIME > 0.8) & (TIME < 1.95)
-    late = TIME > 2.6  # the first reversal after the step at 2.5 s, and the gap, are over
+    late = TIME > 2.6  # after the first reversal behind the step, at 2.5 s, and after the gap
     np.testing.assert_allclose(history[early & SLIDING], before[early & SLIDING], atol=0.01)
     np.testing.assert_allclose(history[late & SLIDING], after[late & SLIDING], atol=0.03)
     assert np.mean(np.abs(before[late] - after[late])) > 0.3  # the control
@@ -220,7 +220,7 @@ def test_tested_draws_are_the_device_at_that_level(population):
     forward = SLIDING & (np.gradient(MOTION) > 0)
     assert np.mean(told.median[forward]) == pytest.approx(2.6 + 0.015 * 3.1, rel=0.05)
     assert "tests at this actuation" in told.source
-    # a new test is another one, whatever was tested
+    # the tested draws do not change the prediction of a new test
     new = ask(population, 1.0, tested, kind="new_test")
     plain = ask(population, 1.0, kind="new_test")
     np.testing.assert_array_equal(new.draws, plain.draws)

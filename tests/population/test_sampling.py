@@ -1,4 +1,4 @@
-"""The population by `sample_joint` against brute force, and what a population says of itself."""
+"""The population by `sample_joint` against brute force, and its derived properties."""
 
 from dataclasses import replace
 
@@ -72,7 +72,7 @@ def test_a_wrong_prior_of_scatter_is_told_apart(make_linear, priors):
 
 
 def test_a_posterior_that_is_taken_for_a_likelihood_is_told_apart(make_linear, priors):
-    """The prior of a test by itself then counts again."""
+    """The interim prior of each test is then counted twice."""
     linear = make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd",), level=1.5, noise=6.0, seed=3)
     tests = linear.likelihoods(np.random.default_rng(6))
     right = deviations(linear, run(linear, priors, tests, effort=FEWER))
@@ -144,11 +144,11 @@ def test_chains_keep_their_laws(make_linear, priors):
     assert np.mean(choice == 3) == pytest.approx(0.5, abs=0.05)
 
 
-# what a population says, written down
+# properties of a population with made-up draws
 
 
 def written(priors, laws=None, n=50, actuations=(0.5, 1.0, 2.0)):
-    """A population of two chains whose draws are from nowhere, with laws' effects."""
+    """A population of two chains with made-up draws, laws and effects."""
     names = ("sigma0", "Fc_fwd", "Fc_bwd", "static_excess_fwd", "static_excess_bwd", "offset")
     layout = lay_out(priors, names, [Setting(p) for p in actuations], laws)
     rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""A population comes back from its file with all that it says."""
+"""A stored population is loaded unchanged."""
 
 import json
 import warnings
@@ -56,7 +56,7 @@ def population(priors):
         h=rng.normal(-2.0, 0.2, size=(4, 60, layout.dim)),
         latent=0.1 * rng.normal(size=(4, 60, 1 + cells, d)),
         choice=layout.draw_choice(240).reshape(4, 60, -1),
-        together=factors.astype(np.float32).astype(np.float64),  # they are stored in single
+        together=factors.astype(np.float32).astype(np.float64),  # stored in single precision
         priors=priors.parameters,
         actuation_unit="ksi",
         walkers=6,

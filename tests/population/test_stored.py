@@ -1,4 +1,4 @@
-"""A stored population fits together and is within its priors, or it is refused."""
+"""A stored population is refused unless it is consistent and within its priors."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ NAMES = ("sigma0", "Fc_fwd", "Fc_bwd", "static_excess_fwd", "static_excess_bwd",
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, priors):
-    """File of a population with a session's and a level's effect, a law and a dependence."""
+    """File of a population with effects of session and level, a law and a dependence."""
     laws = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
     settings = [
         Setting(p, s, {"velocity": 1.0, "amplitude": 1.0})

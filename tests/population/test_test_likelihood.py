@@ -1,4 +1,4 @@
-"""What a test tells: its likelihood in shared coordinates, and the Gaussian near it."""
+"""Likelihood of a test in shared coordinates, and its Gaussian approximation."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def test_the_gaussian_is_the_likelihood_without_the_interim_prior():
     found_mean, found = without_prior(exact_draws(mean, covariance, rng))
     np.testing.assert_allclose(found_mean, mean, atol=0.03)
     np.testing.assert_allclose(found, covariance, rtol=0.05, atol=0.01)
-    # the control: the posterior's own mean is pulled to the prior
+    # the control: the posterior's mean is pulled towards the prior
     pulled = np.linalg.solve(np.eye(4) + covariance, mean)
     assert np.max(np.abs(found_mean - pulled)) > 0.1
 
@@ -38,7 +38,7 @@ def test_a_posterior_that_is_its_prior_says_next_to_nothing():
     mean, covariance = without_prior(draws)
     assert np.all(np.isfinite(mean))
     assert np.linalg.eigvalsh(np.linalg.inv(covariance)).max() < 0.05
-    # it moves a level, whose own prior has precision 1, by next to nothing
+    # it hardly moves a level, whose prior has precision 1
     assert np.max(np.abs(np.linalg.solve(covariance, mean))) < 0.05
 
 
@@ -89,7 +89,7 @@ def test_coordinates_of_a_test_are_the_pooled_ones_then_its_own(posterior, share
     np.testing.assert_allclose(found.draws[:, :d], expected)
     np.testing.assert_allclose(
         np.argsort(found.draws[:, d]), np.argsort(values["start"])
-    )  # its own, on a scale of its own
+    )  # the own quantity; its scale may differ
 
 
 def test_the_likelihood_is_the_tests_own(posterior, shared):
@@ -100,14 +100,14 @@ def test_the_likelihood_is_the_tests_own(posterior, shared):
 
 
 def test_likelihood_and_priors_make_the_tests_posterior(posterior, shared):
-    """Up to a constant, that of the change of scale."""
+    """Up to a constant, from the change of scale."""
     layout, values, found = shared
     d = len(layout.names)
     density = found.log_likelihood(found.draws)
     density += found.log_interim_prior(found.draws[:, :d]) + found.log_own_prior(found.draws[:, d:])
     expected = posterior.log_prob(posterior.coordinates(values))
     left = density - expected - (density[0] - expected[0])
-    np.testing.assert_array_less(np.abs(left), 1e-5 * np.abs(expected))  # draws are rounded
+    np.testing.assert_array_less(np.abs(left), 1e-5 * np.abs(expected))  # draws are stored rounded
 
 
 def test_of_many_draws_as_many_are_held_as_there_is_room_for(posterior, shared, monkeypatch):
