@@ -45,7 +45,7 @@ def check_facts(facts: Any, where: Path) -> None:
     """
     found = check(_Facts, facts, where)
     if len({len(shares) for shares in found.mode_shares}) > 1:
-        raise StoreError(f"{where} is damaged: mode_shares must be as many for each chain")
+        raise StoreError(f"{where} is damaged: mode_shares differ in length between chains")
 
 
 def check_draws(stored: StoredTest, posterior: Posterior, where: Path) -> None:
@@ -58,13 +58,15 @@ def check_draws(stored: StoredTest, posterior: Posterior, where: Path) -> None:
     """
     level = posterior.trace.reference_actuation
     if not level > 0:
-        raise StoreError(f"{where} is of a test whose actuation is {level:g}, not above zero")
+        raise StoreError(f"{where} must be of a test with actuation above zero, got {level:g}")
     wanted = {*posterior.names, *posterior.model.parameters, "offset", "start"}
     names = set(map(str, stored.draws.data_vars))
     if missing := wanted - names:
         raise StoreError(f"{where} holds no draws of {min(missing)}")
     if unknown := names - wanted - {*posterior.priors, "gamma1"}:
-        raise StoreError(f"{where} holds draws of {min(unknown)[:60]!r}, which the model has not")
+        raise StoreError(
+            f"{where} holds draws of {min(unknown)[:60]!r}, which the model does not have"
+        )
     shape = stored.draws["offset"].shape
     arrays = {str(k): v.to_numpy() for k, v in stored.draws.data_vars.items()}
     densities = {n: stored.stats[n].to_numpy() for n in _DENSITIES if n in stored.stats}

@@ -236,8 +236,8 @@ def _actuated(
         values = np.asarray(factor, dtype=np.float64)
         if name not in ACTUATED or values.shape not in ((), (n,)) or not np.all(values >= 0):
             raise FitError(
-                f"scales of a step may hold {', '.join(ACTUATED)}, each a factor of at least 0 or "
-                f"{n} of them, got {name} = {factor!r}"
+                f"scales of a step may hold {', '.join(ACTUATED)}, each one factor or "
+                f"{n}, not negative, got {name} = {factor!r}"
             )
         columns[name] = getattr(damper.friction, name) * values
     return replace(damper.friction, **columns)

@@ -148,11 +148,11 @@ class Manifest(Part):
     def _check_together(self) -> Self:
         unknown = set(self.tests) - set(self.settings.tests)
         if unknown:
-            raise ValueError(f"its settings say nothing of test {min(unknown)!r}")
+            raise ValueError(f"its settings do not include test {min(unknown)!r}")
         for name in self.truth.tests if self.truth else ():
             entry = self.tests.get(name)
             if entry is None or entry.rate is None or entry.record_rate is None:
-                raise ValueError(f"truth of test {name!r}, of which no rates are known")
+                raise ValueError(f"truth of test {name!r}, whose sampling rates are not given")
         for score in self.law_scores:
             if score.law not in LAWS or len(score.levels) < 2:
                 raise ValueError("law_scores must be of a known law, with two levels or more")

@@ -138,9 +138,9 @@ class Run:
             unit = "psi" if self.actuation_unit == "ksi" else "lbf"
             span = " to ".join(f"{1000 * x:.4g}" for x in dict.fromkeys((low, high)))
             remarks.append(
-                f"the actuation, {span} {unit}, lies outside of what was tested, "
+                f"the actuation, {span} {unit}, lies outside the tested range, "
                 f"{1000 * min(tested):.4g} to {1000 * max(tested):.4g} {unit}: "
-                "there the band rests on the form of the laws alone"
+                "there the band relies only on the form of the laws"
             )
         verdicts = self.manifest.verdicts
         if verdicts.get("campaign") == Verdict.FAIL:

@@ -52,7 +52,7 @@ def find_cycles(trace: Trace, first: int = 0) -> Cycles:
         edges.pop()
     if len(edges) < FEWEST:
         raise FitError(
-            f"leaving out one cycle needs a record with {FEWEST} of them at least, got {len(edges)}"
+            f"leaving out one cycle needs a record with at least {FEWEST} cycles, got {len(edges)}"
         )
     return np.array([*edges, trace.samples], dtype=np.intp)
 

@@ -163,8 +163,8 @@ def parts_of(
         }
     if len(parts) < 2:
         raise CampaignError(
-            f"cross-validation by {by} needs two {by}s at least; the calibrated tests of {where} "
-            "make up one"
+            f"cross-validation by {by} needs at least two {by}s; the calibrated tests of {where} "
+            "make up only one"
         )
     return parts
 

@@ -80,7 +80,7 @@ def test_draws_of_another_size_or_kind_are_refused(posterior, how):
 
 
 def test_names_must_be_the_models(posterior):
-    with pytest.raises(StoreError, match="'evil', which the model has not"):
+    with pytest.raises(StoreError, match="'evil', which the model does not have"):
         check_draws(make(posterior, evil=lambda _: np.ones((2, 12))), posterior, "a.nc")
     stored = make(posterior)
     short = StoredTest(stored.draws.drop_vars("offset"), stored.stats, TRACE, FACTS)
@@ -101,7 +101,7 @@ def test_draws_must_be_of_the_walkers(posterior):
 def test_a_test_needs_its_actuation():
     trace = Trace.from_arrays(TIME, np.sin(TIME), None, np.cos(TIME))
     posterior = Posterior(trace, "mfd", "iid", "lugre")
-    with pytest.raises(StoreError, match="not above zero"):
+    with pytest.raises(StoreError, match="actuation above zero, got"):
         check_draws(make(posterior), posterior, "a.nc")
 
 

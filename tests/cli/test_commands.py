@@ -630,7 +630,7 @@ def test_models_to_compare_are_two_that_are_known(folder, models):
 
 
 def test_a_record_of_too_few_cycles_is_not_compared(folder):
-    assert_not_compared(folder, "'p500'", "3 of them at least, got 2")
+    assert_not_compared(folder, "'p500'", "at least 3 cycles, got 2")
 
 
 def test_priors_that_lack_a_model_are_named_only_where_it_is_compared(folder):

@@ -453,7 +453,7 @@ def test_a_prediction_beyond_what_was_tested_is_told(out, run, motion, tmp_path)
     assert "lies outside" not in inside.stderr + bands.read_text()
     outside = here(*ask, "--actuation", "3000 psi")
     assert outside.exit_code == 0
-    assert "3000 psi, lies outside of what was tested" in outside.stderr
+    assert "3000 psi, lies outside the tested range" in outside.stderr
     assert "# warning: the actuation, 3000 psi" in bands.read_text()
     history = mb.Trace.from_arrays(TIME, MOTION, np.linspace(0.7, 9.0, TIME.size))
     assert "700 to 9000 psi" in run.predict(history, draws=20).remarks[0]

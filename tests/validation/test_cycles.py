@@ -146,7 +146,7 @@ def test_cycles_begin_behind_what_is_masked():
 
 
 def test_a_record_of_too_few_cycles_is_refused():
-    with pytest.raises(FitError, match=rf"{FEWEST} of them at least, got 2"):
+    with pytest.raises(FitError, match=rf"at least {FEWEST} cycles, got 2"):
         find_cycles(harmonic(seconds=2.2))
 
 
