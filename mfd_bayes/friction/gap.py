@@ -160,7 +160,7 @@ def turn(gap: Gap, before: Crossing, at: Array, direction: int, slip: Array) -> 
     left, faded = _left_over(gap, Crossing(side, edge, carry), x, slipped, slip)
     carry[0], carry[1:] = before.carry[0], left
     if faded is not None:
-        # carry_k = fade carry_{k−1} + what is left over after slip, carry_{k−1} inside the gap
+        # after slip carry_k = faded carry_{k−1} + jump; inside the gap carry_k = carry_{k−1}
         carry[1:] = solve(np.where(slipped, faded, 1.0), left * slipped, before.carry[0])
     elif not slipped.all():
         carry = np.take_along_axis(carry, latest, axis=0)

@@ -1,4 +1,4 @@
-"""The whole way: a small synthetic campaign, calibrated once with the installed command."""
+"""All commands on a small synthetic campaign, calibrated once with the installed command."""
 
 import hashlib
 import json
@@ -34,7 +34,7 @@ MOTION = np.sin(np.pi * TIME)
 
 
 def environment():
-    """A user's, who has set no thread counts."""
+    """Environment of a user who has set no thread counts."""
     return {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
 
 
@@ -64,7 +64,7 @@ def refused(outcome, words):
 
 @pytest.fixture(scope="module")
 def campaign(finished_run):
-    """Campaign file of three tests and one held out, and what is true of them."""
+    """Campaign file of three tests and one held out, and their true parameters."""
     return finished_run.campaign, finished_run.truth
 
 
@@ -94,7 +94,7 @@ def draws_of(path):
     return mb.open_run(path.parents[2]).tests[path.parent.name].draws
 
 
-# --- what comes out
+# --- printed output
 
 
 def test_calibrate_says_what_it_does_and_nothing_on_stderr(finished_run):
@@ -534,7 +534,7 @@ def test_check_fails_where_a_limit_is_not_kept(copied):
     (copied / "manifest.json").write_text(json.dumps(manifest))
     outcome = here("check", copied, "-q")
     assert outcome.exit_code == 1
-    (sentence,) = outcome.stdout.splitlines()  # quietly: the verdict alone
+    (sentence,) = outcome.stdout.splitlines()  # --quiet: only the verdict
     assert "do not use these figures" in sentence
 
 
@@ -638,7 +638,7 @@ def test_an_existing_run_is_not_cross_validated_unasked(crossed):
     assert (crossed[0] / "manifest.json").read_bytes() == before
 
 
-# --- stopping and going on
+# --- interrupting and resuming
 
 
 def test_resuming_a_finished_run_keeps_its_draws(campaign, copied):
@@ -688,7 +688,7 @@ def start(*arguments):
 
 
 def press_until_it_stops(process):
-    """Press Ctrl-C as a person does, twice a second; what was complained."""
+    """Error output after pressing Ctrl-C twice a second, as a person does, until it stops."""
     for _ in range(40):
         os.killpg(process.pid, signal.SIGINT)
         try:

@@ -1,4 +1,4 @@
-"""Numbers at the edges of what a record may hold: a verdict, or a sentence."""
+"""Extreme numbers in a record give a verdict or a one-sentence error."""
 
 import datetime
 

@@ -1,4 +1,4 @@
-"""Real processes, killed at random moments: what they leave, and what a resumed run makes of it.
+"""Real processes, killed at random moments: files left behind, and resumed runs.
 
 benchmarks/interruption does the same more often, with the whole report and on a cluster too.
 """
@@ -98,7 +98,7 @@ def refused(outcome, *words):
 
 
 def assert_sound(study, out, ended, reference):
-    """See that nothing goes on, nothing is half written, and all that was said is a sentence."""
+    """Assert that no process remains, no file is half written, and the output is a sentence."""
     assert ended.orphans == 0
     assert len(ended.complaint.splitlines()) <= 1, ended.complaint
     assert [f for f in study.differing(out, reference) if f not in study.TIMED] == []
@@ -324,7 +324,7 @@ def change_priors(folder):
 
 @pytest.fixture(scope="module")
 def ended_at_its_start(campaign, tmp_path_factory):
-    """Folder of a campaign with priors of its own, and of a run that is ended at its start."""
+    """Folder of a campaign with its own priors, and of a run stopped at its start."""
     home = tmp_path_factory.mktemp("ended")
     folder = Path(shutil.copytree(campaign.parent, home / "campaign"))
     shutil.copy(Path(__file__).parents[2] / "priors" / "mfd.toml", folder)

@@ -70,7 +70,7 @@ def test_a_second_process_is_refused_with_the_owners_name(out):
         for word in (str(out), f"process {process.pid} on {socket.gethostname()} since ", "UTC"):
             assert word in sentence
         assert f"'-c {out}'" in sentence  # its command
-        assert (out / OWNER).is_file()  # the refused one takes no name away
+        assert (out / OWNER).is_file()  # the refused process does not remove the owner's name
     with alone_in(out):
         pass
 
@@ -108,7 +108,7 @@ def test_a_process_that_cannot_remove_the_owners_name_ends_the_same_way(out):
         _, complaint = process.communicate(timeout=20)
     assert process.returncode == 130
     assert complaint == "mfd-bayes: interrupted\n"
-    with alone_in(out):  # a name that is left is no lock
+    with alone_in(out):  # a name left behind is not a lock
         pass
 
 

@@ -1,4 +1,4 @@
-"""Run folders of strangers: hashes, links, ids that lead out, manifests that say anything."""
+"""Run folders from others: hashes, links, ids that lead out of the folder, invalid manifests."""
 
 import json
 import math
@@ -150,7 +150,7 @@ def test_a_manifest_that_says_something_else_is_refused(out, keys, value):
 
 
 def test_checking_costs_little(out):
-    """Hashes take milliseconds where opening takes the better part of a second."""
+    """Hashes take milliseconds, opening a run takes most of a second."""
     names = [p.relative_to(out).as_posix() for p in out.rglob("*.nc")]
     began = time.perf_counter()
     hash_stored(out, names)
@@ -172,7 +172,7 @@ def test_an_older_manifest_without_newer_keys_opens(out):
 
 
 def test_figures_that_were_not_finite_are_read_as_such(out):
-    """JSON has null for them."""
+    """They are null in JSON."""
 
     def spoil(manifest):
         manifest["law_scores"][0]["elpd"] = None
@@ -265,7 +265,7 @@ def test_a_manifest_that_is_not_there_is_said_to_be_missing(tmp_path):
         read_begun(tmp_path)
 
 
-# --- what is stored of a part that was left out
+# --- stored predictions of a part that was left out
 
 
 FOLD = Fold("a", "test_1.json", ("a",), ("b",), "quick", 1)
@@ -332,7 +332,7 @@ def test_nothing_is_written_through_a_link(resumed, tmp_path, name):
 
 
 def test_a_file_that_is_a_link_is_replaced_and_not_written_through(out, tmp_path):
-    """The report's tables and page are renamed into their places."""
+    """The report's tables and page are written elsewhere and then renamed."""
     (tmp_path / "mine.html").write_text("mine")
     (out / "report.html").symlink_to(tmp_path / "mine.html")
     write_text(out / "report.html", "ours")
@@ -342,7 +342,7 @@ def test_a_file_that_is_a_link_is_replaced_and_not_written_through(out, tmp_path
 
 def test_links_in_a_circle_end_in_nothing_but_a_sentence(out):
     (out / "figures").symlink_to(out / "figures")
-    with suppress(StoreError):  # Python before 3.13 sees the circle
+    with suppress(StoreError):  # Python before 3.13 detects the circle
         check_links(out)
 
 

@@ -1,4 +1,4 @@
-"""Run folders that earlier versions of this program wrote, as they wrote them.
+"""Run folders written by earlier versions of this program.
 
 `run_format_0` is of commit 4b0c3bd, before the manifest had hashes and the number of a format:
 two synthetic tests at 500 and 1000 psi with few draws, and one at 800 psi held out.
@@ -45,7 +45,7 @@ def test_an_older_run_is_reported_and_checked(older):
     view = report(older)
     assert any("older version" in remark for remark in view.remarks)
     assert (older / "report.html").is_file()
-    assert check(older).verdict == view.verdict == "fail"  # it has hardly any draws
+    assert check(older).verdict == view.verdict == "fail"  # the run has very few draws
     assert effort_of(older, None, resume=True) == "quick"
 
 

@@ -1,4 +1,4 @@
-"""Strict kinds, figures that may be null, and one short sentence for the first fault."""
+"""Strict types, numbers that may be null, and one short sentence for the first fault."""
 
 import math
 

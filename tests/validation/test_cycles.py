@@ -35,7 +35,7 @@ VALUES = {
 
 
 def noise_of(name, time, seed=1):
-    """Residuals (2, T), travel, and what `memory` says of them."""
+    """Residuals (2, T), travel, and the result of `memory`."""
     rng = np.random.default_rng(seed)
     travel = np.abs(rng.normal(0.2, 0.2, (2, time.size)))
     values = {k: v for k, v in VALUES.items() if not k.startswith("noise_dof")}
@@ -67,7 +67,7 @@ def test_density_of_a_left_out_block_is_that_of_a_dense_normal(name, times):
             others = stats.multivariate_normal(cov=covariance[np.ix_(rest, rest)])
             expected = total - others.logpdf(residual[row, rest])
             assert given[row, block] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    # the noise model's own density is the same, and the hole matters where there is memory
+    # the noise model's own density is the same, and the gap matters where the noise is correlated
     own = NOISES[name].log_density(residual, time, values, travel)
     np.testing.assert_allclose(whole, own, rtol=1e-9)
     alone = np.add.reduceat(stats.norm.logpdf(residual, scale=scale), STARTS, axis=1)

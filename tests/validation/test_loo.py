@@ -1,4 +1,4 @@
-"""Leave-one-cycle-out figures where the truth is known, and what tells that they fail."""
+"""Leave-one-cycle-out figures where the truth is known, and the diagnostics of their failure."""
 
 import numpy as np
 import pytest

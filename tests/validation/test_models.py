@@ -1,4 +1,4 @@
-"""Which model is favoured, by how much, and what is said where that cannot be trusted."""
+"""Which model is favoured, by how much, and the warnings where that cannot be trusted."""
 
 import json
 from types import SimpleNamespace
@@ -76,7 +76,7 @@ def run_of(model, tests=("a", "b"), r_hat=1.0):
 
 @pytest.fixture
 def compared(monkeypatch):
-    """Function that compares stand-ins with figures that are given."""
+    """Function that compares stand-ins with given figures."""
 
     def compare(runs=None, **figures):
         runs = runs or {model: run_of(model) for model in BETTER}
@@ -128,7 +128,7 @@ def test_a_k_that_stays_too_large_is_not_hidden(compared):
     assert "do not allow trusting it as it is" in found.sentence
     assert "k stays above 0.7 in 12 cycles of bouc_wen" in found.sentence
     assert found.rows[-2].unsettled == 1.0
-    # of no matter to the best two, and so not to what is said of them
+    # it does not concern the best two, so that the sentence does not mention it
     other = compared(lugre={"psis_k": 1.2, "k": 0.9})
     assert other.sentence.endswith("The diagnostics allow trusting it.")
     assert other.rows[-1].unsettled == 1.0
