@@ -28,7 +28,7 @@ PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages")
 # Pages that are read one after the other, and so run in one folder.
 SERIES = (
     ("lab.md", "arviz.md"),  # calibrates a campaign of its own, and so is slow
-    ("demo.md", "README.md"),
+    ("demo.md", "README.md"),  # makes several reports of a run, and so is slow
     ("files.md",),
     ("python.md",),
 )
@@ -126,7 +126,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.filterwarnings("ignore:.*alias_mapping:DeprecationWarning")
 @pytest.mark.parametrize(
     "pages",
-    [pytest.param(SERIES[0], marks=pytest.mark.slow), *SERIES[1:]],
+    [*(pytest.param(pages, marks=pytest.mark.slow) for pages in SERIES[:2]), *SERIES[2:]],
     ids=lambda pages: pages[0],
 )
 def test_the_blocks_of_a_page_run_in_order(pages, folder, request):

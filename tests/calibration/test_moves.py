@@ -118,7 +118,17 @@ MOVES = {
 }
 
 
-@pytest.mark.parametrize("moves", MOVES.values(), ids=MOVES)
+EMCEES = ("differential evolution", "full jumps now and then", "stretch")
+"""Moves of emcee alone: what it releases changes seldom, so these cases are slow tests."""
+
+
+@pytest.mark.parametrize(
+    "moves",
+    [
+        pytest.param(moves, id=name, marks=pytest.mark.slow if name in EMCEES else ())
+        for name, moves in MOVES.items()
+    ],
+)
 def test_move_samples_a_correlated_gaussian(moves):
     chains, acceptance = run(moves)
     assert judge(chains).right, judge(chains)

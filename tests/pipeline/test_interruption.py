@@ -26,9 +26,12 @@ from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import discard
 
-pytestmark = pytest.mark.skipif(
-    not Path("/proc/self/stat").is_file(), reason="looks for processes in Linux's /proc"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not Path("/proc/self/stat").is_file(), reason="looks for processes in Linux's /proc"
+    ),
+]
 
 # The command as installed, but for the pictures, which take half of the time.
 DRIVER = """\
@@ -112,7 +115,6 @@ def assert_same(study, out, reference):
 # --- signals
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "jobs"), [(1, 1), (2, 2)])
 def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(
     study, campaign, whole, out, seed, jobs
@@ -137,7 +139,6 @@ def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(
     assert_same(study, out, reference)
 
 
-@pytest.mark.slow
 def test_a_test_whose_process_is_killed_begins_again(study, campaign, whole, out):
     process = study.calibrate(campaign, out, 2)
     assert study.disturb("worker", process, 1.0)
@@ -181,7 +182,6 @@ def disk(study, out):
     study.unmount(out.parent)
 
 
-@pytest.mark.slow
 def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(
     study, campaign, whole, out, disk
 ):
@@ -202,7 +202,6 @@ def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(
     assert_same(study, out, reference)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("over", [False, True])
 def test_a_disk_that_becomes_read_only_is_said_in_a_sentence_and_resumed_when_it_is_not(
     study, campaign, whole, out, disk, over
@@ -403,7 +402,6 @@ def test_a_file_that_was_changed_is_not_gone_on_with(campaign, copied, name):
     refused(command(campaign, copied, "--resume"), path.name, "SHA-256")
 
 
-@pytest.mark.slow
 def test_a_kill_between_a_file_and_its_hash_is_resumed(campaign, copied):
     before = stored_hashes(copied)
     manifest = json.loads((copied / "manifest.json").read_text())

@@ -117,6 +117,7 @@ def test_draws_are_laid_out_by_chain_and_walker(make_linear, priors):
 LONG = Effort(ess=400, limit=1000, r_hat=0.9, ensembles=2, kept=300)
 
 
+@pytest.mark.slow
 def test_as_many_states_are_kept_as_are_asked_for(make_linear, priors, monkeypatch):
     monkeypatch.setitem(sampling.SWEEPS, LONG.ess, 450)
     found = run(make_linear(*CASES["one quantity"]), priors, effort=LONG)

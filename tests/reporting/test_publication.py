@@ -34,6 +34,7 @@ def test_a_report_holds_every_figure_and_its_table(campaign, images, tmp_path):
     assert all(isinstance(step, Step) for step in steps)
 
 
+@pytest.mark.slow
 def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(
     campaign, tmp_path, monkeypatch
 ):

@@ -41,6 +41,7 @@ def test_an_older_run_opens_and_predicts(older):
     assert np.mean(inside) > 0.8
 
 
+@pytest.mark.slow
 def test_an_older_run_is_reported_and_checked(older):
     view = report(older)
     assert any("older version" in remark for remark in view.remarks)

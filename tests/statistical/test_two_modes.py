@@ -8,6 +8,8 @@ from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.map_fit import climb
 from mfd_bayes.calibration.sampling import mode_shares
 
+pytestmark = pytest.mark.slow
+
 DIM, APART, MINOR = 5, 9.0, 0.2
 EFFORT = Effort(ess=400, limit=3000)
 

@@ -133,7 +133,8 @@ def record_of(model, seed=5):
     return Trace.from_arrays(time, motion, 0.03, force + noise)
 
 
-@pytest.mark.parametrize("truth", ["bouc_wen", pytest.param("lugre", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("truth", ["bouc_wen", "lugre"])
 def test_the_model_that_a_record_is_from_predicts_its_cycles_best(truth):
     trace = record_of(truth)
     found = {}
