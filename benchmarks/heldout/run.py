@@ -214,11 +214,16 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--fold-effort", default="quick", help="of each population in a fold")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--ou", action="store_true", help="the same with OU noise, besides")
+    parser.add_argument("--noise", default="staged", help="of --one-level")
+    parser.add_argument("--one-level", action="store_true", help="the 36 lb session alone")
     return parser.parse_args()
 
 
 def main() -> None:
     options = parse()
+    if options.one_level:
+        one_level(finished(options.out, "36lb", options.noise, options), options, judged=True)
+        return
     runs = {s: finished(options.out, s, "staged", options) for s in ("36lb", "2022-07")}
     one_level(runs["36lb"], options, judged=True)
     many_levels(runs["2022-07"], options, judged=True)

@@ -75,6 +75,8 @@ class _Text:
         """Columns at positions as pandas reads them."""
         import pandas as pd
 
+        if pd.__version__.startswith("2."):  # its own parser reads 1e4294967297 as 10
+            options["float_precision"] = "round_trip"
         return pd.read_csv(
             StringIO("\n".join(self.lines).replace("\N{MINUS SIGN}", "-")),
             sep=r"\s+" if self.separator == BLANKS else self.separator,
