@@ -6,6 +6,7 @@ benchmarks/interruption does the same more often, with the whole report and on a
 import fcntl
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -115,6 +116,16 @@ def assert_same(study, out, reference):
 # --- signals
 
 
+def wait_until_signals_are_heard(process):
+    """Wait until the command handles SIGTERM: before that, imports of the driver are going on."""
+    status = Path(f"/proc/{process.pid}/status")
+    while process.poll() is None:
+        caught = int(re.search(r"SigCgt:\s*(\w+)", status.read_text())[1], 16)
+        if caught >> (signal.SIGTERM - 1) & 1:
+            return
+        time.sleep(0.01)
+
+
 @pytest.mark.parametrize(("seed", "jobs"), [(1, 1), (2, 2)])
 def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(
     study, campaign, whole, out, seed, jobs
@@ -125,6 +136,7 @@ def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(
     for kind in rng.permutation(["SIGINT", "SIGTERM", "SIGKILL"]):
         began = time.monotonic()
         process = study.calibrate(campaign, out, jobs, "--resume")
+        wait_until_signals_are_heard(process)
         came += study.disturb(kind, process, 0.3 + 0.7 * rng.random() * undisturbed.seconds)
         ended = study.end(process, out, began)
         assert ended.code in (0, study.EXITS[kind])
