@@ -526,6 +526,7 @@ def test_check_exits_by_the_verdicts(out):
     assert everything.exit_code == outcome.exit_code
     assert len(everything.stdout) > 5 * len(outcome.stdout)
     assert sentence in outcome.stdout
+    assert here("check", out, "-q").stdout == f"{sentence}\n"
 
 
 def test_check_fails_where_a_limit_is_not_kept(copied):
