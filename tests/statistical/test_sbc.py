@@ -13,7 +13,7 @@ from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.records.trace import Trace
 
 SAMPLED = ("Fc_fwd", "d2", "start", "offset", "noise_sd", "noise_time")
-TESTS, CONTROLS = 40, 12
+TESTS, CONTROLS = 24, 8
 DRAWS = 31
 
 
