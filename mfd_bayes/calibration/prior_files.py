@@ -22,14 +22,17 @@ _LONGEST = 1000
 
 @dataclass(frozen=True)
 class Scatter:
-    """Half-normal prior of the test-to-test scatter of a group of parameters.
+    """Prior of the test-to-test scatter of a group of parameters.
 
-    `sd` is of the logarithm, or in internal units for a quantity that may be negative.
+    Half-normal of scale `sd`, or, where it prefers none (`sparse`), exponential of mean `sd`
+    (penalised complexity: Simpson et al., 2017). The scatter is of the logarithm, or in internal
+    units for a quantity that may be negative.
     """
 
     parameters: tuple[str, ...]
     sd: float
     reason: str = ""
+    sparse: bool = False
 
 
 @dataclass(frozen=True)
@@ -156,18 +159,28 @@ def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
 
 def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
     where = f"scatter {name[:60]} in {path.name}"
-    members = table.get("parameters")
-    if set(table) - {"parameters", "sd", "reason"} or not isinstance(members, list):
-        raise PriorError(f"{where}: expected the keys parameters (a list), sd and reason")
+    members, keys = table.get("parameters"), set(table) - {"parameters", "reason"}
+    if keys not in ({"sd"}, {"above", "probability"}) or not isinstance(members, list):
+        raise PriorError(
+            f"{where}: expected the keys parameters (a list), reason, and sd; or above and "
+            "probability in place of sd, for a scatter that is likely none"
+        )
     known = sampled_quantities()
     unknown = [m for m in members if m not in known]
     if unknown:
         raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
     kind = known["offset"].kind if members == ["offset"] else None
-    sd = _figure(f"{where}, sd", table.get("sd"), kind)
-    if not sd > 0:
-        raise PriorError(f"{where}: sd must be positive, got {sd:g}")
-    return Scatter(tuple(members), sd, str(table.get("reason", "")))
+    figures = {key: _figure(f"{where}, {key}", table[key], kind) for key in keys - {"probability"}}
+    size = figures.popitem()[1]
+    if not size > 0:
+        raise PriorError(f"{where}: {min(keys - {'probability'})} must be positive, got {size:g}")
+    if "above" not in keys:
+        return Scatter(tuple(members), size, str(table.get("reason", "")))
+    share = _figure(f"{where}, probability", table["probability"], None)
+    if not 0.0 < share < 1.0:
+        raise PriorError(f"{where}: probability must lie between 0 and 1, got {share:g}")
+    mean = size / -float(np.log(share))
+    return Scatter(tuple(members), mean, str(table.get("reason", "")), sparse=True)
 
 
 def _figure(where: str, value: object, kind: str | None) -> float:

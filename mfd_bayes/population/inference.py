@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
@@ -14,18 +15,25 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.law_scores import (
+    COVARIATES,
+    TESTS,
     DependenceScore,
     LawScore,
     compare_dependence,
     compare_laws,
     free_exponents,
+    varies,
 )
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
-from mfd_bayes.population.setting import setting_of
-from mfd_bayes.population.test_likelihood import likelihood_of
+from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.pilot import fit_pilot
+from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,21 +108,55 @@ def infer_population(
     """
     some = next(iter(tests.values())).posterior
     under = [setting_of(t.trace, settings.sessions.get(name, "")) for name, t in tests.items()]
-    layout = lay_out(priors, some.names, under, settings.laws, settings.dependence)
-    likelihoods = [likelihood_of(layout, t.posterior, t.stored.values()) for t in tests.values()]
+    noise = set(some.noise.parameters) - {"noise_sd"}
+    names = [name for name in some.names if name not in noise]
+    dependence = settings.dependence or usual_dependence(some.model, under, names)
+    layout = lay_out(priors, names, under, settings.laws, dependence)
+    working = [working_likelihood(layout, test.posterior, priors) for test in tests.values()]
+    starts = [_start(one, test) for one, test in zip(working, tests.values(), strict=True)]
+    pilot = fit_pilot(working, starts)
+    likelihoods = pilot.tests
     scores = compare_laws(layout, likelihoods)
     weights = dict(layout.weights)
     for name, law in layout.laws.items():
         if law == COMPARE and scores:
             weights[name] = {s.law: s.weight for s in scores if s.quantity == name}
     problem = JointProblem(
-        replace(layout, weights=weights), likelihoods, some.priors, settings.actuation_unit
+        replace(layout, weights=weights),
+        likelihoods,
+        some.priors,
+        settings.actuation_unit,
+        pilot.residual,
     )
     effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
     with several_processes([t.log_likelihood for t in likelihoods], settings.jobs) as evaluate:
         draws = sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
     exponents = free_exponents(layout, likelihoods)
     return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))
+
+
+def _start(likelihood: WorkingLikelihood, test: TestResult) -> Array:
+    """Medians of a test's posterior draws, in the prior units of its working likelihood."""
+    values = {name: np.array([np.median(v)]) for name, v in test.stored.values().items()}
+    layout = likelihood.layout
+    coordinates = [layout.coordinates.of(values)]
+    priors = likelihood.posterior.priors
+    coordinates += [priors[name].coordinate(values[name])[:, None] for name in likelihood.own]
+    q = np.concatenate(coordinates, axis=1)[0]
+    return np.asarray((q - likelihood.middle) / likelihood.scale)
+
+
+def usual_dependence(
+    model: Model, settings: Sequence[Setting], names: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Covariates that slip forces follow unless a campaign says otherwise.
+
+    They are those that vary between at least `TESTS` tests; the prior keeps the dependence small.
+    """
+    if len(settings) < TESTS:
+        return {}
+    varied = tuple(c for c in COVARIATES if varies(settings, c))
+    return {name: varied for name in model.slip_forces if name in names and varied}
 
 
 def _reporter(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -116,12 +115,6 @@ class Joint:
         for density in self.evaluate(points()):
             one = waiting.popleft()
             yield one, density.reshape(one.x.shape[:-1])
-
-    @cached_property
-    def stored_likelihoods(self) -> list[Array]:
-        """Log likelihoods of every test's stored draws, (S,) each."""
-        draws = ((j, test.draws.astype(np.float64)) for j, test in enumerate(self.tests))
-        return list(self.evaluate(draws))
 
     def shared(self, chains: Chains) -> Array:
         """Shared coordinates of the tests, (n, J, d)."""

@@ -19,7 +19,7 @@ from mfd_bayes.population.effects import LEVELS
 from mfd_bayes.population.law_samples import LawSample, samples_of
 from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.setting import levels_of
+from mfd_bayes.population.setting import Setting, levels_of
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.store.schema import Figure
 
@@ -109,7 +109,7 @@ def compare_dependence(
     if len(tests) < TESTS:
         return ()
     scores = []
-    varied = [covariate for covariate in COVARIATES if _varies(layout, covariate)]
+    varied = [covariate for covariate in COVARIATES if varies(layout.settings, covariate)]
     for name, law in layout.laws.items():
         given = layout, tests, layout.names.index(name), "power" if law == COMPARE else law
         terms = {c: _each_left_out(samples_of(*given, [c] if c else [])) for c in ("", *varied)}
@@ -125,8 +125,9 @@ def _error(terms: Array) -> float:
     return float(np.sqrt(len(terms)) * terms.std(ddof=1))
 
 
-def _varies(layout: Layout, covariate: str) -> bool:
-    values = [setting.covariates.get(covariate, 0.0) for setting in layout.settings]
+def varies(settings: Sequence[Setting], covariate: str) -> bool:
+    """Whether a covariate varies between settings by more than a fifth."""
+    values = [setting.covariates.get(covariate, 0.0) for setting in settings]
     return min(values) > 0.0 and max(values) > 1.2 * min(values)
 
 

@@ -109,7 +109,7 @@ def draw_shape(shape: str, uniform: Array) -> Array:
     return np.asarray(centre + sd * special.ndtri(uniform))
 
 
-SENSITIVITY = 0.3
+SENSITIVITY = 0.1
 """Prior sd of a dependence: change of a parameter's coordinate per e-fold of what it follows."""
 
 

@@ -61,7 +61,7 @@ class Layout:
     member : (d,) int
         Group of each quantity.
     scatter_sd : (d,)
-        Half-normal scale of each quantity's scatter, and of the effects on it.
+        Scale of the prior of each quantity's scatter, and of the effects on it.
     reference : float, ksi or kip
         Actuation p0 at which levels are medians over tests.
     settings : tuple of Setting
@@ -71,6 +71,8 @@ class Layout:
         Covariates that quantities follow.
     covariate_reference : mapping of str to float
         Values of the covariates at which levels are medians over tests.
+    sparse : tuple of bool
+        Whether each quantity's scatter prior prefers none: exponential, not half-normal.
     """
 
     coordinates: Coordinates
@@ -86,6 +88,7 @@ class Layout:
     effects: tuple[Effect, ...] = ()
     dependence: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     covariate_reference: Mapping[str, float] = field(default_factory=dict)
+    sparse: tuple[bool, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,7 +115,7 @@ class Layout:
 
     @property
     def sd_scale(self) -> Array:
-        """Half-normal scale of the scatter of each quantity and of the sd of each effect."""
+        """Prior scale of the scatter of each quantity and of the sd of each effect."""
         effects = [self.scatter_sd[effect.members[0]] for effect in self.effects]
         return np.concatenate([self.scatter_sd, effects])
 
@@ -141,12 +144,15 @@ class Layout:
     def log_prior(self, h: Array) -> Array:
         """Log prior density of each block of h, without constants, (n, G).
 
-        Scatter and effects' sd are half-normal, with the Jacobian of their logarithms.
+        Scatter and effects' sd are half-normal, or exponential where the prior prefers none,
+        with the Jacobian of their logarithms.
         """
         density = np.zeros((len(h), len(self.groups)))
         sd = self.sd_scale
         for i in range(len(sd)):
-            density[:, self.block[i]] += h[:, i] - 0.5 * (np.exp(h[:, i]) / sd[i]) ** 2
+            size = np.exp(h[:, i]) / sd[i]
+            sparse = i < len(self.sparse) and self.sparse[i]
+            density[:, self.block[i]] += h[:, i] - (size if sparse else 0.5 * size**2)
         for i, (_, shape) in enumerate(self.shapes):
             at = len(sd) + i
             density[:, self.block[at]] += log_prior(shape, h[:, at])
@@ -188,7 +194,9 @@ class Layout:
             if shape in self.covariate_reference:
                 k = self.names.index(name)
                 reference = self.covariate_reference[shape]
-                folds = np.log([s.covariates[shape] / reference for s in chosen])
+                among = [s.covariates[shape] for s in self.settings]  # not followed beyond
+                within = np.clip([s.covariates[shape] for s in chosen], min(among), max(among))
+                folds = np.log(within / reference)
                 offsets[..., k] += h[:, begin + i, None] * folds / self.spread[k]
         return offsets
 
@@ -252,6 +260,7 @@ def lay_out(
         groups=groups,
         member=member,
         scatter_sd=np.array([priors.scatter[groups[g]].sd for g in member]),
+        sparse=tuple(priors.scatter[groups[g]].sparse for g in member),
         reference=_geometric_mean([s.actuation for s in settings]),
         settings=tuple(settings),
         effects=effects_of(settings, shared, member, chosen),

@@ -12,6 +12,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.laws import ratio
 from mfd_bayes.population.layout import Choice, Layout
+from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 
 Array = NDArray[np.float64]
@@ -38,6 +39,8 @@ class Population:
         Walkers of each chain, by which its draws are ordered.
     convergence : Convergence
         Of scatter, effects' sd, shapes and levels.
+    residual : Residual, optional
+        Discrepancy and noise that the tests have in common; runs of older versions have none.
     """
 
     layout: Layout
@@ -49,6 +52,7 @@ class Population:
     actuation_unit: str
     walkers: int
     convergence: Convergence
+    residual: Residual | None = None
 
     @property
     def size(self) -> int:

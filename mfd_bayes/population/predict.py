@@ -13,6 +13,7 @@ from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.trace import Trace, check_magnitude
 
@@ -137,7 +138,7 @@ class Predictor:
         RecordError
             When the force is too large for a number, as far from what was tested.
         """
-        rng = np.random.default_rng(forecast.seed)
+        rng, residual = np.random.default_rng(forecast.seed), self.population.residual
         index = rng.choice(self.population.size, size=forecast.draws)
         if forecast.kind == "device" and tested is not None:
             pick = rng.choice(len(next(iter(tested.values()))), size=forecast.draws)
@@ -151,10 +152,11 @@ class Predictor:
         values |= _unknown(self.population, forecast.draws, rng)
         with np.errstate(over="ignore", invalid="ignore"):  # refused right below
             force = self._force(trace, values, index)
+            if residual is not None:
+                slip = slip_force_of(self.model, values)
+                force = force + residual.draw_discrepancy(rng, trace, slip)
             if forecast.kind == "observation":
-                travel = self._travel(trace, values) if self.noise.needs_travel else None
-                noise = self.noise.draw(rng, trace.time, values, travel)
-                force = force + values["offset"][:, None] + noise
+                force = force + values["offset"][:, None] + self._noise(rng, trace, values)
         check_magnitude("the predicted force", force)
         return band_of(trace.time, force, forecast, source, values)
 
@@ -164,6 +166,14 @@ class Predictor:
         check_magnitude("a predicted parameter", theta, RANGE)
         scales = _scales(self.population, trace, index) if trace.varying else None
         return self.model.force(theta, trace, values.get("start"), scales=scales)
+
+    def _noise(self, rng: np.random.Generator, trace: Trace, values: Mapping[str, Array]) -> Array:
+        """Draws of the record's noise, (n, T), kip."""
+        residual = self.population.residual
+        if residual is not None:
+            return residual.draw_noise(rng, trace, values["noise_sd"])
+        travel = self._travel(trace, values) if self.noise.needs_travel else None
+        return self.noise.draw(rng, trace.time, values, travel)
 
     def _travel(self, trace: Trace, values: Mapping[str, Array]) -> Array:
         """Travel since the last turn, (n, T), in."""

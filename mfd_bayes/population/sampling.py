@@ -17,6 +17,7 @@ from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.sweep import Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
@@ -55,12 +56,15 @@ class JointProblem:
     tests : sequence of TestLikelihood
     priors : mapping of str to Prior
     actuation_unit : str
+    residual : Residual, optional
+        What the tests' likelihoods take the records to leave over.
     """
 
     layout: Layout
     tests: Sequence[TestLikelihood]
     priors: Mapping[str, Prior]
     actuation_unit: str
+    residual: Residual | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +198,7 @@ class _Run:
             actuation_unit=self.problem.actuation_unit,
             walkers=WALKERS,
             convergence=convergence,
+            residual=self.problem.residual,
         )
         rates = {name: float(np.mean(r)) for name, r in self.sampler.accepted.items()}
         tests = TestDraws(snapshots, self.sizes, ensembles)

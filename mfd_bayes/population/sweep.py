@@ -5,9 +5,10 @@ A sweep
 1.  updates scatter, effects' sd and shapes given the tests, with levels and effects integrated
     out, by differential evolution;
 2.  draws levels and effects from their Gaussian conditional density;
-3.  updates every test's coordinates given the population: a choice among stored draws, proposals
-    of a Gaussian near the conditional density, and differential evolution;
-4.  moves scatter and level of one quantity together with its tests' coordinates.
+3.  updates every test's coordinates given the population: proposals of a Gaussian near the
+    conditional density, and differential evolution;
+4.  moves levels and scatter of the quantities that hardly differ, with all tests;
+5.  moves scatter and level of one quantity together with its tests' coordinates.
 
 Every move leaves the joint posterior as it is.
 """
@@ -24,11 +25,11 @@ from mfd_bayes.population.moves.hyperparameters import draw_latent, evolve_hyper
 from mfd_bayes.population.moves.lines import Tuning, transport
 from mfd_bayes.population.moves.one_test import (
     GaussianConditional,
-    choose_stored,
     evolve_tests,
     step_near,
 )
 from mfd_bayes.population.moves.redraw import redraw
+from mfd_bayes.population.moves.shared import rescale, shift
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,9 @@ EVOLUTIONS = 4
 
 NEAR = 2
 """Proposals near the conditional density in a sweep, for every test."""
+
+SHIFTS = 2
+"""Moves of the levels of quantities that hardly differ in a sweep."""
 
 TOGETHER = 2
 """Moves of scatter and level together with the tests in a sweep."""
@@ -86,9 +90,8 @@ class Sampler:
             density = test.log_likelihood(chains.x[j])
             lost = ~np.isfinite(density)
             if np.any(lost):  # a Gaussian also covers points without any likelihood
-                picks = self.rng.integers(len(test.draws), size=int(lost.sum()))
-                chains.x[j][lost] = test.draws[picks]
-                density[lost] = test.log_likelihood(chains.x[j][lost])
+                picks = self.rng.choice(np.flatnonzero(~lost), size=int(lost.sum()))
+                chains.x[j][lost], density[lost] = chains.x[j][picks], density[picks]
             chains.log_likelihood[j] = density
 
     def sweep(self, chains: Chains) -> None:
@@ -98,10 +101,12 @@ class Sampler:
             self._note(evolve_hyperparameters(*given))
         draw_latent(*given)
         conditional = self.joint.conditional(chains)
-        self._note(choose_stored(*given, conditional))
         for _ in range(NEAR):
             self._note(step_near(*given, conditional))
         self._note(evolve_tests(*given, conditional))
+        for _ in range(SHIFTS):
+            self._note(shift(*given, self.tuning))
+        self._note(rescale(*given))
         for _ in range(TOGETHER):
             self.move_together(chains)
 

@@ -14,44 +14,11 @@ from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
-TRIES = 30
-"""Stored draws of each test among which every chain chooses in a sweep."""
-
 STEPS = (1.0, 1.0, 0.8, 0.6)
 """Sizes of Crank–Nicolson steps; 1 is a proposal that does not depend on the current point."""
 
 EVOLVED = 0.25
 """Share of sweeps in which a test is also moved by differential evolution."""
-
-
-def choose_stored(
-    joint: Joint, chains: Chains, rng: np.random.Generator, given: Conditional
-) -> Accepted:
-    """Choice among some stored draws and the current point, by importance weights.
-
-    The likelihood stands in the weight and in the density of the stored draws, and cancels.
-    """
-    accepted: Accepted = []
-    for j, test in enumerate(joint.tests):
-        if test.gaussian:  # the Gaussian proposal below is exact for it
-            continue
-        n, x, mean = len(given.scatter), chains.x[j], given.means[:, j]
-        picks = rng.integers(len(test.draws), size=(TRIES, n))
-        standard = (test.draws[picks, : joint.d] - mean) / given.scatter  # (TRIES, n, d)
-        stored = -0.5 * np.einsum("tnk,tnk->tn", standard, standard)
-        stored -= test.draws_log_prior[picks]
-        standard = (x[:, : joint.d] - mean) / given.scatter
-        current = -0.5 * np.einsum("nk,nk->n", standard, standard)
-        current -= test.log_interim_prior(x[:, : joint.d])
-        # the largest of log weight + Gumbel noise is a draw in proportion to the weights
-        noisy = np.concatenate([current[None], stored]) + rng.gumbel(size=(TRIES + 1, n))
-        chosen = np.argmax(noisy, axis=0)
-        moved = chosen > 0
-        latest = picks[chosen[moved] - 1, np.flatnonzero(moved)]
-        x[moved] = test.draws[latest]
-        chains.log_likelihood[j][moved] = joint.stored_likelihoods[j][latest]
-        accepted.append((f"stored {j}", moved))
-    return accepted
 
 
 @dataclass(frozen=True, eq=False)

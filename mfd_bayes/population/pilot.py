@@ -1,0 +1,287 @@
+"""A first fit of all tests together: what they leave over in common, and a Gaussian near each.
+
+A linear mixed model, linearised anew in every step (Gauss–Newton with damping): quantities whose
+scatter prior prefers none are the same in all tests, the others are each test's own, and the
+discrepancy is a Gaussian process. Its size, the noise and the shape of the noise are updated by
+expectation–maximisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.population.residual import Residual, slip_force_of
+from mfd_bayes.population.test_likelihood import TestLikelihood
+from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.population.working import WorkingLikelihood
+
+Array = NDArray[np.float64]
+
+STEPS = 40
+"""Gauss–Newton steps."""
+
+STEP = 1e-3
+"""Step of the differences, in prior units."""
+
+LARGEST = 8.0
+"""Largest coordinate, in prior units, that a step may reach."""
+
+WEAK = 1e-3
+"""Precision, in prior units, that every Gaussian has at least."""
+
+EVEN = 30.0
+"""Samples near a knot that the noise's even shape is worth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pilot:
+    """The first fit.
+
+    Attributes
+    ----------
+    residual : Residual
+    tests : tuple of TestLikelihood
+        Working likelihoods with the residual's discrepancy and noise.
+    """
+
+    residual: Residual
+    tests: tuple[TestLikelihood, ...]
+
+
+def fit_pilot(likelihoods: Sequence[WorkingLikelihood], starts: Sequence[Array]) -> Pilot:
+    """First fit of tests.
+
+    Parameters
+    ----------
+    likelihoods : sequence of WorkingLikelihood
+        Without discrepancy, with even noise.
+    starts : sequence of (D,)
+        Coordinates of each test from which to begin, in prior units.
+    """
+    fit = _Fit(likelihoods, starts)
+    for _ in range(STEPS):
+        fit.linearise()
+        fit.step()
+        fit.update_sizes()
+    return fit.pilot()
+
+
+@dataclass
+class _One:
+    """One test in the fit.
+
+    Attributes
+    ----------
+    likelihood : WorkingLikelihood
+    x : (D,)
+    basis : (T, K)
+        Of the discrepancy, times the test's slip force over the typical one.
+    residual : (T,), kip
+        At x, without discrepancy.
+    slopes : (T, D)
+        Of the model's force plus offset.
+    sd : float, kip
+        Of the noise.
+    """
+
+    likelihood: WorkingLikelihood
+    x: Array
+    functions: Array
+    basis: Array
+    residual: Array
+    slopes: Array
+    sd: float
+
+    def weights(self, log_shape: Array) -> Array:
+        """Reciprocal standard deviation of the noise at each sample, 0 where it does not count."""
+        weights = np.exp(-self.functions @ log_shape) / self.sd
+        weights[: self.likelihood.posterior.first] = 0.0
+        return np.asarray(weights)
+
+
+class _Fit:
+    """State of the fit: coordinates of all tests, discrepancy, and sizes."""
+
+    def __init__(self, likelihoods: Sequence[WorkingLikelihood], starts: Sequence[Array]) -> None:
+        layout = likelihoods[0].layout
+        self.layout, self.d = layout, len(layout.names)
+        self.basis = TravelBasis.of([one.posterior.trace for one in likelihoods])
+        k = layout.names.index("noise_sd")
+        self.common = np.array([bool(sparse) for sparse in layout.sparse])
+        free = ~self.common
+        free[k] = False
+        self.free = np.append(np.flatnonzero(free), range(self.d, len(starts[0])))
+        shared = np.median([x[: self.d] for x in starts], axis=0)
+        self.inverse = np.linalg.inv(self.basis.covariance())
+        self.coefficients = np.zeros(self.basis.size)
+        self.log_shape = np.zeros(self.basis.size)
+        self.tests = []
+        for likelihood, start in zip(likelihoods, starts, strict=True):
+            x = start.copy()
+            x[: self.d][self.common] = shared[self.common]
+            functions = self.basis.values(likelihood.posterior.trace)
+            residual = likelihood.residual(x[None])[0]
+            sd = float(residual.std())
+            self.tests.append(
+                _One(likelihood, x, functions, functions, residual, np.empty((0, 0)), sd)
+            )
+        self.amplitude = 0.3 * float(np.mean([one.sd for one in self.tests]))
+        self.slip_force = 1.0
+        self.damping = 0.0
+
+    def linearise(self) -> None:
+        """Residuals and slopes at the current coordinates; slip forces."""
+        slips = []
+        for one in self.tests:
+            points = np.repeat(one.x[None], 2 * one.x.size + 1, axis=0)
+            size = one.x.size
+            points[range(size), range(size)] += STEP
+            points[range(size, 2 * size), range(size)] -= STEP
+            residual = one.likelihood.residual(points)
+            one.residual = residual[-1]
+            one.slopes = (residual[size : 2 * size] - residual[:size]).T / (2.0 * STEP)
+            posterior = one.likelihood.posterior
+            values = posterior.values(one.likelihood.points(one.x[None]))
+            slips.append(float(slip_force_of(posterior.model, values)[0]))
+        self.slip_force = float(np.exp(np.mean(np.log(np.maximum(slips, 1e-12)))))
+        for one, slip in zip(self.tests, slips, strict=True):
+            one.basis = one.functions * (slip / self.slip_force)
+
+    def _columns(self, one: _One) -> tuple[Array, Array]:
+        """Slopes of what is common (quantities, then discrepancy) and of what is free, (T, …)."""
+        common = np.concatenate([one.slopes[:, : self.d][:, self.common], one.basis], axis=1)
+        return common, one.slopes[:, self.free]
+
+    def step(self) -> None:
+        """One damped Gauss–Newton step, if one lowers the objective."""
+        before = self._objective([one.x for one in self.tests], self.coefficients)
+        for _ in range(8):
+            xs, coefficients = self._proposed()
+            if self._objective(xs, coefficients) <= before:
+                for one, x in zip(self.tests, xs, strict=True):
+                    one.x = x
+                self.coefficients = coefficients
+                self.damping = 0.0 if self.damping < 1e-3 else self.damping / 10.0
+                return
+            self.damping = max(1e-3, 6.0 * self.damping)
+
+    def _proposed(self) -> tuple[list[Array], Array]:
+        """Coordinates of the tests and coefficients after a step, by elimination of the free."""
+        c = int(self.common.sum())
+        matrix = np.zeros((c + self.basis.size,) * 2)
+        matrix[:c, :c] = np.eye(c)
+        matrix[c:, c:] = self.inverse / self.amplitude**2
+        pull = -matrix @ np.append(self.tests[0].x[: self.d][self.common], self.coefficients)
+        kept = []
+        for one in self.tests:
+            common, free = self._columns(one)
+            weights = one.weights(self.log_shape)
+            left = (one.residual - one.basis @ self.coefficients) * weights
+            a, b = common * weights[:, None], free * weights[:, None]
+            own = b.T @ b
+            own += np.diag(np.full(len(own), 1.0) + self.damping * np.diag(own))
+            cross, gradient = a.T @ b, b.T @ left - one.x[self.free]
+            gain = np.linalg.solve(own, cross.T).T
+            gram = a.T @ a
+            matrix += gram + self.damping * np.diag(np.diag(gram)) - gain @ cross.T
+            pull += a.T @ left - gain @ gradient
+            kept.append((own, cross, gradient))
+        self.matrix = matrix
+        moved = np.linalg.solve(matrix, pull)
+        xs = []
+        for one, (own, cross, gradient) in zip(self.tests, kept, strict=True):
+            x = one.x.copy()
+            x[self.free] += np.linalg.solve(own, gradient - cross.T @ moved)
+            x[: self.d][self.common] += moved[:c]
+            xs.append(x)
+        return xs, self.coefficients + moved[c:]
+
+    def _objective(self, xs: Sequence[Array], coefficients: Array) -> float:
+        """Half the weighted squares of what is left, plus the priors'."""
+        total = 0.5 * float(coefficients @ self.inverse @ coefficients) / self.amplitude**2
+        total += 0.5 * float(np.sum(xs[0][: self.d][self.common] ** 2))
+        for one, x in zip(self.tests, xs, strict=True):
+            if np.max(np.abs(x)) > LARGEST:
+                return np.inf
+            left = one.likelihood.residual(x[None])[0] - one.basis @ coefficients
+            total += 0.5 * float(np.sum((left * one.weights(self.log_shape)) ** 2))
+            total += 0.5 * float(np.sum(x[self.free] ** 2))
+        return total
+
+    def update_sizes(self) -> None:
+        """Size of the discrepancy, noise of each test, and shape of the noise."""
+        c, size = int(self.common.sum()), self.basis.size
+        covariance = np.linalg.inv(self.matrix)[c:, c:]
+        squares = self.coefficients @ self.inverse @ self.coefficients
+        squares += np.sum(self.inverse * covariance)
+        self.amplitude = max(float(np.sqrt(squares / size)), 1e-9)
+        total, count = np.full(size, EVEN), np.full(size, EVEN)
+        for one in self.tests:
+            kept = one.likelihood.kept
+            left = one.likelihood.residual(one.x[None])[0] - one.basis @ self.coefficients
+            shape = np.exp(one.functions @ self.log_shape)
+            one.sd = max(float(np.sqrt(np.mean((left / shape)[kept] ** 2))), 1e-12)
+            total += one.functions[kept].T @ (left[kept] / one.sd) ** 2
+            count += one.functions[kept].sum(axis=0)
+        self.log_shape = 0.5 * np.log(total / count)
+
+    def pilot(self) -> Pilot:
+        """What is kept of the fit."""
+        self.linearise()
+        self._proposed()
+        c = int(self.common.sum())
+        information, noise_time = self._memory()
+        residual = Residual(
+            basis=self.basis,
+            mean=self.coefficients,
+            covariance=np.linalg.inv(self.matrix)[c:, c:] / information,
+            log_shape=self.log_shape,
+            slip_force=self.slip_force,
+            noise_time=noise_time,
+            information=information,
+        )
+        return Pilot(residual, tuple(self._test(one, information) for one in self.tests))
+
+    def _memory(self) -> tuple[float, float]:
+        """Share of independent samples, and correlation time of the noise, s."""
+        independent, samples, times = 0.0, 0, []
+        for one in self.tests:
+            weights = one.weights(self.log_shape)[one.likelihood.kept]
+            left = (one.residual - one.basis @ self.coefficients)[one.likelihood.kept] * weights
+            phi = float(np.clip(left[1:] @ left[:-1] / (left @ left), 1e-3, 0.999))
+            step = float(np.median(np.diff(one.likelihood.posterior.trace.time)))
+            independent += left.size * (1.0 - phi) / (1.0 + phi)
+            samples += left.size
+            times.append(-step / np.log(phi))
+        return independent / samples, float(np.median(times))
+
+    def _test(self, one: _One, information: float) -> TestLikelihood:
+        """Working likelihood of a test with discrepancy and noise, and a Gaussian near it."""
+        likelihood = replace(
+            one.likelihood,
+            discrepancy=one.basis @ self.coefficients,
+            shape=np.exp(one.functions @ self.log_shape),
+            information=information,
+        )
+        k = self.layout.names.index("noise_sd")
+        x = one.x.copy()
+        prior = one.likelihood.posterior.priors["noise_sd"]
+        x[k] = (float(prior.coordinate(np.array([one.sd]))[0]) - likelihood.middle[k])
+        x[k] /= likelihood.scale[k]
+        weights = one.weights(self.log_shape)[:, None]
+        slopes = one.slopes * weights
+        slopes[:, k] = 0.0
+        left = (one.residual - one.basis @ self.coefficients) * weights[:, 0]
+        precision = information * (slopes.T @ slopes)
+        gradient = information * (slopes.T @ left)
+        samples = np.count_nonzero(weights)
+        precision[k, k] = 2.0 * information * samples * likelihood.scale[k] ** 2
+        precision[range(x.size), range(x.size)] += WEAK
+        covariance = np.linalg.inv(precision)
+        return TestLikelihood(
+            likelihood, likelihood.log_own_prior, x + covariance @ gradient, covariance
+        )

@@ -1,0 +1,83 @@
+"""What the force model leaves over in every test of a device: discrepancy and noise.
+
+    y_j = F(θ_j) + F0_j + f_j δ(u) + s_j g(u) ε
+
+u is the travel since the last turn with the direction of motion, f_j the test's slip force over a
+typical one. The discrepancy δ repeats in every cycle of every test; g is the shape of the noise's
+standard deviation. Neither depends on parameters of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.noise import OU
+from mfd_bayes.friction.model import Model
+from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Discrepancy and noise that the tests of a device have in common.
+
+    Attributes
+    ----------
+    basis : TravelBasis
+    mean, covariance : (K,), (K, K), kip
+        Posterior of the discrepancy's coefficients.
+    log_shape : (K,)
+        Coefficients of log g.
+    slip_force : float, kip
+        Typical slip force, at which the discrepancy stands as it is.
+    noise_time : float, s
+        Correlation time of the noise.
+    information : float
+        Share of independent samples in a record: (1 − φ)/(1 + φ) for neighbours that are
+        correlated by φ.
+    """
+
+    basis: TravelBasis
+    mean: Array
+    covariance: Array
+    log_shape: Array
+    slip_force: float
+    noise_time: float
+    information: float
+
+    def shape(self, trace: Trace) -> Array:
+        """Shape g of the noise's standard deviation, (T,)."""
+        return np.asarray(np.exp(self.basis.values(trace) @ self.log_shape))
+
+    def discrepancy(self, trace: Trace, slip_force: float) -> Array:
+        """Mean discrepancy of a test of this slip force, (T,), kip."""
+        relative = slip_force / self.slip_force
+        return np.asarray(relative * (self.basis.values(trace) @ self.mean))
+
+    def draw_discrepancy(
+        self, rng: np.random.Generator, trace: Trace, slip_force: Array
+    ) -> Array:
+        """Draws of the discrepancy for tests of these slip forces (n,), (n, T), kip."""
+        draws = rng.multivariate_normal(
+            self.mean, self.covariance, size=len(slip_force), method="cholesky"
+        )
+        relative = slip_force / self.slip_force
+        return np.asarray(relative[:, None] * (draws @ self.basis.values(trace).T))
+
+    def draw_noise(self, rng: np.random.Generator, trace: Trace, sd: Array) -> Array:
+        """Draws of the noise for these standard deviations (n,), (n, T), kip."""
+        values = {"noise_sd": sd, "noise_time": np.full(len(sd), self.noise_time)}
+        return OU().draw(rng, trace.time, values) * self.shape(trace)
+
+
+def slip_force_of(model: Model, values: Mapping[str, Array]) -> Array:
+    """Mean of the forward and backward slip forces, (n,), kip."""
+    theta = model.theta(values)
+    columns = [model.parameters.index(name) for name in model.slip_forces]
+    return np.asarray(theta[:, columns].mean(axis=1))
