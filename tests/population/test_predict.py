@@ -12,7 +12,7 @@ from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import KINDS, Forecast, Predictor, band_of
+from mfd_bayes.population.predict import NESTED, Forecast, Predictor, band_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.records.trace import Trace
 
@@ -80,13 +80,13 @@ def population():
     return make_population()
 
 
-def ask(population, actuation, tested=None, session="", **forecast):
+def ask(population, actuation, session="", **forecast):
     trace = Trace.from_arrays(TIME, MOTION, actuation)
-    return predict(population, trace, Forecast(**forecast, session=session), tested)
+    return predict(population, trace, Forecast(**forecast, session=session))
 
 
-def predict(population, trace, forecast, tested=None):
-    return Predictor(population, ThreeStage(), NOISE).predict(trace, forecast, tested)
+def predict(population, trace, forecast):
+    return Predictor(population, ThreeStage(), NOISE).predict(trace, forecast)
 
 
 def width(population, actuation=1.0, **forecast):
@@ -95,7 +95,7 @@ def width(population, actuation=1.0, **forecast):
 
 
 def test_bands_are_nested_by_kind(population):
-    device, new_test, observation = (width(population, kind=kind) for kind in KINDS)
+    device, new_test, observation = (width(population, kind=kind) for kind in NESTED)
     assert 1.2 * device < new_test
     assert 1.02 * new_test < observation
 
@@ -212,18 +212,41 @@ def test_a_valve_that_closes_leaves_no_friction(population):
     assert np.all(np.abs(band.draws[:, slides]) < 0.3)
 
 
-def test_tested_draws_are_the_device_at_that_level(population):
+def test_the_device_does_not_change_its_meaning_beside_a_tested_level():
+    """It is the law with the effect of its level, without scatter, tested or a percent away."""
+    known = make_population(effect=0.02, scatter=0.1)
+    for kind in ("device", "new_test"):
+        at, beside = (width(known, p, kind=kind) for p in (1.0, 1.02))
+        assert beside == pytest.approx(at, rel=0.25)
+    # scatter of the slip force is not in it: it would be ten times the parameters' uncertainty
+    device, new_test = (width(known, 1.0, kind=kind) for kind in ("device", "new_test"))
+    assert 2.5 * device < new_test
+
+
+def test_the_device_holds_what_is_unknown_of_an_untested_level():
+    known = make_population(effect=0.15, scatter=0.05)
+    tested, far = (width(known, p, kind="device") / p for p in (1.0, 8.0))
+    assert 1.5 * tested < far
+    none = make_population(effect=1e-6, scatter=0.05)  # the control
+    tested, far = (width(none, p, kind="device") / p for p in (1.0, 8.0))
+    assert far < 1.5 * tested
+
+
+def test_this_very_test_is_the_draws_of_that_test(population):
     n = 30
-    tested = {name: np.full(n, value) for name, value in MEDIANS.items()}
-    tested |= {"Fc_fwd": np.full(n, 2.6), "start": np.full(n, 0.5), "gamma1": np.ones(n)}
-    told = ask(population, 1.0, tested, kind="device")
+    own = {name: np.full(n, value) for name, value in MEDIANS.items()} | {"Fc_fwd": np.full(n, 2.6)}
+    trace = Trace.from_arrays(TIME, MOTION, 1.0)
+    predictor = Predictor(population, ThreeStage(), NOISE)
+    told = predictor.repeat(trace, Forecast("this_test"), own)
     forward = SLIDING & (np.gradient(MOTION) > 0)
-    assert np.mean(told.median[forward]) == pytest.approx(2.6 + 0.015 * 3.1, rel=0.05)
-    assert "tests at this actuation" in told.source
-    # the tested draws do not change the prediction of a new test
-    new = ask(population, 1.0, tested, kind="new_test")
-    plain = ask(population, 1.0, kind="new_test")
-    np.testing.assert_array_equal(new.draws, plain.draws)
+    slip = 2.6 * (1 + 0.15 * np.exp(-((3.1 / 0.4) ** 2))) + 0.015 * 3.1
+    assert np.mean(told.median[forward]) == pytest.approx(slip, rel=0.05)
+    assert "this test" in told.source
+    late = TIME > 2.0  # the start, which is unknown, no longer matters: all draws agree
+    assert np.max((told.upper - told.lower)[late]) < 1e-6
+    for name in MEDIANS:
+        np.testing.assert_allclose(told.values[name], own[name][0], rtol=1e-9)
+    assert np.ptp(told.values["start"]) > 0.5
 
 
 def test_a_setting_is_what_the_trace_shows():
@@ -236,7 +259,10 @@ def test_a_setting_is_what_the_trace_shows():
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        ({"kind": "sometimes"}, "unknown kind 'sometimes'.*device, new_test, observation"),
+        (
+            {"kind": "sometimes"},
+            "unknown kind 'sometimes'.*device, new_test, observation, this_test",
+        ),
         ({"probability": 1.5}, "between 0 and 1, got 1.5"),
         ({"probability": 0.0}, "between 0 and 1"),
         ({"probability": float("nan")}, "between 0 and 1"),
