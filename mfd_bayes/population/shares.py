@@ -62,8 +62,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 _OWN = {name for group in GROUPS.values() for name in group} | {"offset"}
 _REPEATS = (
-    "Tests of one device differ in it, so more records do not narrow it: find out what differed "
-    "(temperature, wear, bedding-in), or declare sessions; the kind this_test is without it."
+    "Where few tests were calibrated, more tests narrow it; with many, it is how much tests of "
+    "this device differ: find out what differed (temperature, wear, bedding-in), or declare "
+    "sessions. The kind this_test is without it."
 )
 
 

@@ -57,7 +57,7 @@ def test_scatter_of_one_quantity_is_found_under_its_name():
     assert found["test-to-test scatter of forward slip force"] < 0.02
     said = width_sentence(found)
     assert "backward slip force" in said
-    assert "more records do not narrow it" in said
+    assert "how much tests of this device differ" in said
 
 
 def test_shares_are_those_of_the_variances_where_sources_only_add():
