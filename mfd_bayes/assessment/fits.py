@@ -34,7 +34,7 @@ SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
 SHOWN = 2000
 """Most draws of a quantity in figures."""
 
-ORDERS = 6
+ORDERS = 4
 """Number of orders of sources for the shares of a held-out test: few, for there may be many."""
 
 _CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")

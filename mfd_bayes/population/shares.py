@@ -17,12 +17,12 @@ from mfd_bayes.population.drawn import Drawn
 
 Array = NDArray[np.float64]
 
-PERMUTATIONS = 16
+PERMUTATIONS = 8
 """Number of orders, unless asked otherwise."""
 
-DRAWS = 200
-FEWEST = 50
-VALUES = 200_000
+DRAWS = 500
+FEWEST = 200
+VALUES = 1_000_000
 """Most and fewest draws, and about how many values of the force one evaluation computes."""
 
 NOTHING = 1e-20

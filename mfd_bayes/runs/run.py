@@ -127,7 +127,7 @@ class Run:
             out; its `remarks` say what it promises. Needs a cross-validation in the run.
         explain : bool or int
             Whether to compute `Band.shares`, what makes the band wide; or the number of
-            permutations for that. It takes about as long as 100 predictions of 200 draws.
+            permutations for that. It takes as long as some 70 predictions.
 
         Returns
         -------
