@@ -15,7 +15,8 @@ from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.population.shares import ADVICE, GROUPS, SOURCES, shapley, shares_of
 from mfd_bayes.records.trace import Trace
 
-from .test_predict import MOTION, TIME, make_population
+TIME = np.arange(401) / 100
+MOTION = np.sin(2 * np.pi * 0.5 * TIME)
 
 SCATTER = [name for name in ADVICE if name.startswith("test-to-test")]
 
@@ -27,7 +28,7 @@ def shares(population, actuation=1.0, kind="observation", seed=0, noise="ou"):
 
 
 @pytest.fixture(scope="module")
-def population():
+def population(make_population):
     return make_population(level_sd=0.02, scatter=0.1)
 
 
@@ -40,14 +41,14 @@ def test_shares_sum_to_one(population, kind):
     assert any(name in found for name in SCATTER) == (kind != "device")
 
 
-def test_without_scatter_its_shares_are_zero():
+def test_without_scatter_its_shares_are_zero(make_population):
     found = shares(make_population(level_sd=0.02, scatter=0.0))
     assert sum(found.get(name, 0.0) for name in SCATTER) < 1e-6
     assert found["parameters"] > 0.1
     assert sum(shares(make_population()).get(name, 0.0) for name in SCATTER) > 0.5  # the control
 
 
-def test_scatter_of_one_quantity_is_found_under_its_name():
+def test_scatter_of_one_quantity_is_found_under_its_name(make_population):
     """Only the backward slip force scatters, by 20 %."""
     known = make_population(level_sd=0.001, scatter=0.001)
     h = known.h.copy()
@@ -60,7 +61,7 @@ def test_scatter_of_one_quantity_is_found_under_its_name():
     assert "how much tests of this device differ" in said
 
 
-def test_shares_are_those_of_the_variances_where_sources_only_add():
+def test_shares_are_those_of_the_variances_where_sources_only_add(make_population):
     """Offset 0.06 and noise 0.08 kip beside a damper that is known: 36 to 64."""
     known = make_population(level_sd=1e-9, scatter=1e-9)
     h = known.h.copy()
@@ -77,7 +78,7 @@ def test_shares_are_those_of_the_variances_where_sources_only_add():
     assert found["noise"] / (1 - start) == pytest.approx(0.64, abs=0.07)
 
 
-def test_far_from_tested_levels_the_law_and_its_deviation_widen_the_band():
+def test_far_from_tested_levels_the_law_and_its_deviation_widen_the_band(make_population):
     known = make_population(level_sd=0.01, scatter=0.02, effect=0.2)
     name = "law, level and session effects"
     near, far = (shares(known, p, "new_test").get(name, 0.0) for p in (1.0, 8.0))
