@@ -34,6 +34,9 @@ SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
 SHOWN = 2000
 """Most draws of a quantity in figures."""
 
+ORDERS = 4
+"""Number of orders of sources for the shares of a held-out test: few, for there may be many."""
+
 _CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")
 
 
@@ -72,7 +75,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
     session = run.session(name)
-    band = run.predict(trace, kind="observation", draws=800, session=session)
+    band = run.predict(trace, "observation", draws=800, session=session, explain=ORDERS)
     damper = run.predict(trace, kind="new_test", draws=800, session=session)
     return TestView(
         id=name,
@@ -83,6 +86,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         observation=fan_of("observation", band.draws),
         score=score_of(name, "validate", trace, band.draws, 0),
         derived=held_out_rows(run, name, trace, damper),
+        shares=band.shares,
     )
 
 

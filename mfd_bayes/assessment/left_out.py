@@ -22,7 +22,7 @@ def left_out_view(found: CampaignCrossValidation | None) -> LeftOutView | None:
         f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
         f"{100 * mean.coverage_95:.1f} % of the force, the 50 % bands "
         f"{100 * mean.coverage_50:.1f} %; they are on average {mean.width_ratio:.1f} times as "
-        "wide as those of the fitted tests."
+        f"wide as those of the fitted tests.{_whole(rows)}"
     )
     return LeftOutView(by, rows, mean, sentence)
 
@@ -44,6 +44,18 @@ def _row(prediction: Prediction) -> LeftOutRow:
         fitted_crps=fitted.crps,
         width_ratio=_ratio(found.width, fitted.width),
         crps_ratio=_ratio(found.crps, fitted.crps),
+        whole_95=float("nan") if prediction.whole is None else float(prediction.whole),
+    )
+
+
+def _whole(rows: tuple[LeftOutRow, ...]) -> str:
+    """How often the bands of whole histories held; empty where they were not computed."""
+    held = [row.whole_95 for row in rows]
+    if not np.all(np.isfinite(held)):
+        return ""
+    return (
+        " The 95 % bands of whole histories hold the whole force of "
+        f"{sum(held):.0f} of {len(held)} tests."
     )
 
 

@@ -34,7 +34,8 @@ Effort = Annotated[
     ),
 ]
 Kind = Annotated[
-    Literal["device", "new_test", "observation"], typer.Option(help="What the band is about.")
+    Literal["device", "new_test", "observation", "this_test"],
+    typer.Option(help="What the band is about."),
 ]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print only warnings and the verdict.")]
 

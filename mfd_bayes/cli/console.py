@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -115,6 +115,18 @@ def print_derived(rows: Sequence[DerivedRow], probability: float) -> None:
         shown = ("–" if math.isnan(value) else f"{value:.4g}" for value in figures)
         _add(table, r.name, r.unit, *shown)
     open_console().print(table)
+
+
+def print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
+    """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
+    from mfd_bayes.assessment.width import width_sentence
+
+    if not quiet:
+        table = _table("What makes the band wide", ["source"], ["share of the variance"])
+        for name, share in sorted(shares.items(), key=lambda item: -item[1]):
+            _add(table, name, f"{100 * share:.0f} %")
+        open_console().print(table)
+    say(width_sentence(shares))
 
 
 def print_comparison(found: Comparison, *, quiet: bool = False) -> None:

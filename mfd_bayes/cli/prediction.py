@@ -23,20 +23,36 @@ def predict(
     compare: Annotated[
         bool, typer.Option("--compare", help="Show the force in the motion's file beside it.")
     ] = False,
+    test: Annotated[
+        str, typer.Option(metavar="ID", help="The calibrated test, for --kind this_test.")
+    ] = "",
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Add a band that holds the whole history.")
+    ] = False,
+    recalibrate: Annotated[
+        bool, typer.Option("--recalibrate", help="Widen it by tests that were left out.")
+    ] = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Say what makes the band wide.")
+    ] = False,
     quiet: arguments.Quiet = False,
 ) -> None:
     """Predict the force of a motion at an actuation, tested or not.
 
     Writes the band as CSV where -o says, a PNG beside it, and what derives from
     the force, such as energy and peaks, as ..._derived.csv. Where the actuation
-    was never tested, or the run did not pass its checks, it warns.
+    was never tested, or the run did not pass its checks, it warns. --recalibrate
+    is for --kind observation and needs a run of crossvalidate; --explain takes
+    some seconds.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
+      mfd-bayes predict out --motion quake.csv --actuation "1 ksi" -o b.csv --explain
     """
     from mfd_bayes.pipeline import commands as pipeline
 
-    question = pipeline.Question(motion, actuation, kind, probability, bands, compare)
+    asked = (motion, actuation, kind, probability, bands)
+    question = pipeline.Question(*asked, compare, test, whole, recalibrate, explain)
     with mistakes():
         band, derived = pipeline.predict(out, question)
     for remark in band.remarks:
@@ -45,6 +61,8 @@ def predict(
         f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
         f"{band.source}: {bands} and {bands.with_suffix('.png')}"
     )
+    if band.shares:
+        console.print_shares(band.shares, quiet=quiet)
     if not quiet:
         console.print_derived(derived, band.probability)
         console.say(f"look next at {question.derived}")

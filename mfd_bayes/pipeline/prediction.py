@@ -34,11 +34,15 @@ class Question:
         A file with time and displacement.
     actuation : str
         Such as "1000 psi".
-    kind : {"device", "new_test", "observation"}
+    kind : {"device", "new_test", "observation", "this_test"}
     bands : Path
         CSV to write; a PNG and the derived quantities are written beside it.
     compare : bool
         Whether the force in the motion's file is shown with the prediction.
+    test : str
+        Id of the calibrated test, for the kind `this_test`.
+    whole, recalibrate, explain : bool
+        As in `Run.predict`.
     """
 
     motion: Path
@@ -47,6 +51,10 @@ class Question:
     probability: float
     bands: Path
     compare: bool = False
+    test: str = ""
+    whole: bool = False
+    recalibrate: bool = False
+    explain: bool = False
 
     @property
     def derived(self) -> Path:
@@ -76,14 +84,26 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     record = read_record(question.motion)
     motion = record.trace(gap=run.priors.gap)
     trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
-    band = run.predict(trace, question.kind, question.probability)
+    band = run.predict(
+        trace,
+        question.kind,
+        question.probability,
+        test=question.test,
+        whole=question.whole,
+        recalibrate=question.recalibrate,
+        explain=question.explain,
+    )
     drawn = replace(trace, force=motion.force if question.compare else None)
     rows = predicted_rows(run, drawn, band)
     write_text(question.bands, bands_csv(trace, band, question.actuation))
     write_text(question.derived, predicted_csv(rows, question.actuation, question.probability))
     from mfd_bayes.reporting.figures import draw_loops, to_png
 
-    fan = Fan(band.kind, band.median, (Interval(band.probability, band.lower, band.upper),))
+    intervals = [Interval(band.probability, band.lower, band.upper)]
+    if band.whole_lower is not None and band.whole_upper is not None:
+        bounds = band.whole_lower, band.whole_upper
+        intervals.append(Interval(band.probability, *bounds, whole=True))
+    fan = Fan(band.kind, band.median, tuple(intervals))
     title = f"Predicted force at {question.actuation}"
     png = to_png(draw_loops(title, drawn, [fan]))
     write_bytes(question.bands.with_suffix(".png"), png)

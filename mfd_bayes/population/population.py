@@ -19,6 +19,30 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+class Parts:
+    """What the shared coordinates of n drawn tests are made of, in prior units, (n, d) each.
+
+    Attributes
+    ----------
+    level
+        Of the medians over tests at the reference actuation.
+    law
+        Laws, dependences, and effects of the level and the session.
+    scatter
+        From test to test.
+    """
+
+    level: Array
+    law: Array
+    scatter: Array
+
+    @property
+    def total(self) -> Array:
+        """Their sum, the coordinates less their centre, (n, d)."""
+        return self.level + self.law + self.scatter
+
+
+@dataclass(frozen=True, eq=False)
 class Population:
     """Draws of the hyperparameters, (chain, draw) first.
 
@@ -150,7 +174,23 @@ class Population:
         *,
         scattered: bool = True,
     ) -> dict[str, Array]:
-        """Quantities of tests under a setting, by name, (n,) each.
+        """Quantities of tests under a setting, by name, (n,) each; see `draw_parts`."""
+        return self.values(self.draw_parts(setting, index, rng, scattered=scattered))
+
+    def values(self, parts: Parts) -> dict[str, Array]:
+        """Quantities of drawn tests, by name, (n,) each, internal units."""
+        layout = self.layout
+        return layout.coordinates.values(layout.centre + layout.spread * parts.total)
+
+    def draw_parts(
+        self,
+        setting: Setting,
+        index: NDArray[np.intp],
+        rng: np.random.Generator,
+        *,
+        scattered: bool = True,
+    ) -> Parts:
+        """What tests under a setting are made of.
 
         Parameters
         ----------
@@ -160,24 +200,25 @@ class Population:
             Number of the draw of the hyperparameters for each.
         rng : numpy.random.Generator
         scattered : bool
-            Whether to add test-to-test scatter; without it, the median over tests.
+            Whether to add test-to-test scatter, and what is unknown of a new session; without
+            it, the median over tests, with what is unknown of a new level.
         """
         layout, h = self.layout, self.h.reshape(self.size, -1)[index]
         latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
         choice = self.choice.reshape(self.size, -1)[index]
-        x = latent[:, 0].copy()
-        x += layout.offsets(h, choice, [setting])[:, 0]
+        law = layout.offsets(h, choice, [setting])[:, 0]
         sd, begin = layout.effect_sd(h), 0
         for effect in layout.effects:
             row, new = effect.row(effect.cell_of(setting, layout.settings))
             parts = latent[:, 1 + begin : 1 + begin + len(row)]
             for k in effect.members:
-                x[:, k] += parts[:, :, k] @ row
-                if scattered and new > 0:
-                    x[:, k] += new * sd[:, begin, k] * rng.standard_normal(len(x))
+                law[:, k] += parts[:, :, k] @ row
+                if new > 0 and (scattered or effect.name == "level"):
+                    law[:, k] += new * sd[:, begin, k] * rng.standard_normal(len(law))
             begin += len(row)
+        scatter = np.zeros_like(law)
         if scattered:
             factor = self.together.reshape(self.size, *self.together.shape[2:])[index]
-            deviation = np.einsum("nij,nj->ni", factor, rng.standard_normal(x.shape))
-            x += layout.scatter(h) * deviation
-        return layout.coordinates.values(layout.centre + layout.spread * x)
+            deviation = np.einsum("nij,nj->ni", factor, rng.standard_normal(law.shape))
+            scatter = layout.scatter(h) * deviation
+        return Parts(latent[:, 0], law, scatter)

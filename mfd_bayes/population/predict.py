@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,23 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.population import Population
+from mfd_bayes.population.drawn import Drawn
+from mfd_bayes.population.population import Parts, Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
+from mfd_bayes.population.whole import whole_band
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
 
-KINDS = ("device", "new_test", "observation")
-"""The parameters' uncertainty; plus test-to-test scatter; plus the record's offset and noise."""
+NESTED = ("device", "new_test", "observation")
+"""The law with its level's effect; plus test-to-test scatter; plus a record's offset and noise."""
+
+THIS_TEST = "this_test"
+"""One calibrated test by itself: what is known of its own parameters."""
+
+KINDS = (*NESTED, THIS_TEST)
 
 
 @dataclass(frozen=True)
@@ -29,11 +38,15 @@ class Forecast:
 
     Attributes
     ----------
-    kind : {"device", "new_test", "observation"}
+    kind : {"device", "new_test", "observation", "this_test"}
     probability : float
     draws, seed : int
     session : str
         Of the predicted test, where the campaign declares sessions.
+    whole : bool
+        Whether a band of the whole history is computed too.
+    permutations : int
+        Orders of sources for `Band.shares`; 0 for none.
 
     Raises
     ------
@@ -46,6 +59,8 @@ class Forecast:
     draws: int = 500
     seed: int = 0
     session: str = ""
+    whole: bool = False
+    permutations: int = 0
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -72,7 +87,11 @@ class Band:
     values : mapping of str to (n,)
         Quantities of each draw, by name.
     remarks : tuple of str
-        Reasons to trust it less, in sentences.
+        Reasons to trust it less, and what a recalibrated band promises, in sentences.
+    whole_lower, whole_upper : (T,), kip, or None
+        Band that holds the whole history with the probability, where it was asked for.
+    shares : mapping of str to float
+        What makes it wide: share of each source in the variance, where it was asked for.
     """
 
     time: Array
@@ -86,6 +105,14 @@ class Band:
     values: Mapping[str, Array] = field(default_factory=dict)
     interval: str = "equal-tailed"
     remarks: tuple[str, ...] = ()
+    whole_lower: Array | None = None
+    whole_upper: Array | None = None
+    shares: Mapping[str, float] = field(default_factory=dict)
+
+    def widened(self, factor: float) -> Band:
+        """The band of single samples, as many times as wide about its median."""
+        lower = self.median - factor * (self.median - self.lower)
+        return replace(self, lower=lower, upper=self.median + factor * (self.upper - self.median))
 
 
 def band_of(
@@ -99,7 +126,11 @@ def band_of(
     tail = 0.5 * (1.0 - forecast.probability)
     lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
     asked = forecast.kind, forecast.probability
-    return Band(time, lower, median, upper, draws, *asked, source, values or {})
+    band = Band(time, lower, median, upper, draws, *asked, source, values or {})
+    if not forecast.whole:
+        return band
+    whole_lower, whole_upper = whole_band(draws, forecast.probability)
+    return replace(band, whole_lower=whole_lower, whole_upper=whole_upper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +148,7 @@ class Predictor:
     model: Model
     noise: Noise
 
-    def predict(
-        self, trace: Trace, forecast: Forecast, tested: Mapping[str, Array] | None = None
-    ) -> Band:
+    def predict(self, trace: Trace, forecast: Forecast) -> Band:
         """Band of the force under a motion and an actuation, tested or not.
 
         Parameters
@@ -127,9 +156,7 @@ class Predictor:
         trace : Trace
             With its actuation, constant or a history.
         forecast : Forecast
-        tested : mapping of str to (m,), optional
-            Posterior draws of the tests at this very level, for the kind `device`. Without
-            them `device` is the laws' own uncertainty.
+            Of a kind other than `this_test`.
 
         Raises
         ------
@@ -138,34 +165,99 @@ class Predictor:
         RecordError
             When the force is too large for a number, as far from what was tested.
         """
-        rng, residual = np.random.default_rng(forecast.seed), self.population.residual
+        rng = np.random.default_rng(forecast.seed)
         index = rng.choice(self.population.size, size=forecast.draws)
-        if forecast.kind == "device" and tested is not None:
-            pick = rng.choice(len(next(iter(tested.values()))), size=forecast.draws)
-            values = {name: column[pick] for name, column in tested.items()}
-            source = "posterior draws of the tests at this actuation"
-        else:
-            scattered = forecast.kind != "device"
-            setting = setting_of(trace, forecast.session)
-            values = self.population.draw_test(setting, index, rng, scattered=scattered)
-            source = "population laws" + (" with scatter" if scattered else "")
-        values |= _unknown(self.population, forecast.draws, rng)
-        with np.errstate(over="ignore", invalid="ignore"):  # refused right below
-            force = self._force(trace, values, index)
-            if residual is not None:
-                slip = slip_force_of(self.model, values)
-                force = force + residual.draw_discrepancy(rng, trace, slip)
-            if forecast.kind == "observation":
-                force = force + values["offset"][:, None] + self._noise(rng, trace, values)
-        check_magnitude("the predicted force", force)
-        return band_of(trace.time, force, forecast, source, values)
+        scattered = forecast.kind != "device"
+        setting = setting_of(trace, forecast.session)
+        parts = self.population.draw_parts(setting, index, rng, scattered=scattered)
+        source = "population laws" + (" with scatter" if scattered else "")
+        return self._band(trace, forecast, parts, index, rng, source)
 
-    def _force(self, trace: Trace, values: Mapping[str, Array], index: NDArray[np.intp]) -> Array:
-        """Force draws, (n, T), kip."""
+    def repeat(self, trace: Trace, forecast: Forecast, own: Mapping[str, Array]) -> Band:
+        """Band of the force of one calibrated test under a motion: the kind `this_test`.
+
+        The place in the gap at the start of the motion is taken as unknown.
+
+        Parameters
+        ----------
+        trace : Trace
+            With the actuation of the test.
+        forecast : Forecast
+        own : mapping of str to (m,)
+            Posterior draws of the test.
+
+        Raises
+        ------
+        RecordError
+            When the force is too large for a number.
+        """
+        rng = np.random.default_rng(forecast.seed)
+        index = rng.choice(self.population.size, size=forecast.draws)
+        pick = rng.choice(len(next(iter(own.values()))), size=forecast.draws)
+        layout = self.population.layout
+        level = layout.coordinates.of({name: own[name][pick] for name in layout.names})
+        level = (level - layout.centre) / layout.spread
+        parts = Parts(level, np.zeros_like(level), np.zeros_like(level))
+        source = "posterior draws of this test"
+        return self._band(trace, forecast, parts, index, rng, source)
+
+    def _band(
+        self,
+        trace: Trace,
+        forecast: Forecast,
+        parts: Parts,
+        index: NDArray[np.intp],
+        rng: np.random.Generator,
+        source: str,
+    ) -> Band:
+        """Band of drawn tests (n, d)."""
+        unknown = _unknown(self.population, forecast.draws, rng)
+        scales = _scales(self.population, trace, index) if trace.varying else {}
+        residual = self.population.residual
+        learned = None if residual is None else residual.draw_coefficients(rng, forecast.draws)
+        drawn = Drawn(parts, unknown, scales, discrepancy=learned)
+        values = self._values(drawn)
+        with np.errstate(over="ignore", invalid="ignore"):  # refused right below
+            damper = self._force(trace, drawn)
+            if forecast.kind == "observation":
+                drawn = replace(drawn, noise=self._noise(rng, trace, values))
+            force, _ = self._total(trace, drawn, damper)
+        check_magnitude("the predicted force", force)
+        band = band_of(trace.time, force, forecast, source, values)
+        return replace(band, shares=self._shares(trace, drawn, forecast))
+
+    def _shares(self, trace: Trace, drawn: Drawn, forecast: Forecast) -> dict[str, float]:
+        """What makes the band wide, of some of its draws; empty where it is not asked for."""
+        if not forecast.permutations:
+            return {}
+        some = drawn.first(int(np.clip(VALUES // trace.samples, FEWEST, DRAWS)))
+        total, names = partial(self._total, trace), self.population.layout.names
+        return shares_of(some, names, total, forecast.permutations, forecast.seed)
+
+    def _total(
+        self, trace: Trace, drawn: Drawn, damper: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Force, and the damper's part of it where that is not known yet, (n, T) each, kip."""
+        damper = self._force(trace, drawn) if damper is None else damper
+        if drawn.noise is None:
+            return damper, damper
+        return damper + self._values(drawn)["offset"][:, None] + drawn.noise, damper
+
+    def _values(self, drawn: Drawn) -> dict[str, Array]:
+        """Quantities of drawn tests, by name, (n,) each."""
+        return {**self.population.values(drawn.parts), **drawn.unknown}
+
+    def _force(self, trace: Trace, drawn: Drawn) -> Array:
+        """The damper's force with the discrepancy of the model, (n, T), kip."""
+        values = self._values(drawn)
         theta = self.model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
-        scales = _scales(self.population, trace, index) if trace.varying else None
-        return self.model.force(theta, trace, values.get("start"), scales=scales)
+        force = self.model.force(theta, trace, values.get("start"), scales=drawn.scales or None)
+        residual = self.population.residual
+        if residual is None or drawn.discrepancy is None:
+            return force
+        slip = slip_force_of(self.model, values)
+        return force + residual.discrepancy(trace, slip, drawn.discrepancy)
 
     def _noise(self, rng: np.random.Generator, trace: Trace, values: Mapping[str, Array]) -> Array:
         """Draws of the record's noise, (n, T), kip."""

@@ -55,20 +55,14 @@ class Residual:
         """Shape g of the noise's standard deviation, (T,)."""
         return np.asarray(np.exp(self.basis.values(trace) @ self.log_shape))
 
-    def discrepancy(self, trace: Trace, slip_force: float) -> Array:
-        """Mean discrepancy of a test of this slip force, (T,), kip."""
+    def discrepancy(self, trace: Trace, slip_force: Array, coefficients: Array) -> Array:
+        """Discrepancy of tests of these slip forces (n,) and coefficients (n, K), (n, T), kip."""
         relative = slip_force / self.slip_force
-        return np.asarray(relative * (self.basis.values(trace) @ self.mean))
+        return np.asarray(relative[:, None] * (coefficients @ self.basis.values(trace).T))
 
-    def draw_discrepancy(
-        self, rng: np.random.Generator, trace: Trace, slip_force: Array
-    ) -> Array:
-        """Draws of the discrepancy for tests of these slip forces (n,), (n, T), kip."""
-        draws = rng.multivariate_normal(
-            self.mean, self.covariance, size=len(slip_force), method="cholesky"
-        )
-        relative = slip_force / self.slip_force
-        return np.asarray(relative[:, None] * (draws @ self.basis.values(trace).T))
+    def draw_coefficients(self, rng: np.random.Generator, n: int) -> Array:
+        """Draws of the discrepancy's coefficients, (n, K), kip."""
+        return rng.multivariate_normal(self.mean, self.covariance, size=n, method="cholesky")
 
     def draw_noise(self, rng: np.random.Generator, trace: Trace, sd: Array) -> Array:
         """Draws of the noise for these standard deviations (n,), (n, T), kip."""

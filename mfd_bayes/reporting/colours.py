@@ -22,11 +22,13 @@ BANDS = {
     "observation": ("#d5e7f4", "#a5cce8", BLUE),
     "new_test": ("#cdeae0", "#93d2bd", GREEN),
     "device": ("#f6c877", "#e08f1f", VERMILLION),
+    "this_test": ("#f3e3ed", "#e0bcd3", PURPLE),
     "prior": ("#e6e6e6", "#c6c6c6", "#6f6f6f"),
 }
 BAND_NAMES = {
     "observation": "a new measurement (with noise)",
     "new_test": "another test (with scatter)",
     "device": "the model (parameters only)",
+    "this_test": "this very test",
     "prior": "what the priors allow",
 }

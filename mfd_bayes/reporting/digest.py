@@ -115,3 +115,10 @@ def uninformed_of(view: CampaignView) -> dict[str, list[Row]]:
             if row.contraction < INFORMED:
                 found.setdefault(row.name, []).append(row)
     return found
+
+
+def mean_shares(view: CampaignView) -> dict[str, float]:
+    """What makes the bands of predicted tests wide: mean shares over the tests that have them."""
+    known = [test.shares for test in view.tests if test.shares]
+    names = dict.fromkeys(name for shares in known for name in shares)
+    return {name: sum(s.get(name, 0.0) for s in known) / len(known) for name in names}

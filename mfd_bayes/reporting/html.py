@@ -19,6 +19,7 @@ from markupsafe import Markup, escape
 from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.systems import SI, SYSTEMS
 from mfd_bayes.assessment.views import FREE_EXPONENT, CampaignView, TestView
+from mfd_bayes.assessment.width import width_sentence
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.digest import (
@@ -29,6 +30,7 @@ from mfd_bayes.reporting.digest import (
     is_of_fit,
     is_of_sampler,
     is_weak,
+    mean_shares,
     uninformed_of,
     verdicts_of,
 )
@@ -120,8 +122,11 @@ def needed(view: CampaignView, key: str, png: BinaryIO) -> bytes:
 
 def _shared(view: CampaignView) -> dict[str, Any]:
     """Values that the templates of all pages use."""
+    shares = mean_shares(view)
     return {
         "view": view,
+        "sources": list(shares),
+        "width": width_sentence(shares),
         "calibrated": [test for test in view.tests if test.role != "validate"],
         "held_out": [test for test in view.tests if test.role == "validate"],
         "names": list(dict.fromkeys(row.name for test in view.tests for row in test.rows)),

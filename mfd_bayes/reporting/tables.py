@@ -77,7 +77,7 @@ def scores_csv(scores: Iterable[ScoreRow]) -> str:
 def crossvalidation_csv(found: LeftOutView) -> str:
     """Scores of each test, predicted without its part of the campaign, and their mean."""
     ratios = ("fitted_width_95_kip", "fitted_crps_kip", "width_ratio", "crps_ratio")
-    head = ("part", "test", *_SCORES, *ratios)
+    head = ("part", "test", *_SCORES, *ratios, "whole_95")
     return csv_text(head, map(dataclasses.astuple, (*found.rows, found.mean)))
 
 
@@ -117,15 +117,18 @@ def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float
 
 
 def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
-    """Band of a prediction at every sample, in s, in and kip."""
+    """Band of a prediction at every sample, in s, in and kip, and of the whole history if any."""
+    whole = [bound for bound in (band.whole_lower, band.whole_upper) if bound is not None]
+    more = ",whole_lower_kip,whole_upper_kip" if whole else ""
     about = (
         f"# {band.interval} {100 * band.probability:g} % band of kind {band.kind}, for each "
         f"sample by itself; from {band.source}\n"
+        + ("# whole: band of the whole history, of the same probability\n" if whole else "")
         + "".join(f"# warning: {' '.join(remark.split())}\n" for remark in band.remarks)
         + f"# actuation {actuation}\n"
-        "time_s,displacement_in,lower_kip,median_kip,upper_kip\n"
+        f"time_s,displacement_in,lower_kip,median_kip,upper_kip{more}\n"
     )
-    columns = (trace.time, trace.displacement, band.lower, band.median, band.upper)
+    columns = (trace.time, trace.displacement, band.lower, band.median, band.upper, *whole)
     rows = zip(*columns, strict=True)
     return about + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
 

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Band, Forecast, Predictor
+from mfd_bayes.population.predict import THIS_TEST, Band, Forecast, Predictor
+from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
 from mfd_bayes.population.setting import SAME_LEVEL, same_level
+from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import (
     POPULATION,
@@ -96,6 +98,10 @@ class Run:
         draws: int = 500,
         seed: int = 0,
         session: str = "",
+        test: str = "",
+        whole: bool = False,
+        recalibrate: bool = False,
+        explain: bool | int = False,
     ) -> Band:
         """Band of the force under any motion and actuation, tested or new.
 
@@ -103,14 +109,25 @@ class Run:
         ----------
         trace : Trace
             With its actuation, in `actuation_unit`.
-        kind : {"device", "new_test", "observation"}
-            What the band includes: the calibrated parameters' uncertainty; also test-to-test
-            scatter; also the record's offset and noise.
+        kind : {"device", "new_test", "observation", "this_test"}
+            What the band includes: the uncertainty of the laws and of the level's effect; also
+            test-to-test scatter; also the record's offset and noise. Or, instead of these, what
+            is known of one calibrated test.
         probability : float
             Probability of the equal-tailed band at each sample.
         draws, seed : int
         session : str
             Session of the test, where the campaign declares sessions.
+        test : str
+            Id of the calibrated test, for the kind `this_test`.
+        whole : bool
+            Whether to compute the band of the whole history too.
+        recalibrate : bool
+            Whether to widen a band of kind `observation` by what tests showed that were left
+            out; its `remarks` say what it promises. Needs a cross-validation in the run.
+        explain : bool or int
+            Whether to compute `Band.shares`, what makes the band wide; or the number of
+            permutations for that. It takes as long as some 70 predictions.
 
         Returns
         -------
@@ -120,13 +137,72 @@ class Run:
         Raises
         ------
         FitError
-            When the trace has no actuation, or kind or probability is invalid.
+            When the trace has no actuation, kind, probability or test is invalid, or the run
+            cannot be used to recalibrate.
         """
-        forecast = Forecast(kind, probability, draws, seed, session)
+        permutations = PERMUTATIONS if explain is True else int(explain)
+        forecast = Forecast(kind, probability, draws, seed, session, whole, permutations)
+        scores = self._left_out_factors(forecast) if recalibrate else ()
         some = next(iter(self.tests.values())).posterior
-        at_level = self._at_level(trace) if kind == "device" else None
-        band = Predictor(self.population, some.model, some.noise).predict(trace, forecast, at_level)
-        return replace(band, remarks=self._remarks(trace))
+        predictor = Predictor(self.population, some.model, some.noise)
+        if kind == THIS_TEST or test:
+            own = self._this_test(forecast, test, trace).stored.values()
+            band = predictor.repeat(trace, forecast, own)
+        else:
+            band = predictor.predict(trace, forecast)
+        band = replace(band, remarks=self._remarks(trace))
+        return self._recalibrated(band, scores) if recalibrate else band
+
+    def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:
+        """The calibrated test that is asked for by its id."""
+        if forecast.kind != THIS_TEST:
+            raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
+        known = f"one of {', '.join(self.tests)}"
+        if not name:
+            raise FitError(f"the kind this_test needs the id of a calibrated test: {known}")
+        if name in self.held_out:
+            raise FitError(f"test {name!r} was held out, so nothing is known of it alone: {known}")
+        if name not in self.tests:
+            raise FitError(f"the run has no calibrated test {name!r}: {known}")
+        own, asked = self.tests[name].trace.reference_actuation, trace.reference_actuation
+        if np.isfinite(asked) and not same_level(own, asked):
+            unit = "psi" if self.actuation_unit == "ksi" else "lbf"
+            raise FitError(
+                f"test {name!r} was made at {1000 * own:.4g} {unit}, and the kind this_test knows "
+                f"nothing of {1000 * asked:.4g} {unit}: take the kind new_test"
+            )
+        return self.tests[name]
+
+    def _left_out_factors(self, forecast: Forecast) -> tuple[float, ...]:
+        """Scores of the tests that were left out, for a band of this probability."""
+        if forecast.kind != "observation":
+            raise FitError(
+                f"only the kind observation can be recalibrated, not {forecast.kind}: tests that "
+                "were left out show the force with its offset and noise"
+            )
+        if forecast.probability not in PROBABILITIES:
+            known = ", ".join(f"{p:g}" for p in PROBABILITIES)
+            raise FitError(
+                f"a band can be recalibrated for a probability of {known}, "
+                f"got {forecast.probability:g}"
+            )
+        found = self.manifest.crossvalidation
+        at = PROBABILITIES.index(forecast.probability)
+        scores = [p.factors[at] for p in found.predictions if p.factors] if found else []
+        if found is None or len(scores) < len(found.predictions):
+            raise FitError(
+                f"the run in {self.folder} has no tests that were left out, by which to "
+                "recalibrate; first run: mfd-bayes crossvalidate CAMPAIGN.toml "
+                f"-o {self.folder} --resume"
+            )
+        return tuple(scores)
+
+    def _recalibrated(self, band: Band, scores: tuple[float, ...]) -> Band:
+        """The band, widened by the scores of tests that were left out."""
+        found = self.manifest.crossvalidation
+        said = promise(scores, band.probability, found.by if found else "test")
+        factor, _ = chosen_factor(scores, band.probability)
+        return replace(band.widened(factor), remarks=(*band.remarks, said))
 
     def _remarks(self, trace: Trace) -> tuple[str, ...]:
         """Reasons to trust a prediction less than its band suggests."""
@@ -146,24 +222,6 @@ class Run:
         if verdicts.get("campaign") == Verdict.FAIL:
             remarks.append(f"the run did not pass its checks: {verdicts.get('sentence', '')}")
         return tuple(remarks)
-
-    def _at_level(self, trace: Trace) -> dict[str, Array] | None:
-        """Draws of the tests at this constant actuation, equally many from each, or None."""
-        level = trace.reference_actuation
-        near = [
-            test.stored.values()
-            for test in self.tests.values()
-            if not (trace.varying or test.trace.varying)
-            and same_level(test.trace.reference_actuation, level)
-        ]
-        if not near:
-            return None
-        fewest = min(len(values["offset"]) for values in near)
-        picks = [np.linspace(0, len(v["offset"]) - 1, fewest).astype(np.intp) for v in near]
-        return {
-            name: np.concatenate([v[name][pick] for v, pick in zip(near, picks, strict=True)])
-            for name in near[0]
-        }
 
 
 def open_run(folder: str | Path) -> Run:

@@ -22,7 +22,9 @@ from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.recalibration import factors_of
 from mfd_bayes.population.setting import Setting, levels_of, setting_of
+from mfd_bayes.population.whole import holds_whole
 from mfd_bayes.runs.folder import MANIFEST, check_stored
 from mfd_bayes.runs.manifest import read_predictions_of
 from mfd_bayes.runs.results import PartKind, Prediction, Score
@@ -55,6 +57,8 @@ class Fold:
     kept: tuple[str, ...]
     effort: str
     seed: int
+    scores: int = 2
+    """Number of the kind of scores, so that those of earlier versions are computed anew."""
 
     @property
     def id(self) -> str:
@@ -219,7 +223,9 @@ def leave_out(
         forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=session)
         band = predictor.predict(test.trace, forecast)
         force = np.asarray(test.trace.force)
-        found.append(Prediction(fold.part, name, score(band.draws, force), _fitted(test)))
+        scores = score(band.draws, force), _fitted(test)
+        more = holds_whole(band.draws, force), factors_of(band.draws, force)
+        found.append(Prediction(fold.part, name, *scores, *more))
     return tuple(found)
 
 

@@ -36,6 +36,24 @@ def test_predictions_stand_beside_fitted_tests_and_are_averaged():
     )
 
 
+def test_whole_histories_that_were_held_are_counted():
+    first, second = STORED.predictions
+    known = replace(first, whole=True), replace(second, whole=False)
+    found = left_out_view(replace(STORED, predictions=known))
+    assert [row.whole_95 for row in found.rows] == [1.0, 0.0]
+    assert found.mean.whole_95 == 0.5
+    assert found.sentence.endswith("hold the whole force of 1 of 2 tests.")
+    older = left_out_view(STORED)
+    assert math.isnan(older.mean.whole_95)
+    assert "whole" not in older.sentence
+
+
+@pytest.mark.parametrize("factors", [(1.0,), (-1.0,) * 7, (math.nan,) * 7])
+def test_factors_that_are_none_are_refused(factors):
+    with pytest.raises(ValueError, match="factors"):
+        replace(STORED.predictions[0], factors=factors)
+
+
 def test_a_test_left_out_is_predicted_from_the_others():
     assert "each predicted from the others" in left_out_view(replace(STORED, by="test")).sentence
 

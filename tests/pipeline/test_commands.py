@@ -24,6 +24,7 @@ from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.pipeline import calibration as execution
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import discard
+from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
@@ -318,6 +319,108 @@ def test_the_kinds_of_prediction_are_nested(run, actuation):
         assert np.all(np.isfinite(band.draws))
     device, new_test, observation = (np.mean(band.upper - band.lower) for band in bands)
     assert device < new_test < observation
+
+
+def test_the_device_is_the_law_everywhere_and_this_very_test_a_kind_of_its_own(run):
+    at, beside = (predicted(run, p, kind="device") for p in (1.0, 1.02))
+    assert at.source == beside.source == "population laws"
+    widths = [np.mean(band.upper - band.lower) for band in (at, beside)]
+    assert widths[1] == pytest.approx(widths[0], rel=0.3)
+    own = predicted(run, 1.0, kind="this_test", test=TESTS[1])
+    draws = run.tests[TESTS[1]].draws["Fc_fwd"].to_numpy()
+    assert np.median(own.values["Fc_fwd"]) == pytest.approx(np.median(draws), rel=0.02)
+    assert np.all(np.isin(np.round(own.values["Fc_fwd"], 9), np.round(draws, 9)))
+    later = TIME > 2.0
+    scattered = predicted(run, 1.0, kind="new_test")
+    assert np.mean((own.upper - own.lower)[later]) < 0.5 * np.mean(
+        (scattered.upper - scattered.lower)[later]
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "test", "level", "words"),
+    [
+        ("this_test", "", 1.0, f"needs the id of a calibrated test: one of {TESTS[0]}"),
+        ("this_test", "nope", 1.0, "no calibrated test 'nope': one of"),
+        ("this_test", HELD_OUT, 1.2, "was held out"),
+        ("this_test", TESTS[0], 1.0, "made at 500 psi, .* nothing of 1000 psi: take .* new_test"),
+        ("new_test", TESTS[0], 0.5, "is for the kind this_test, not for new_test"),
+    ],
+)
+def test_a_test_that_is_no_calibrated_one_is_refused(run, kind, test, level, words):
+    with pytest.raises(FitError, match=words):
+        predicted(run, level, kind=kind, test=test)
+
+
+def test_a_band_of_the_whole_history_is_wider_than_that_of_single_samples(run):
+    plain, whole = (predicted(run, 0.7, whole=asked) for asked in (False, True))
+    assert plain.whole_lower is None
+    np.testing.assert_array_equal(plain.lower, whole.lower)
+    assert np.all(whole.whole_lower <= whole.lower)
+    assert np.all(whole.whole_upper >= whole.upper)
+    inside = (whole.draws >= whole.whole_lower) & (whole.draws <= whole.whole_upper)
+    assert 0.95 <= np.mean(np.all(inside, axis=1)) < 0.97
+
+
+def crossed_by_hand(run, *factors):
+    """The run with a cross-validation in which the band of 80 % had these factors."""
+    score = Score((0.5, 0.9, 0.95), 1.0, 1.0, 0.1, 0.3)
+    found = [
+        Prediction(name, name, score, score, True, (1.0, 1.0, 1.0, factor, 1.0, 1.0, 1.0))
+        for name, factor in zip(TESTS, factors, strict=True)
+    ]
+    changed = run.manifest.changed(crossvalidation=CampaignCrossValidation("test", tuple(found)))
+    return replace(run, manifest=changed)
+
+
+def test_a_band_is_widened_by_the_tests_that_were_left_out(run):
+    asked = {"kind": "observation", "probability": 0.8}
+    plain = predicted(run, 0.7, **asked)
+    band = predicted(crossed_by_hand(run, 1.1, 1.6, 0.9), 0.7, **asked, recalibrate=True)
+    # three tests: rank ⌈4 · 0.8⌉ = 4 is beyond them, so the largest, which promises 3 of 4
+    np.testing.assert_allclose(band.median - band.lower, 1.6 * (plain.median - plain.lower))
+    np.testing.assert_allclose(band.upper - band.median, 1.6 * (plain.upper - plain.median))
+    assert plain.remarks == ()
+    assert "1.6 times" in band.remarks[-1]
+    assert "75 % of tests like those, and 3 tests can promise no more" in band.remarks[-1]
+
+
+def test_a_band_that_cannot_be_recalibrated_is_refused(run):
+    observed = {"kind": "observation", "recalibrate": True}
+    with pytest.raises(FitError, match="first run: mfd-bayes crossvalidate"):
+        predicted(run, 0.7, **observed)
+    with pytest.raises(FitError, match="only the kind observation"):
+        predicted(crossed_by_hand(run, 1, 1, 1), 0.7, recalibrate=True)
+    with pytest.raises(FitError, match=r"probability of 0.5, .*, got 0.77"):
+        predicted(crossed_by_hand(run, 1, 1, 1), 0.7, probability=0.77, **observed)
+    older = crossed_by_hand(run, 1, 1, 1).manifest.crossvalidation
+    older = replace(older, predictions=tuple(replace(p, factors=()) for p in older.predictions))
+    old = replace(run, manifest=run.manifest.changed(crossvalidation=older))
+    with pytest.raises(FitError, match="crossvalidate"):
+        predicted(old, 0.7, **observed)
+
+
+def test_predict_explains_what_makes_the_band_wide(out, motion, tmp_path):
+    bands = tmp_path / "bands.csv"
+    ask = ("predict", out, "--motion", motion, "--actuation", "1 ksi", "-o", bands)
+    outcome = here(*ask, "--explain", "--whole")
+    assert outcome.exit_code == 0, outcome.output
+    for words in ("What makes the band wide", "scatter of backward slip force", "Of the band's"):
+        assert words in outcome.stdout
+    assert "start in the gap" in outcome.stdout
+    table = pd.read_csv(bands, comment="#")
+    assert (table["whole_lower_kip"] <= table["lower_kip"]).all()
+    assert (table["whole_upper_kip"] >= table["upper_kip"]).all()
+    assert bands.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    (sentence, _) = here(*ask, "--explain", "-q").stdout.splitlines()[::-1][:2]
+    assert sentence.startswith("Of the band's variance")
+
+
+def test_the_report_says_what_makes_the_band_of_a_held_out_test_wide(out):
+    page = (out / "report.html").read_text()
+    section = page[page.index('id="held-out"') : page.index('id="unknown"')]
+    assert "What makes these bands wide" in section
+    assert "test-to-test scatter of gap" in section
 
 
 def test_a_prediction_is_the_same_for_the_same_seed(run):

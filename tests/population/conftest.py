@@ -1,9 +1,9 @@
-"""Linear-Gaussian populations, with reference results by brute force."""
+"""Linear-Gaussian populations, with reference results by brute force, and one of given values."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -11,8 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import linalg, special
 
+from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.population.layout import Layout, lay_out
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.test_likelihood import TestLikelihood, without_prior
 
@@ -197,3 +199,71 @@ def make_linear(priors: PriorFile) -> Callable[..., Linear]:
         return Linear(layout, x + errors, np.array(covariances))
 
     return make
+
+
+# --- a population with given values, not sampled
+
+MEDIANS = {
+    "sigma0": 30.0,
+    "sigma1": 0.02,
+    "sigma2": 0.015,
+    "Fc_fwd": 1.3,
+    "Fc_bwd": 1.6,
+    "static_excess_fwd": 0.15,
+    "static_excess_bwd": 0.1,
+    "k2": 0.6,
+    "k3": 20.0,
+    "d2": 0.09,
+    "d3": 0.07,
+    "ell": 0.02,
+    "v_s": 0.4,
+    "offset": 0.03,
+    "noise_sd": 0.05,
+    "noise_time": 0.1,
+}
+
+
+@pytest.fixture(scope="session")
+def medians() -> dict[str, float]:
+    """Medians over tests of `make_population`, at 1 ksi."""
+    return dict(MEDIANS)
+
+
+@pytest.fixture(scope="session")
+def make_population():
+    """Function that makes a population."""
+    return _make_population
+
+
+def _make_population(laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessions=None):
+    """A population with medians known to 1 % at 1 ksi, and 10 % scatter."""
+    priors = load_priors("mfd")
+    settings = [
+        Setting(p, session, {"velocity": 3.1})
+        for p, session in zip((0.5, 1.0, 2.0), sessions or [""] * 3, strict=True)
+    ]
+    layout = replace(lay_out(priors, tuple(MEDIANS), settings, laws), reference=1.0)
+    rng = np.random.default_rng(1)
+    d, shape = len(MEDIANS), (4, 100)
+    cells = sum(len(e.cells) for e in layout.effects)
+    level = layout.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
+    spread = np.where(np.array(layout.names) == "offset", min(scatter, 0.02), scatter)
+    h = np.zeros((*shape, layout.dim))
+    h[..., :d] = np.log(np.maximum(spread, 1e-9))
+    h[..., d : d + len(layout.effects)] = np.log(effect)
+    h[..., d + len(layout.effects) :] = 1.0  # shapes
+    latent = np.zeros((*shape, 1 + cells, d))
+    latent[:, :, 0] = level + level_sd * rng.normal(size=(*shape, d)) - layout.centre
+    latent[:, :, 0] /= layout.spread
+    priors_of = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
+    return Population(
+        layout=layout,
+        h=h,
+        latent=latent,
+        choice=layout.draw_choice(400).reshape(*shape, -1),
+        together=np.broadcast_to(np.eye(d), (*shape, d, d)),
+        priors=priors_of,
+        actuation_unit="ksi",
+        walkers=10,
+        convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
+    )

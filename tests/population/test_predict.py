@@ -5,35 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.noises import find_noise
-from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.layout import lay_out
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import KINDS, Forecast, Predictor, band_of
-from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.predict import NESTED, Forecast, Predictor, band_of
+from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.trace import Trace
 
-MEDIANS = {
-    "sigma0": 30.0,
-    "sigma1": 0.02,
-    "sigma2": 0.015,
-    "Fc_fwd": 1.3,
-    "Fc_bwd": 1.6,
-    "static_excess_fwd": 0.15,
-    "static_excess_bwd": 0.1,
-    "k2": 0.6,
-    "k3": 20.0,
-    "d2": 0.09,
-    "d3": 0.07,
-    "ell": 0.02,
-    "v_s": 0.4,
-    "offset": 0.03,
-    "noise_sd": 0.05,
-    "noise_time": 0.1,
-}
 TIME = np.arange(401) / 100
 MOTION = np.sin(2 * np.pi * 0.5 * TIME)
 SLIDING = (np.abs(MOTION) < 0.3) & (TIME > 0.5)
@@ -41,52 +19,18 @@ SLIDING = (np.abs(MOTION) < 0.3) & (TIME > 0.5)
 NOISE = find_noise("ou")
 
 
-def make_population(laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessions=None):
-    """A population with medians known to 1 % at 1 ksi, and 10 % scatter."""
-    priors = load_priors("mfd")
-    settings = [
-        Setting(p, session, {"velocity": 3.1})
-        for p, session in zip((0.5, 1.0, 2.0), sessions or [""] * 3, strict=True)
-    ]
-    layout = replace(lay_out(priors, tuple(MEDIANS), settings, laws), reference=1.0)
-    rng = np.random.default_rng(1)
-    d, shape = len(MEDIANS), (4, 100)
-    cells = sum(len(e.cells) for e in layout.effects)
-    level = layout.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
-    spread = np.where(np.array(layout.names) == "offset", min(scatter, 0.02), scatter)
-    h = np.zeros((*shape, layout.dim))
-    h[..., :d] = np.log(np.maximum(spread, 1e-9))
-    h[..., d : d + len(layout.effects)] = np.log(effect)
-    h[..., d + len(layout.effects) :] = 1.0  # shapes
-    latent = np.zeros((*shape, 1 + cells, d))
-    latent[:, :, 0] = level + level_sd * rng.normal(size=(*shape, d)) - layout.centre
-    latent[:, :, 0] /= layout.spread
-    priors_of = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
-    return Population(
-        layout=layout,
-        h=h,
-        latent=latent,
-        choice=layout.draw_choice(400).reshape(*shape, -1),
-        together=np.broadcast_to(np.eye(d), (*shape, d, d)),
-        priors=priors_of,
-        actuation_unit="ksi",
-        walkers=10,
-        convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
-    )
-
-
 @pytest.fixture(scope="module")
-def population():
+def population(make_population):
     return make_population()
 
 
-def ask(population, actuation, tested=None, session="", **forecast):
+def ask(population, actuation, session="", **forecast):
     trace = Trace.from_arrays(TIME, MOTION, actuation)
-    return predict(population, trace, Forecast(**forecast, session=session), tested)
+    return predict(population, trace, Forecast(**forecast, session=session))
 
 
-def predict(population, trace, forecast, tested=None):
-    return Predictor(population, ThreeStage(), NOISE).predict(trace, forecast, tested)
+def predict(population, trace, forecast):
+    return Predictor(population, ThreeStage(), NOISE).predict(trace, forecast)
 
 
 def width(population, actuation=1.0, **forecast):
@@ -95,12 +39,12 @@ def width(population, actuation=1.0, **forecast):
 
 
 def test_bands_are_nested_by_kind(population):
-    device, new_test, observation = (width(population, kind=kind) for kind in KINDS)
+    device, new_test, observation = (width(population, kind=kind) for kind in NESTED)
     assert 1.2 * device < new_test
     assert 1.02 * new_test < observation
 
 
-def test_without_scatter_a_new_test_is_the_device():
+def test_without_scatter_a_new_test_is_the_device(make_population):
     same = make_population(scatter=0.0)
     device, new_test = (ask(same, 1.0, kind=kind, draws=400) for kind in ("device", "new_test"))
     np.testing.assert_allclose(
@@ -120,7 +64,7 @@ def test_a_run_without_a_gap_predicts_what_the_gap_does_not_need(population):
     np.testing.assert_allclose(without.draws[:, late], fixed.draws[:, late], rtol=1e-9, atol=1e-9)
 
 
-def test_a_tested_level_is_known_better_than_one_that_is_not():
+def test_a_tested_level_is_known_better_than_one_that_is_not(make_population):
     """Levels deviate from the law, and the deviation of tested levels is known."""
     known = make_population(effect=0.15, scatter=0.05)
     tested, near, far = (width(known, p, kind="new_test") / p for p in (1.0, 1.3, 8.0))
@@ -131,7 +75,7 @@ def test_a_tested_level_is_known_better_than_one_that_is_not():
     assert near < 1.05 * tested
 
 
-def test_a_new_session_is_known_less_than_one_that_was_seen():
+def test_a_new_session_is_known_less_than_one_that_was_seen(make_population):
     known = make_population(effect=0.1, scatter=0.05, sessions=["a", "a", "b"])
     seen, new = (width(known, 1.0, kind="new_test", session=s) for s in ("a", "c"))
     assert 1.2 * seen < new
@@ -192,7 +136,7 @@ def test_a_history_that_never_changes_is_the_constant(population):
 
 
 @pytest.mark.parametrize("law", ["proportional", "affine", "power"])
-def test_a_history_of_two_levels_follows_either_of_them(law):
+def test_a_history_of_two_levels_follows_either_of_them(law, make_population):
     population = make_population({"Fc_fwd": law, "Fc_bwd": law}, level_sd=1e-9)
     step = np.where(TIME < 2.0, 0.5, 1.5)
     history = ask(population, step, kind="device", draws=20).median
@@ -212,18 +156,41 @@ def test_a_valve_that_closes_leaves_no_friction(population):
     assert np.all(np.abs(band.draws[:, slides]) < 0.3)
 
 
-def test_tested_draws_are_the_device_at_that_level(population):
+def test_the_device_does_not_change_its_meaning_beside_a_tested_level(make_population):
+    """It is the law with the effect of its level, without scatter, tested or a percent away."""
+    known = make_population(effect=0.02, scatter=0.1)
+    for kind in ("device", "new_test"):
+        at, beside = (width(known, p, kind=kind) for p in (1.0, 1.02))
+        assert beside == pytest.approx(at, rel=0.25)
+    # scatter of the slip force is not in it: it would be ten times the parameters' uncertainty
+    device, new_test = (width(known, 1.0, kind=kind) for kind in ("device", "new_test"))
+    assert 2.5 * device < new_test
+
+
+def test_the_device_holds_what_is_unknown_of_an_untested_level(make_population):
+    known = make_population(effect=0.15, scatter=0.05)
+    tested, far = (width(known, p, kind="device") / p for p in (1.0, 8.0))
+    assert 1.5 * tested < far
+    none = make_population(effect=1e-6, scatter=0.05)  # the control
+    tested, far = (width(none, p, kind="device") / p for p in (1.0, 8.0))
+    assert far < 1.5 * tested
+
+
+def test_this_very_test_is_the_draws_of_that_test(population, medians):
     n = 30
-    tested = {name: np.full(n, value) for name, value in MEDIANS.items()}
-    tested |= {"Fc_fwd": np.full(n, 2.6), "start": np.full(n, 0.5), "gamma1": np.ones(n)}
-    told = ask(population, 1.0, tested, kind="device")
+    own = {name: np.full(n, value) for name, value in medians.items()} | {"Fc_fwd": np.full(n, 2.6)}
+    trace = Trace.from_arrays(TIME, MOTION, 1.0)
+    predictor = Predictor(population, ThreeStage(), NOISE)
+    told = predictor.repeat(trace, Forecast("this_test"), own)
     forward = SLIDING & (np.gradient(MOTION) > 0)
-    assert np.mean(told.median[forward]) == pytest.approx(2.6 + 0.015 * 3.1, rel=0.05)
-    assert "tests at this actuation" in told.source
-    # the tested draws do not change the prediction of a new test
-    new = ask(population, 1.0, tested, kind="new_test")
-    plain = ask(population, 1.0, kind="new_test")
-    np.testing.assert_array_equal(new.draws, plain.draws)
+    slip = 2.6 * (1 + 0.15 * np.exp(-((3.1 / 0.4) ** 2))) + 0.015 * 3.1
+    assert np.mean(told.median[forward]) == pytest.approx(slip, rel=0.05)
+    assert "this test" in told.source
+    late = TIME > 2.0  # the start, which is unknown, no longer matters: all draws agree
+    assert np.max((told.upper - told.lower)[late]) < 1e-6
+    for name in medians:
+        np.testing.assert_allclose(told.values[name], own[name][0], rtol=1e-9)
+    assert np.ptp(told.values["start"]) > 0.5
 
 
 def test_a_setting_is_what_the_trace_shows():
@@ -236,7 +203,10 @@ def test_a_setting_is_what_the_trace_shows():
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        ({"kind": "sometimes"}, "unknown kind 'sometimes'.*device, new_test, observation"),
+        (
+            {"kind": "sometimes"},
+            "unknown kind 'sometimes'.*device, new_test, observation, this_test",
+        ),
         ({"probability": 1.5}, "between 0 and 1, got 1.5"),
         ({"probability": 0.0}, "between 0 and 1"),
         ({"probability": float("nan")}, "between 0 and 1"),
@@ -258,7 +228,7 @@ def test_a_prediction_needs_an_actuation(population):
         predict(population, trace, Forecast())
 
 
-def test_a_prediction_beyond_all_range_ends_in_a_sentence():
+def test_a_prediction_beyond_all_range_ends_in_a_sentence(make_population):
     known = make_population({"Fc_fwd": "power"})
     begin = len(known.layout.names) + len(known.layout.effects)
     h = known.h.copy()

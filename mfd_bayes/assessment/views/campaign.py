@@ -17,7 +17,8 @@ class LeftOutRow:
     """Scores of one test that was predicted without its part of the campaign; in kip.
 
     `fitted_width` and `fitted_crps` are those of the same test's own posterior, which has
-    seen its force; the ratios are the prediction's figure over the fitted one.
+    seen its force; the ratios are the prediction's figure over the fitted one. `whole_95` is 1
+    where the 95 % band of the whole history holds the whole force, else 0; NaN where unknown.
     """
 
     part: str
@@ -33,6 +34,7 @@ class LeftOutRow:
     fitted_crps: float
     width_ratio: float
     crps_ratio: float
+    whole_95: float = float("nan")
 
 
 @dataclass(frozen=True)

@@ -62,11 +62,12 @@ class DerivedRow:
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Equal-tailed band of one probability, (T,) each, kip."""
+    """Equal-tailed band of one probability, (T,) each, kip; or the band of the whole history."""
 
     probability: float
     lower: Array
     upper: Array
+    whole: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ class Fan:
 
     Attributes
     ----------
-    kind : {"device", "new_test", "observation", "prior"}
+    kind : {"device", "new_test", "observation", "this_test", "prior"}
     median : (T,), kip
     intervals : tuple of Interval
         Widest last.
@@ -140,6 +141,8 @@ class TestView:
         None where the test was predicted or the model has no gap.
     travel : (T,), in, or None
         Travel in the gap since the last slip, for the posterior medians.
+    shares : mapping of str to float
+        What makes the band of a predicted test wide: share of each source in the variance.
     """
 
     __test__ = False
@@ -161,3 +164,4 @@ class TestView:
     derived: tuple[DerivedRow, ...] = ()
     stage: NDArray[np.int8] | None = None
     travel: Array | None = None
+    shares: Mapping[str, float] = field(default_factory=dict)

@@ -80,15 +80,16 @@ def to_png(figure: Figure) -> bytes:
 def shades(fan: Fan) -> Iterator[tuple[Interval, str]]:
     """Intervals of a fan, widest first, each with its colour."""
     wide, narrow, _ = BANDS[fan.kind]
-    ordered = sorted(fan.intervals, key=lambda interval: -interval.probability)
+    ordered = sorted(fan.intervals, key=lambda i: (not i.whole, -i.probability))
     for index, interval in enumerate(ordered):
         yield interval, wide if index == 0 else narrow
 
 
 def percents(fan: Fan) -> str:
     """Probabilities of a fan's intervals: "50 and 95 %"."""
-    chances = sorted(interval.probability for interval in fan.intervals)
-    return " and ".join(f"{100 * chance:g}" for chance in chances) + " %"
+    chances = sorted(i.probability for i in fan.intervals if not i.whole)
+    pale = "; pale: of the whole history" if any(i.whole for i in fan.intervals) else ""
+    return " and ".join(f"{100 * chance:g}" for chance in chances) + f" %{pale}"
 
 
 def no_ticks(axes: Axes) -> None:
