@@ -29,7 +29,8 @@ class Effect:
 
     Tests of one session share an effect. So do those of one level of actuation, and effects of
     near levels are similar: over the logarithm of the actuation they are a Gaussian process of
-    correlation exp(−|log p − log p'| / log 2), within a session.
+    correlation exp(−|log p − log p'| / log 2), within a session. Zero has no logarithm: the effect
+    of that level is independent of all others.
 
     Attributes
     ----------
@@ -58,9 +59,10 @@ class Effect:
         if self.name == "session":
             return np.array([[float(a == b) for b in self.cells] for a in others])
         sessions = np.array([[a[0] == b[0] for b in self.cells] for a in others])
-        with np.errstate(divide="ignore"):  # no actuation is infinitely far from every level
-            at = np.log(np.array([[actuation] for _, actuation in others]))
-        apart = np.abs(at - np.log(np.array([actuation for _, actuation in self.cells])))
+        there = np.array([[actuation] for _, actuation in others])
+        here = np.array([actuation for _, actuation in self.cells])
+        with np.errstate(divide="ignore", invalid="ignore"):  # zero: infinitely far, but for itself
+            apart = np.where(there == here, 0.0, np.abs(np.log(there) - np.log(here)))
         return np.asarray(sessions * np.exp(-apart / ALIKE))
 
     def row(self, cell: Cell) -> tuple[Array, float]:
@@ -86,19 +88,20 @@ def effects_of(
     settings: Sequence[Setting],
     names: tuple[str, ...],
     member: NDArray[np.intp],
-    laws: Mapping[str, str],
+    informs: Mapping[str, NDArray[np.bool_]],
 ) -> tuple[Effect, ...]:
     """Effects of levels, on quantities with a law, and of sessions, on every quantity.
 
-    Only those that the settings can tell: of `LEVELS` levels, or of two sessions.
+    Only those that the settings can tell: of `LEVELS` levels, or of two sessions. `informs` says
+    for each quantity with a law which tests inform it, (J,).
     """
-    followers = [names.index(name) for name in laws]
     found = []
-    for name, members in (("level", followers), ("session", list(range(len(names))))):
+    everyone = dict.fromkeys(names, np.ones(len(settings), dtype=np.bool_))
+    for name, told, fewest in (("level", informs, LEVELS), ("session", everyone, 2)):
         keys = [_cell(name, setting, settings) for setting in settings]
         cells = tuple(dict.fromkeys(keys))
-        if len(cells) < (LEVELS if name == "level" else 2):
-            continue
+        counts = {n: len({keys[j] for j in np.flatnonzero(those)}) for n, those in told.items()}
+        members = [names.index(n) for n, count in counts.items() if count >= fewest]
         home = tuple(cells.index(key) for key in keys)
         for group in dict.fromkeys(member[members].tolist()):
             those = tuple(k for k in members if member[k] == group)

@@ -14,6 +14,7 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
+from mfd_bayes.population.apart import set_apart
 from mfd_bayes.population.law_scores import (
     DependenceScore,
     LawScore,
@@ -107,11 +108,12 @@ def infer_population(
     for name, law in layout.laws.items():
         if law == COMPARE and scores:
             weights[name] = {s.law: s.weight for s in scores if s.quantity == name}
+    weighed = replace(layout, weights=weights)
     problem = JointProblem(
-        replace(layout, weights=weights), likelihoods, some.priors, settings.actuation_unit
+        weighed, set_apart(weighed, likelihoods), some.priors, settings.actuation_unit
     )
     effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
-    with several_processes([t.log_likelihood for t in likelihoods], settings.jobs) as evaluate:
+    with several_processes([t.log_likelihood for t in problem.tests], settings.jobs) as evaluate:
         draws = sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
     exponents = free_exponents(layout, likelihoods)
     return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from mfd_bayes.population.laws import (
     shapes_of,
     value_of,
 )
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.setting import Setting, with_zeros
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
@@ -63,7 +64,7 @@ class Layout:
     scatter_sd : (d,)
         Half-normal scale of each quantity's scatter, and of the effects on it.
     reference : float, ksi or kip
-        Actuation p0 at which levels are medians over tests.
+        Actuation p0 at which levels are medians over tests, above zero.
     settings : tuple of Setting
         Of the calibrated tests.
     effects : tuple of Effect
@@ -97,6 +98,15 @@ class Layout:
         """Quantity and shape of each shape coordinate."""
         found = [(name, s) for name, law in self.laws.items() for s in shapes_of(law)]
         return (*found, *((n, c) for n, those in self.dependence.items() for c in those))
+
+    @cached_property
+    def informs(self) -> NDArray[np.bool_]:
+        """Whether each test informs the population's value of each quantity, (J, d).
+
+        A law without an intercept says nothing of a test at zero actuation, where the quantity
+        takes its own value: that value informs neither level nor scatter nor law.
+        """
+        return _informs(self.settings, self.names, self.weights)
 
     @property
     def dim(self) -> int:
@@ -174,7 +184,10 @@ class Layout:
         return found[0], found[1]
 
     def offsets(self, h: Array, choice: Choice, settings: Sequence[Setting] | None = None) -> Array:
-        """Laws and dependences in prior units under the tests' settings or others, (n, m, d)."""
+        """Laws and dependences in prior units under the tests' settings or others, (n, m, d).
+
+        They are 0 where a calibrated test does not inform the quantity.
+        """
         chosen = self.settings if settings is None else settings
         relative = np.array([s.actuation for s in chosen]) / self.reference
         offsets = np.zeros((len(h), len(chosen), len(self.names)))
@@ -190,7 +203,7 @@ class Layout:
                 reference = self.covariate_reference[shape]
                 folds = np.log([s.covariates[shape] / reference for s in chosen])
                 offsets[..., k] += h[:, begin + i, None] * folds / self.spread[k]
-        return offsets
+        return np.where(self.informs, offsets, 0.0) if settings is None else offsets
 
     def draw_choice(self, n: int) -> Choice:
         """Laws of n chains in proportion to the weights, (n, L) int; no random numbers."""
@@ -230,49 +243,77 @@ def lay_out(
     PriorError
         When a shared quantity has no scatter prior.
     FitError
-        When a law's quantity can be negative, or an actuation is not above zero.
+        When a law's quantity can be negative, an actuation is negative, or all are zero.
     """
     quantities = known_quantities()
     shared = tuple(n for n in names if n not in quantities or quantities[n].pooled)
     known = {n: priors.parameters[n] for n in shared}
     chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in shared}
     _check_laws(priors, chosen, settings)
+    settings = with_zeros(settings)
     groups, member = _group(priors, shared)
     coordinates = Coordinates(shared, known, USUAL * _typical_speed(settings))
     rng = np.random.default_rng(0)
     drawn = coordinates.of({n: prior.draw(rng, 4000) for n, prior in known.items()})
     follows = {n: tuple(c) for n, c in (dependence or {}).items() if n in shared and c}
     used = sorted({c for those in follows.values() for c in those})
+    zero = any(s.actuation == 0 for s in settings)
+    weights = {n: _weights(law, zero=zero) for n, law in chosen.items()}
+    informs = dict(zip(shared, _informs(settings, shared, weights).T, strict=True))
     return Layout(
         coordinates=coordinates,
         centre=drawn.mean(axis=0),
         spread=drawn.std(axis=0),
         laws=chosen,
-        weights={n: _weights(law) for n, law in chosen.items()},
+        weights=weights,
         groups=groups,
         member=member,
         scatter_sd=np.array([priors.scatter[groups[g]].sd for g in member]),
-        reference=_geometric_mean([s.actuation for s in settings]),
+        reference=_geometric_mean([s.actuation for s in settings if s.actuation > 0]),
         settings=tuple(settings),
-        effects=effects_of(settings, shared, member, chosen),
+        effects=effects_of(settings, shared, member, {n: informs[n] for n in chosen}),
         dependence=follows,
         covariate_reference={c: _geometric_mean([s.covariates[c] for s in settings]) for c in used},
     )
 
 
 def _check_laws(priors: PriorFile, laws: Mapping[str, str], settings: Sequence[Setting]) -> None:
-    """Refuse laws of quantities that may be negative, and tests without actuation."""
+    """Refuse laws of quantities that may be negative, and tests of which none has actuation."""
     for name in laws:
         prior = priors.parameters[name]
         if prior.lower != 0.0 or np.isfinite(prior.upper):
             raise FitError(f"a law for {name} needs a prior on the positive half line")
-    if not all(s.actuation > 0 for s in settings):
-        raise FitError("every calibrated test needs an actuation above zero for the pressure laws")
+    if not all(s.actuation >= 0 for s in settings) or not any(s.actuation > 0 for s in settings):
+        raise FitError(
+            "the laws need an actuation above zero in at least one calibrated test, and none that "
+            "is negative"
+        )
 
 
-def _weights(law: str) -> dict[str, float]:
-    """Weights of the laws before they are compared."""
-    return dict.fromkeys(LAWS, 1.0 / len(LAWS)) if law == COMPARE else {law: 1.0}
+def _weights(law: str, *, zero: bool) -> dict[str, float]:
+    """Weights of the laws before they are compared.
+
+    With tests at zero actuation, only laws that have a value there are compared: the others are
+    limits of them.
+    """
+    if law != COMPARE:
+        return {law: 1.0}
+    compared = [name for name in LAWS if LAWS[name].intercept or not zero]
+    return dict.fromkeys(compared, 1.0 / len(compared))
+
+
+def _informs(
+    settings: Sequence[Setting],
+    names: tuple[str, ...],
+    weights: Mapping[str, Mapping[str, float]],
+) -> NDArray[np.bool_]:
+    """Whether each test informs the population's value of each quantity, (J, d)."""
+    found = np.ones((len(settings), len(names)), dtype=np.bool_)
+    zero = [setting.actuation == 0 for setting in settings]
+    for name, laws in weights.items():
+        if any(weight > 0 and not LAWS[law].intercept for law, weight in laws.items()):
+            found[zero, names.index(name)] = False
+    return found
 
 
 def _geometric_mean(values: Sequence[float]) -> float:
