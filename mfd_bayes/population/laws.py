@@ -83,8 +83,10 @@ def shapes_of(law: str) -> tuple[str, ...]:
     return ("share", "exponent") if law == COMPARE else LAWS[law].shapes
 
 
-INTERCEPTS = tuple(f"{name}_0" for name in ("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"))
-"""Names of the residual friction: what is left of a force without actuation."""
+INTERCEPTS = {"sigma0_0": "kip/in"} | {
+    f"{name}_0": "kip" for name in ("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd")
+}
+"""Units of what is left without actuation: the stiffness, and the residual friction."""
 
 _MOST = 1e100  # largest ratio, so that what is computed from it is finite
 
@@ -133,9 +135,7 @@ def law_unit(name: str, actuation_unit: str) -> str:
         return "in^2" if actuation_unit == "ksi" else "1"
     if name == "alpha_sigma0":
         return "in" if actuation_unit == "ksi" else "1/in"
-    if name == "sigma0_0":
-        return "kip/in"
     if name in INTERCEPTS:
-        return "kip"
+        return INTERCEPTS[name]
     spread = name.startswith(("scatter_", "deviation_"))
     return "kip" if spread and name.endswith("_offset") else "1"

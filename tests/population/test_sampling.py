@@ -208,6 +208,19 @@ def test_slopes_are_the_papers_constants(priors):
     assert set(power) == {"K_c_bwd", "K_s_bwd"}
 
 
+def test_straight_laws_with_residual_friction_have_slope_and_intercept(priors):
+    laws = {"Fc_fwd": "affine", "Fc_bwd": "residual_power", "sigma0": "residual_power"}
+    population = written(priors, laws)
+    slopes, p = population.slopes, np.array([0.0, 1.7])
+    friction = population.median("Fc_fwd", p)
+    np.testing.assert_allclose(slopes["Fc_fwd_0"], friction[..., 0])
+    np.testing.assert_allclose(slopes["Fc_fwd_0"] + 1.7 * slopes["K_c_fwd"], friction[..., 1])
+    assert np.all(slopes["Fc_fwd_0"] > 0)
+    for name in ("Fc_bwd", "sigma0"):
+        np.testing.assert_allclose(slopes[f"{name}_0"], population.median(name, p)[..., 0])
+    assert not {"K_c_bwd", "alpha_sigma0"} & set(slopes)  # these laws are bent
+
+
 def test_a_drawn_test_has_scatter_about_the_median(priors):
     population = written(priors, n=1)
     n, rng = 40_000, np.random.default_rng(2)
