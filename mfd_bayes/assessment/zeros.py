@@ -23,6 +23,6 @@ def zero_sentences(layout: Layout, tests: Iterable[str]) -> list[str]:
         return []
     laws = ", ".join(f"{name} ({layout.laws[name]})" for name in out)
     return [
-        f"A law without an intercept has no value at zero actuation: from {zeros} nothing is learned "
-        f"about {laws}. The laws affine and residual_power would learn from it."
+        f"A law without an intercept has no value at zero actuation: from {zeros} nothing is "
+        f"learned about {laws}. The laws affine and residual_power would learn from it."
     ]
