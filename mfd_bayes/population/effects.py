@@ -88,20 +88,21 @@ def effects_of(
     settings: Sequence[Setting],
     names: tuple[str, ...],
     member: NDArray[np.intp],
-    informs: Mapping[str, NDArray[np.bool_]],
+    laws: Mapping[str, str],
+    informs: NDArray[np.bool_],
 ) -> tuple[Effect, ...]:
     """Effects of levels, on quantities with a law, and of sessions, on every quantity.
 
-    Only those that the settings can tell: of `LEVELS` levels, or of two sessions. `informs` says
-    for each quantity with a law which tests inform it, (J,).
+    Only those that the settings can tell: of `LEVELS` levels, or of two sessions. `informs`
+    says which tests inform each quantity, (J, d).
     """
     found = []
-    everyone = dict.fromkeys(names, np.ones(len(settings), dtype=np.bool_))
-    for name, told, fewest in (("level", informs, LEVELS), ("session", everyone, 2)):
+    followers = [names.index(name) for name in laws]
+    for name, likely in (("level", followers), ("session", list(range(len(names))))):
         keys = [_cell(name, setting, settings) for setting in settings]
         cells = tuple(dict.fromkeys(keys))
-        counts = {n: len({keys[j] for j in np.flatnonzero(those)}) for n, those in told.items()}
-        members = [names.index(n) for n, count in counts.items() if count >= fewest]
+        told = [{keys[j] for j in np.flatnonzero(informs[:, k])} for k in range(len(names))]
+        members = [k for k in likely if len(told[k]) >= (LEVELS if name == "level" else 2)]
         home = tuple(cells.index(key) for key in keys)
         for group in dict.fromkeys(member[members].tolist()):
             those = tuple(k for k in members if member[k] == group)

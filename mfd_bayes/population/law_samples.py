@@ -105,8 +105,8 @@ def samples_of(
     data = np.array([test.mean[k] for test in tests])
     zero = np.array([setting.actuation == 0 for setting in layout.settings])
     free = zero & (not LAWS[law].intercept)
-    rows = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
-    rows = np.where(free[:, None], 0.0, np.concatenate(rows, axis=1))
+    parts = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
+    rows = np.where(free[:, None], 0.0, np.concatenate(parts, axis=1))
     for part in np.array_split(points, -(-POINTS * len(tests) // AT_ONCE)):
         sd = layout.scatter_sd[k] / layout.spread[k] * special.ndtri(0.5 + 0.5 * part)
         sds = [np.ones((len(part), 1))]

@@ -15,7 +15,6 @@ from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.effects import Effect, effects_of
 from mfd_bayes.population.laws import (
-    COMPARE,
     LAWS,
     default_laws,
     log_prior,
@@ -23,7 +22,8 @@ from mfd_bayes.population.laws import (
     shapes_of,
     value_of,
 )
-from mfd_bayes.population.setting import Setting, with_zeros
+from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.zeros import informs_of, weights_of, with_zeros
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
@@ -101,12 +101,8 @@ class Layout:
 
     @cached_property
     def informs(self) -> NDArray[np.bool_]:
-        """Whether each test informs the population's value of each quantity, (J, d).
-
-        A law without an intercept says nothing of a test at zero actuation, where the quantity
-        takes its own value: that value informs neither level nor scatter nor law.
-        """
-        return _informs(self.settings, self.names, self.weights)
+        """Whether each test informs level, scatter and law of each quantity, (J, d)."""
+        return informs_of(self.settings, self.names, self.weights)
 
     @property
     def dim(self) -> int:
@@ -184,10 +180,7 @@ class Layout:
         return found[0], found[1]
 
     def offsets(self, h: Array, choice: Choice, settings: Sequence[Setting] | None = None) -> Array:
-        """Laws and dependences in prior units under the tests' settings or others, (n, m, d).
-
-        They are 0 where a calibrated test does not inform the quantity.
-        """
+        """Laws and dependences in prior units under the tests' settings or others, (n, m, d)."""
         chosen = self.settings if settings is None else settings
         relative = np.array([s.actuation for s in chosen]) / self.reference
         offsets = np.zeros((len(h), len(chosen), len(self.names)))
@@ -249,7 +242,7 @@ def lay_out(
     shared = tuple(n for n in names if n not in quantities or quantities[n].pooled)
     known = {n: priors.parameters[n] for n in shared}
     chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in shared}
-    _check_laws(priors, chosen, settings)
+    _check_laws(priors, chosen)
     settings = with_zeros(settings)
     groups, member = _group(priors, shared)
     coordinates = Coordinates(shared, known, USUAL * _typical_speed(settings))
@@ -257,9 +250,8 @@ def lay_out(
     drawn = coordinates.of({n: prior.draw(rng, 4000) for n, prior in known.items()})
     follows = {n: tuple(c) for n, c in (dependence or {}).items() if n in shared and c}
     used = sorted({c for those in follows.values() for c in those})
-    zero = any(s.actuation == 0 for s in settings)
-    weights = {n: _weights(law, zero=zero) for n, law in chosen.items()}
-    informs = dict(zip(shared, _informs(settings, shared, weights).T, strict=True))
+    weights = {n: weights_of(law, settings) for n, law in chosen.items()}
+    informs = informs_of(settings, shared, weights)
     return Layout(
         coordinates=coordinates,
         centre=drawn.mean(axis=0),
@@ -270,50 +262,19 @@ def lay_out(
         member=member,
         scatter_sd=np.array([priors.scatter[groups[g]].sd for g in member]),
         reference=_geometric_mean([s.actuation for s in settings if s.actuation > 0]),
-        settings=tuple(settings),
-        effects=effects_of(settings, shared, member, {n: informs[n] for n in chosen}),
+        settings=settings,
+        effects=effects_of(settings, shared, member, chosen, informs),
         dependence=follows,
         covariate_reference={c: _geometric_mean([s.covariates[c] for s in settings]) for c in used},
     )
 
 
-def _check_laws(priors: PriorFile, laws: Mapping[str, str], settings: Sequence[Setting]) -> None:
-    """Refuse laws of quantities that may be negative, and tests of which none has actuation."""
+def _check_laws(priors: PriorFile, laws: Mapping[str, str]) -> None:
+    """Refuse laws of quantities that may be negative."""
     for name in laws:
         prior = priors.parameters[name]
         if prior.lower != 0.0 or np.isfinite(prior.upper):
             raise FitError(f"a law for {name} needs a prior on the positive half line")
-    if not all(s.actuation >= 0 for s in settings) or not any(s.actuation > 0 for s in settings):
-        raise FitError(
-            "the laws need an actuation above zero in at least one calibrated test, and none that "
-            "is negative"
-        )
-
-
-def _weights(law: str, *, zero: bool) -> dict[str, float]:
-    """Weights of the laws before they are compared.
-
-    With tests at zero actuation, only laws that have a value there are compared: the others are
-    limits of them.
-    """
-    if law != COMPARE:
-        return {law: 1.0}
-    compared = [name for name in LAWS if LAWS[name].intercept or not zero]
-    return dict.fromkeys(compared, 1.0 / len(compared))
-
-
-def _informs(
-    settings: Sequence[Setting],
-    names: tuple[str, ...],
-    weights: Mapping[str, Mapping[str, float]],
-) -> NDArray[np.bool_]:
-    """Whether each test informs the population's value of each quantity, (J, d)."""
-    found = np.ones((len(settings), len(names)), dtype=np.bool_)
-    zero = [setting.actuation == 0 for setting in settings]
-    for name, laws in weights.items():
-        if any(weight > 0 and not LAWS[law].intercept for law, weight in laws.items()):
-            found[zero, names.index(name)] = False
-    return found
 
 
 def _geometric_mean(values: Sequence[float]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from mfd_bayes.records.trace import Trace
 
 SAME_LEVEL = 0.01
 """Tests whose actuation differs by less than this share are at one level."""
-
-NOTHING = 1e-3
-"""Actuation below this share of the largest is zero: what a gauge shows with nothing applied."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +48,6 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
         "amplitude": 0.5 * float(np.ptp(trace.displacement)),
     }
     return Setting(trace.reference_actuation, session, covariates)
-
-
-def with_zeros(settings: Sequence[Setting]) -> tuple[Setting, ...]:
-    """The settings with an actuation of zero where it is next to nothing."""
-    highest = max(setting.actuation for setting in settings)
-    return tuple(
-        replace(s, actuation=0.0) if s.actuation < NOTHING * highest else s for s in settings
-    )
 
 
 def same_level(actuation: float, other: float) -> bool:
