@@ -81,7 +81,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
         pick = np.linspace(0, len(medians) - 1, 2000).astype(np.intp)
         scattered = [
             population.draw_test(Setting(float(p), covariates=typical), pick, rng)[name]
-            for p in np.maximum(grid, 1e-9)
+            for p in grid
         ]
         views.append(
             LawView(

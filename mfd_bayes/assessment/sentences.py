@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from mfd_bayes.assessment.checks import INFORMED, PREDICTIVE, SAMPLING
 from mfd_bayes.assessment.fits import SCALE_NOTE
 from mfd_bayes.assessment.views import FREE_EXPONENT, Check, TestView
+from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
@@ -91,6 +92,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     if any(r.name == "gamma1" for view in tests for r in view.rows):
         found.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
     found += _of_dependence(run.manifest)
+    found += zero_sentences(run.population.layout, run.tests)
     if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:
         found.append(
             "All calibrated tests are at one actuation: at any other, predictions rest on the "

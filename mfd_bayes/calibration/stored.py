@@ -57,8 +57,8 @@ def check_draws(stored: StoredTest, posterior: Posterior, where: Path) -> None:
         When the draws in the file are not from this posterior.
     """
     level = posterior.trace.reference_actuation
-    if not level > 0:
-        raise StoreError(f"{where} must be of a test with actuation above zero, got {level:g}")
+    if not level >= 0:
+        raise StoreError(f"{where} must be of a test with an actuation, got {level:g}")
     wanted = {*posterior.names, *posterior.model.parameters, "offset", "start"}
     names = set(map(str, stored.draws.data_vars))
     if missing := wanted - names:

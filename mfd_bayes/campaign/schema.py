@@ -24,7 +24,7 @@ from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.readers.bounds import NAME
 from mfd_bayes.units import parse_actuation, parse_quantity, parse_window
 
-LawName = Literal["proportional", "affine", "power", "constant", "compare"]
+LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]
 Role = Literal["calibrate", "validate"]
 Covariate = Literal["velocity", "amplitude"]
 

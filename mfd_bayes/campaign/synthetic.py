@@ -32,6 +32,9 @@ _LAWS = MappingProxyType(
 )
 """Friction is proportional to the pressure, σ0 affine in it (paper Eq. 5)."""
 
+_RESIDUAL = MappingProxyType({"Fc_fwd_0": 0.15, "Fc_bwd_0": 0.20})  # kip
+"""Friction without pressure, which is added where the matrix has tests at zero."""
+
 _MEDIANS = MappingProxyType(
     {
         "sigma1": 0.02,  # kip·s/in
@@ -79,12 +82,21 @@ _GROUPS = {
 
 @dataclass(frozen=True)
 class Matrix:
-    """The tests: each pressure at each frequency, and one test that is predicted, not fitted."""
+    """The tests: each pressure at each frequency, and one test that is predicted, not fitted.
 
-    pressures: tuple[float, ...] = (500.0, 800.0, 1200.0, 1500.0)  # psi
+    With a pressure of zero, there is friction without pressure too, and its laws are affine.
+    """
+
+    pressures: tuple[float, ...] = (0.0, 500.0, 800.0, 1200.0, 1500.0)  # psi
     frequencies: tuple[float, ...] = (0.05, 0.5)  # Hz
-    cycles: tuple[int, ...] = (3, 6)  # of each frequency
+    cycles: tuple[int, ...] = (2, 6)  # of each frequency
     held_out: tuple[float, float] = (1000.0, 0.5)  # psi, Hz
+
+    @property
+    def laws(self) -> dict[str, float]:
+        """True value of each constant of the laws, by name."""
+        residual = _RESIDUAL if 0.0 in self.pressures else dict.fromkeys(_RESIDUAL, 0.0)
+        return dict(_LAWS) | dict(residual)
 
 
 def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dict[str, Any]:
@@ -107,15 +119,16 @@ def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dic
     tests, entries = {}, []
     for pressure, frequency, count, role in planned:
         name = f"p{pressure:.0f}_f{frequency:g}"
-        values = _draw_test(pressure / 1000.0, rng)
+        values = _draw_test(pressure / 1000.0, matrix.laws, rng)
         _write_csv(folder / f"{name}.csv", values, frequency, count, rng)
         tests[name] = _known(values)
         entries.append(
             f'[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{pressure:.0f} psi"\n'
             f'role = "{role}"\n'
         )
-    write_text(folder / "campaign.toml", _HEADER + "\n".join(entries))
-    laws = dict(_LAWS)
+    head = _HEADER + (_AFFINE if 0.0 in matrix.pressures else "")
+    write_text(folder / "campaign.toml", head + "\n".join(entries))
+    laws = {name: value for name, value in matrix.laws.items() if value}
     for side in ("fwd", "bwd"):
         laws[f"K_s_{side}"] = laws[f"K_c_{side}"] * (1 + _MEDIANS[f"static_excess_{side}"])
     return {"population": laws | _known_scatter(), "tests": tests}
@@ -123,7 +136,7 @@ def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dic
 
 _HEADER = """\
 # Synthetic: computed by the three-stage model from a stated truth, with stated noise.
-# After the MFD paper's test matrix: 0.05 and 0.5 Hz, 500 to 1500 psi, 1 in, 100 Hz.
+# After the MFD paper's test matrix: 0.05 and 0.5 Hz, 0 to 1500 psi, 1 in, 100 Hz.
 [campaign]
 title = "Synthetic campaign after the MFD paper's test matrix"
 priors = "mfd"
@@ -138,12 +151,24 @@ force = { name = "force_kip", unit = "kip" }
 """
 
 
-def _draw_test(pressure: float, rng: np.random.Generator) -> dict[str, Array]:
+_AFFINE = """\
+[laws]  # friction is affine: some is left without pressure
+Fc_fwd = "affine"
+Fc_bwd = "affine"
+Fs_fwd = "affine"
+Fs_bwd = "affine"
+
+"""
+
+
+def _draw_test(
+    pressure: float, laws: Mapping[str, float], rng: np.random.Generator
+) -> dict[str, Array]:
     """Quantities of one test at a pressure in ksi, (1,) each."""
     median = dict(_MEDIANS) | {
-        "Fc_fwd": _LAWS["K_c_fwd"] * pressure,
-        "Fc_bwd": _LAWS["K_c_bwd"] * pressure,
-        "sigma0": _LAWS["alpha_sigma0"] * pressure + _LAWS["sigma0_0"],
+        "Fc_fwd": laws["K_c_fwd"] * pressure + laws["Fc_fwd_0"],
+        "Fc_bwd": laws["K_c_bwd"] * pressure + laws["Fc_bwd_0"],
+        "sigma0": laws["alpha_sigma0"] * pressure + laws["sigma0_0"],
     }
     values = {
         name: median[name] * np.exp(_SCATTER[group] * rng.standard_normal(1))

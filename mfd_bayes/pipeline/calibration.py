@@ -14,6 +14,7 @@ from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.pipeline.plan import Plan
+from mfd_bayes.population.apart import joined
 from mfd_bayes.population.inference import Inference, infer_population
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
@@ -148,8 +149,10 @@ def _infer_population(
 
 def _save(inference: Inference, results: Mapping[str, TestResult], out: Path) -> None:
     population = inference.draws.population
-    for name, draws in zip(results, inference.draws.tests, strict=True):
-        save_test_draws(out / pooled_of(name), population.layout, draws, units(), name)
+    layout = population.layout
+    for j, (name, draws) in enumerate(zip(results, inference.draws.tests, strict=True)):
+        own = joined(layout, j, draws)
+        save_test_draws(out / pooled_of(name), layout, own, units(), name)
     save_population(out / POPULATION, population)
 
 

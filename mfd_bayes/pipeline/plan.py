@@ -23,7 +23,7 @@ from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.laws import default_laws
-from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.layout import Layout, lay_out
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace
@@ -118,7 +118,7 @@ def plan_campaign(path: Path, options: Options, *, keep_records: bool = False) -
         for test in campaign.tests
         if test.role == "calibrate"
     )
-    _check_population(tasks, settings)
+    layout_of(tasks, settings)
     held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     manifest = Manifest(
         title=campaign.title,
@@ -175,12 +175,18 @@ def _inside(campaign: Campaign, test: Test) -> str:
     return test.path.relative_to(campaign.folder).as_posix()
 
 
-def _check_population(tasks: Sequence[Task], settings: Settings) -> None:
-    """Refuse laws and priors from which no population of the tests can be set up."""
+def layout_of(tasks: Sequence[Task], settings: Settings) -> Layout:
+    """Layout of the population of the tests to calibrate.
+
+    Raises
+    ------
+    MfdError
+        When laws, priors or actuations do not allow any.
+    """
     some = tasks[0]
     names = some.posterior().names
     under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
-    lay_out(some.priors, names, under, settings.laws, settings.dependence)
+    return lay_out(some.priors, names, under, settings.laws, settings.dependence)
 
 
 def _laws(campaign: Campaign) -> dict[str, str]:

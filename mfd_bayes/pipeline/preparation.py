@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from mfd_bayes.assessment.prior_check import prior_fan, share_inside
+from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
-from mfd_bayes.pipeline.plan import Plan
+from mfd_bayes.pipeline.plan import Plan, layout_of
 from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
 from mfd_bayes.records.record import read_record
@@ -65,7 +66,7 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
 def find_warnings(plan: Plan) -> list[tuple[str, str]]:
     """Faults that would spoil the fit of a test, for all tests of a campaign: test id and sentence.
 
-    The plan must hold the records.
+    And what tests at zero actuation do not tell, for "laws". The plan must hold the records.
     """
     gap = plan.priors.gap
     found: list[tuple[str, str]] = []
@@ -77,7 +78,9 @@ def find_warnings(plan: Plan) -> list[tuple[str, str]]:
         if twin is not None:
             found.append((test.id, f"same record as {twin}: it would count twice"))
         known[test.id] = trace
-    return found
+    layout = layout_of(plan.tasks, plan.manifest.settings)
+    sentences = zero_sentences(layout, [task.id for task in plan.tasks])
+    return found + [("laws", sentence) for sentence in sentences]
 
 
 def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:

@@ -29,7 +29,8 @@ class Effect:
 
     Tests of one session share an effect. So do those of one level of actuation, and effects of
     near levels are similar: over the logarithm of the actuation they are a Gaussian process of
-    correlation exp(−|log p − log p'| / log 2), within a session.
+    correlation exp(−|log p − log p'| / log 2), within a session. Zero has no logarithm: the effect
+    of that level is independent of all others.
 
     Attributes
     ----------
@@ -58,9 +59,10 @@ class Effect:
         if self.name == "session":
             return np.array([[float(a == b) for b in self.cells] for a in others])
         sessions = np.array([[a[0] == b[0] for b in self.cells] for a in others])
-        with np.errstate(divide="ignore"):  # no actuation is infinitely far from every level
-            at = np.log(np.array([[actuation] for _, actuation in others]))
-        apart = np.abs(at - np.log(np.array([actuation for _, actuation in self.cells])))
+        there = np.array([[actuation] for _, actuation in others])
+        here = np.array([actuation for _, actuation in self.cells])
+        with np.errstate(divide="ignore", invalid="ignore"):  # zero: infinitely far, but for itself
+            apart = np.where(there == here, 0.0, np.abs(np.log(there) - np.log(here)))
         return np.asarray(sessions * np.exp(-apart / ALIKE))
 
     def row(self, cell: Cell) -> tuple[Array, float]:
@@ -87,18 +89,20 @@ def effects_of(
     names: tuple[str, ...],
     member: NDArray[np.intp],
     laws: Mapping[str, str],
+    informs: NDArray[np.bool_],
 ) -> tuple[Effect, ...]:
     """Effects of levels, on quantities with a law, and of sessions, on every quantity.
 
-    Only those that the settings can tell: of `LEVELS` levels, or of two sessions.
+    Only those that the settings can tell: of `LEVELS` levels, or of two sessions. `informs`
+    says which tests inform each quantity, (J, d).
     """
-    followers = [names.index(name) for name in laws]
     found = []
-    for name, members in (("level", followers), ("session", list(range(len(names))))):
+    followers = [names.index(name) for name in laws]
+    for name, likely in (("level", followers), ("session", list(range(len(names))))):
         keys = [_cell(name, setting, settings) for setting in settings]
         cells = tuple(dict.fromkeys(keys))
-        if len(cells) < (LEVELS if name == "level" else 2):
-            continue
+        told = [{keys[j] for j in np.flatnonzero(informs[:, k])} for k in range(len(names))]
+        members = [k for k in likely if len(told[k]) >= (LEVELS if name == "level" else 2)]
         home = tuple(cells.index(key) for key in keys)
         for group in dict.fromkeys(member[members].tolist()):
             those = tuple(k for k in members if member[k] == group)

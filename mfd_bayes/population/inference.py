@@ -13,9 +13,10 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
-from mfd_bayes.friction.model import Model
+from mfd_bayes.population.apart import set_apart
 from mfd_bayes.population.law_scores import (
     COVARIATES,
     TESTS,
@@ -28,9 +29,9 @@ from mfd_bayes.population.law_scores import (
 )
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
-from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 
 Array = NDArray[np.float64]
@@ -121,15 +122,16 @@ def infer_population(
     for name, law in layout.laws.items():
         if law == COMPARE and scores:
             weights[name] = {s.law: s.weight for s in scores if s.quantity == name}
+    weighed = replace(layout, weights=weights)
     problem = JointProblem(
-        replace(layout, weights=weights),
-        likelihoods,
+        weighed,
+        set_apart(weighed, likelihoods),
         some.priors,
         settings.actuation_unit,
         pilot.residual,
     )
     effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
-    with several_processes([t.log_likelihood for t in likelihoods], settings.jobs) as evaluate:
+    with several_processes([t.log_likelihood for t in problem.tests], settings.jobs) as evaluate:
         draws = sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
     exponents = free_exponents(layout, likelihoods)
     return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))

@@ -91,7 +91,9 @@ def samples_of(
 ) -> Iterator[LawSample]:
     """Points of a law for quantity k, which follows its own covariates if none are given.
 
-    They come in parts, so that many tests take no more memory than few.
+    They come in parts, so that many tests take no more memory than few. Where a law has no value,
+    at zero actuation, a test's value has its own prior: the density is of the same data under
+    every law.
     """
     effects = [e for e in layout.effects if k in e.members and e.name != "level"]
     follows = layout.dependence.get(layout.names[k], ()) if follows is None else follows
@@ -101,16 +103,19 @@ def samples_of(
     points = np.clip(points, 1e-9, 1.0 - 1e-9)
     noise = np.array([test.covariance[k, k] for test in tests])
     data = np.array([test.mean[k] for test in tests])
-    rows = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
+    zero = np.array([setting.actuation == 0 for setting in layout.settings])
+    free = zero & (not LAWS[law].intercept)
+    parts = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
+    rows = np.where(free[:, None], 0.0, np.concatenate(parts, axis=1))
     for part in np.array_split(points, -(-POINTS * len(tests) // AT_ONCE)):
         sd = layout.scatter_sd[k] / layout.spread[k] * special.ndtri(0.5 + 0.5 * part)
         sds = [np.ones((len(part), 1))]
         sds += [np.repeat(sd[:, [1 + i]], len(e.cells), axis=1) for i, e in enumerate(effects)]
         means, exponent = _means(layout, k, law, follows, part[:, begin:])
         yield LawSample(
-            residuals=data - means,
-            variances=noise + sd[:, :1] ** 2,
-            rows=np.concatenate(rows, axis=1),
+            residuals=data - np.where(free, 0.0, means),
+            variances=noise + np.where(free, 1.0, sd[:, :1] ** 2),
+            rows=rows,
             sds=np.concatenate(sds, axis=1),
             exponent=exponent,
         )

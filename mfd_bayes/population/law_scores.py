@@ -82,19 +82,23 @@ class DependenceScore:
 def compare_laws(layout: Layout, tests: Sequence[TestLikelihood]) -> tuple[LawScore, ...]:
     """Score of every law for each quantity that follows the actuation, by leave-one-level-out.
 
-    Empty where tests are at fewer than `LEVELS` levels.
+    Empty where tests are at fewer than `LEVELS` levels. With tests at zero actuation, laws that
+    have no value there have no weight.
     """
     folds = levels_of(layout.settings)
     if len(folds) < LEVELS:
         return ()
+    zero = any(setting.actuation == 0 for setting in layout.settings)
+    weighed = [law for law in LAWS if LAWS[law].intercept or not zero]
     scores = []
     for name in layout.laws:
         k = layout.names.index(name)
         terms = {law: _left_out(samples_of(layout, tests, k, law), folds) for law in LAWS}
-        weights = stack(np.stack(list(terms.values()), axis=1))
-        for (law, found), weight in zip(terms.items(), weights, strict=True):
+        stacked = stack(np.stack([terms[law] for law in weighed], axis=1)).tolist()
+        weights = dict.fromkeys(LAWS, 0.0) | dict(zip(weighed, stacked, strict=True))
+        for law, found in terms.items():
             total, se, levels = float(found.sum()), _error(found), tuple(found.tolist())
-            scores.append(LawScore(name, law, total, se, float(weight), levels))
+            scores.append(LawScore(name, law, total, se, weights[law], levels))
     return tuple(scores)
 
 
@@ -136,9 +140,9 @@ def free_exponents(
 ) -> dict[str, tuple[float, float, float]]:
     """Quantiles 2.5, 50 and 97.5 % of each proportional law's exponent, were it a power law.
 
-    Empty where no law is proportional, or the tests are at fewer than `LEVELS` levels.
+    Empty where no law is proportional, or the tests are at fewer than `LEVELS` levels above zero.
     """
-    if len(levels_of(layout.settings)) < LEVELS:
+    if len(levels_of([s for s in layout.settings if s.actuation > 0])) < LEVELS:
         return {}
     found = {}
     for name in (name for name, law in layout.laws.items() if law == "proportional"):

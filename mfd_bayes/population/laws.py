@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Law:
-    """A law v(p) = v(p0) [w (p/p0)^b + 1 − w], with the share w or the exponent b at most free.
+    """A law v(p) = v(p0) [w (p/p0)^b + 1 − w]; the share w and the exponent b may be free.
 
     Attributes
     ----------
@@ -31,9 +31,14 @@ class Law:
 
     @property
     def shapes(self) -> tuple[str, ...]:
-        """What is inferred besides the level v(p0): "share", "exponent" or nothing."""
+        """What is inferred besides the level v(p0): "share", "exponent", both or nothing."""
         free = {"share": self.share, "exponent": self.exponent}
         return tuple(name for name, value in free.items() if value is None)
+
+    @property
+    def intercept(self) -> bool:
+        """Whether it has a value without actuation, v(0) = v(p0) (1 − w); else v(0) = 0."""
+        return self.share != 1.0
 
 
 LAWS = {
@@ -46,6 +51,9 @@ LAWS = {
         # v = v(p0) (p/p0)^b, b ~ N(1, ½²)
         Law("power", 1.0, None),
         Law("constant", 0.0, 1.0),
+        # residual friction F0 + K p^b: F0 = v(p0) (1 − w). Stored draws have the laws' numbers,
+        # so a new one comes last
+        Law("residual_power", None, None),
     )
 }
 
@@ -74,6 +82,11 @@ def shapes_of(law: str) -> tuple[str, ...]:
     """What is inferred of a law by name besides its level; of "compare", those of every law."""
     return ("share", "exponent") if law == COMPARE else LAWS[law].shapes
 
+
+INTERCEPTS = {"sigma0_0": "kip/in"} | {
+    f"{name}_0": "kip" for name in ("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd")
+}
+"""Units of what is left without actuation: the stiffness, and the residual friction."""
 
 _MOST = 1e100  # largest ratio, so that what is computed from it is finite
 
@@ -122,7 +135,7 @@ def law_unit(name: str, actuation_unit: str) -> str:
         return "in^2" if actuation_unit == "ksi" else "1"
     if name == "alpha_sigma0":
         return "in" if actuation_unit == "ksi" else "1/in"
-    if name == "sigma0_0":
-        return "kip/in"
+    if name in INTERCEPTS:
+        return INTERCEPTS[name]
     spread = name.startswith(("scatter_", "deviation_"))
     return "kip" if spread and name.endswith("_offset") else "1"

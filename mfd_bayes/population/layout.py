@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,6 @@ from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.effects import Effect, effects_of
 from mfd_bayes.population.laws import (
-    COMPARE,
     LAWS,
     default_laws,
     log_prior,
@@ -23,6 +23,7 @@ from mfd_bayes.population.laws import (
     value_of,
 )
 from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.zeros import informs_of, weights_of, with_zeros
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
@@ -63,7 +64,7 @@ class Layout:
     scatter_sd : (d,)
         Scale of the prior of each quantity's scatter, and of the effects on it.
     reference : float, ksi or kip
-        Actuation p0 at which levels are medians over tests.
+        Actuation p0 at which levels are medians over tests, above zero.
     settings : tuple of Setting
         Of the calibrated tests.
     effects : tuple of Effect
@@ -100,6 +101,11 @@ class Layout:
         """Quantity and shape of each shape coordinate."""
         found = [(name, s) for name, law in self.laws.items() for s in shapes_of(law)]
         return (*found, *((n, c) for n, those in self.dependence.items() for c in those))
+
+    @cached_property
+    def informs(self) -> NDArray[np.bool_]:
+        """Whether each test informs level, scatter and law of each quantity, (J, d)."""
+        return informs_of(self.settings, self.names, self.weights)
 
     @property
     def dim(self) -> int:
@@ -198,7 +204,7 @@ class Layout:
                 within = np.clip([s.covariates[shape] for s in chosen], min(among), max(among))
                 folds = np.log(within / reference)
                 offsets[..., k] += h[:, begin + i, None] * folds / self.spread[k]
-        return offsets
+        return np.where(self.informs, offsets, 0.0) if settings is None else offsets
 
     def draw_choice(self, n: int) -> Choice:
         """Laws of n chains in proportion to the weights, (n, L) int; no random numbers."""
@@ -238,50 +244,46 @@ def lay_out(
     PriorError
         When a shared quantity has no scatter prior.
     FitError
-        When a law's quantity can be negative, or an actuation is not above zero.
+        When a law's quantity can be negative, an actuation is negative, or all are zero.
     """
     quantities = known_quantities()
     shared = tuple(n for n in names if n not in quantities or quantities[n].pooled)
     known = {n: priors.parameters[n] for n in shared}
     chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in shared}
-    _check_laws(priors, chosen, settings)
+    _check_laws(priors, chosen)
+    settings = with_zeros(settings)
     groups, member = _group(priors, shared)
     coordinates = Coordinates(shared, known, USUAL * _typical_speed(settings))
     rng = np.random.default_rng(0)
     drawn = coordinates.of({n: prior.draw(rng, 4000) for n, prior in known.items()})
     follows = {n: tuple(c) for n, c in (dependence or {}).items() if n in shared and c}
     used = sorted({c for those in follows.values() for c in those})
+    weights = {n: weights_of(law, settings) for n, law in chosen.items()}
+    informs = informs_of(settings, shared, weights)
     return Layout(
         coordinates=coordinates,
         centre=drawn.mean(axis=0),
         spread=drawn.std(axis=0),
         laws=chosen,
-        weights={n: _weights(law) for n, law in chosen.items()},
+        weights=weights,
         groups=groups,
         member=member,
         scatter_sd=np.array([priors.scatter[groups[g]].sd for g in member]),
         sparse=tuple(priors.scatter[groups[g]].sparse for g in member),
-        reference=_geometric_mean([s.actuation for s in settings]),
-        settings=tuple(settings),
-        effects=effects_of(settings, shared, member, chosen),
+        reference=_geometric_mean([s.actuation for s in settings if s.actuation > 0]),
+        settings=settings,
+        effects=effects_of(settings, shared, member, chosen, informs),
         dependence=follows,
         covariate_reference={c: _geometric_mean([s.covariates[c] for s in settings]) for c in used},
     )
 
 
-def _check_laws(priors: PriorFile, laws: Mapping[str, str], settings: Sequence[Setting]) -> None:
-    """Refuse laws of quantities that may be negative, and tests without actuation."""
+def _check_laws(priors: PriorFile, laws: Mapping[str, str]) -> None:
+    """Refuse laws of quantities that may be negative."""
     for name in laws:
         prior = priors.parameters[name]
         if prior.lower != 0.0 or np.isfinite(prior.upper):
             raise FitError(f"a law for {name} needs a prior on the positive half line")
-    if not all(s.actuation > 0 for s in settings):
-        raise FitError("every calibrated test needs an actuation above zero for the pressure laws")
-
-
-def _weights(law: str) -> dict[str, float]:
-    """Weights of the laws before they are compared."""
-    return dict.fromkeys(LAWS, 1.0 / len(LAWS)) if law == COMPARE else {law: 1.0}
 
 
 def _geometric_mean(values: Sequence[float]) -> float:

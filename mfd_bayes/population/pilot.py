@@ -238,7 +238,7 @@ class _Fit:
         residual = Residual(
             basis=self.basis,
             mean=self.coefficients,
-            covariance=np.linalg.inv(self.matrix)[c:, c:] / information,
+            covariance=np.asarray(np.linalg.inv(self.matrix)[c:, c:] / information),
             log_shape=self.log_shape,
             slip_force=self.slip_force,
             noise_time=noise_time,
@@ -270,7 +270,7 @@ class _Fit:
         k = self.layout.names.index("noise_sd")
         x = one.x.copy()
         prior = one.likelihood.posterior.priors["noise_sd"]
-        x[k] = (float(prior.coordinate(np.array([one.sd]))[0]) - likelihood.middle[k])
+        x[k] = float(prior.coordinate(np.array([one.sd]))[0]) - likelihood.middle[k]
         x[k] /= likelihood.scale[k]
         weights = one.weights(self.log_shape)[:, None]
         slopes = one.slopes * weights
@@ -281,7 +281,7 @@ class _Fit:
         samples = np.count_nonzero(weights)
         precision[k, k] = 2.0 * information * samples * likelihood.scale[k] ** 2
         precision[range(x.size), range(x.size)] += WEAK
-        covariance = np.linalg.inv(precision)
+        covariance = np.asarray(np.linalg.inv(precision))
         return TestLikelihood(
             likelihood, likelihood.log_own_prior, x + covariance @ gradient, covariance
         )

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.population.laws import ratio
+from mfd_bayes.population.laws import INTERCEPTS, ratio
 from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 
 Array = NDArray[np.float64]
+
+_STRAIGHT = ("proportional", "affine")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,29 +139,35 @@ class Population:
 
     @property
     def slopes(self) -> dict[str, Array]:
-        """The paper's constants of those laws that are the paper's, (chain, draw) each.
+        """The paper's constants of those laws that are straight, and the laws' intercepts.
 
-        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of
-        actuation, `sigma0_0` in kip/in.
+        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of actuation;
+        what is left without actuation: `Fc_fwd_0` and its like in kip, `sigma0_0` in kip/in.
+        All are (chain, draw).
         """
-        p0 = self.layout.reference
-        one = np.array([p0])
         found: dict[str, Array] = {}
         for side in ("fwd", "bwd"):
-            if self.layout.laws.get(f"Fc_{side}") != "proportional":
+            if self.layout.laws.get(f"Fc_{side}") not in _STRAIGHT:
                 continue
-            kinetic = self.median(f"Fc_{side}", one)[..., 0] / p0
+            kinetic = self._slope(f"Fc_{side}")
             found[f"K_c_{side}"] = kinetic
             if f"static_excess_{side}" in self.layout.names:
-                excess = self.median(f"static_excess_{side}", one)[..., 0]
+                at = np.array([self.layout.reference])
+                excess = self.median(f"static_excess_{side}", at)[..., 0]
                 found[f"K_s_{side}"] = kinetic * (1.0 + excess)
-        if "sigma0" in self.layout.names:
-            stiffness = self.median("sigma0", np.array([0.0, p0]))
-            if self.layout.laws.get("sigma0") in ("affine", "proportional"):
-                found["alpha_sigma0"] = (stiffness[..., 1] - stiffness[..., 0]) / p0
-            if self.layout.laws.get("sigma0") == "affine":
-                found["sigma0_0"] = stiffness[..., 0]
+        if self.layout.laws.get("sigma0") in _STRAIGHT:
+            found["alpha_sigma0"] = self._slope("sigma0")
+        nothing = np.zeros(1)
+        for name, law in self.layout.laws.items():
+            if law in ("affine", "residual_power") and f"{name}_0" in INTERCEPTS:
+                found[f"{name}_0"] = self.median(name, nothing)[..., 0]
         return found
+
+    def _slope(self, name: str) -> Array:
+        """Slope of a straight law, (chain, draw)."""
+        p0 = self.layout.reference
+        ends = self.median(name, np.array([0.0, p0]))
+        return np.asarray((ends[..., 1] - ends[..., 0]) / p0)
 
     @property
     def law_weights(self) -> dict[str, dict[str, float]]:

@@ -287,7 +287,8 @@ def _scales(population: Population, trace: Trace, index: NDArray[np.intp]) -> di
     for name in population.layout.laws:
         along = population.ratio(name, history).reshape(-1, history.size)[index]
         at_level = population.ratio(name, level).reshape(-1, 1)[index]
-        scales[name] = along / np.maximum(at_level, 1e-300)
+        # without any actuation along the history it stays at its level
+        scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)
         if name.startswith("Fc"):
             scales[name.replace("Fc", "Fs")] = scales[name]
     return scales

@@ -37,7 +37,7 @@ def _known(name: str, names: Collection[str]) -> str:
 
 
 class _Setting(Part):
-    actuation: Annotated[float, Field(gt=0, le=1e10)]
+    actuation: _Level
     session: str
     covariates: dict[_Covariate, Annotated[float, Field(ge=0, le=1e10)]]
 
@@ -97,8 +97,6 @@ class _Facts(Part):
             _need(max(effect.members) < d, "members of an effect must be indices of names")
             _need(len(effect.home) == len(self.settings), "home must be as many as the settings")
             _need(max(effect.home) < len(effect.cells), "home must be indices of cells")
-            levels = [at for _, at in effect.cells]
-            _need(effect.name == "session" or min(levels) > 0, "levels must be above zero")
         return self
 
 

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LEAST_INFORMATION = 1e-3
+"""Precision, in prior units, below which a test counts as uninformative in a direction."""
+
+
 @dataclass(frozen=True, eq=False)
 class TestLikelihood:
     """Likelihood of one test, in prior units: the d shared coordinates first, then its own.
@@ -54,3 +58,18 @@ class TestLikelihood:
             return density
 
         return replace(self, log_likelihood=log_likelihood, gaussian=True)
+
+
+def without_prior(draws: Array) -> tuple[Array, Array]:
+    """Mean (D,) and covariance (D, D) of the likelihood behind draws (S, D) in prior units.
+
+    The interim prior, of mean 0 and precision 1, is divided out of the draws' moments.
+    """
+    mean = draws.mean(axis=0)
+    variances, axes = np.linalg.eigh(np.atleast_2d(np.cov(draws, rowvar=False)))
+    information = 1.0 / variances - 1.0
+    informed = information > LEAST_INFORMATION
+    precision = np.where(informed, information, LEAST_INFORMATION)
+    along = axes.T @ mean
+    centre = np.where(informed, along / variances / precision, along)
+    return axes @ centre, (axes / precision) @ axes.T

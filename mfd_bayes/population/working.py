@@ -102,7 +102,7 @@ class WorkingLikelihood:
     def _inside(self, x: Array) -> NDArray[np.bool_]:
         """Whether the priors allow the coordinates; they are asked only where in doubt."""
         q = self.middle + self.scale * x
-        inside = np.all(np.abs(q) < ORDINARY, axis=1)
+        inside: NDArray[np.bool_] = np.all(np.abs(q) < ORDINARY, axis=1)
         beyond = ~inside & np.all(np.isfinite(q), axis=1)
         if np.any(beyond):
             d = len(self.layout.names)

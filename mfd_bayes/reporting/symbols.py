@@ -24,6 +24,14 @@ _SYMBOLS = {
     "C_fwd": (r"C_\mathrm{fwd}", "C<sub>fwd</sub>", "self-energizing factor, forward"),
     "C_bwd": (r"C_\mathrm{bwd}", "C<sub>bwd</sub>", "self-energizing factor, backward"),
     "sigma0_0": (r"\sigma_0|_{p=0}", "σ<sub>0</sub>|<sub>p=0</sub>", "bristle stiffness at p = 0"),
+} | {
+    f"{force}_{side}_0": (
+        rf"F_{{{force[1]},\mathrm{{{side}}}}}|_{{p=0}}",
+        f"F<sub>{force[1]},{side}</sub>|<sub>p=0</sub>",
+        f"residual friction at p = 0, {side}",
+    )
+    for force in ("Fc", "Fy")
+    for side in ("fwd", "bwd")
 }
 _LONGEST = 60
 

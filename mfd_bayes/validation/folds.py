@@ -141,7 +141,7 @@ def parts_of(
     Raises
     ------
     CampaignError
-        When there are fewer than two parts.
+        When there are fewer than two parts, or one has all the tests with an actuation.
     """
     names = list(settings)
     parts: dict[str, tuple[str, ...]] = {}
@@ -170,6 +170,12 @@ def parts_of(
             f"cross-validation by {by} needs at least two {by}s; the calibrated tests of {where} "
             "make up only one"
         )
+    for part, tests in parts.items():
+        if not any(settings[name].actuation > 0 for name in names if name not in tests):
+            raise CampaignError(
+                f"cross-validation by {by} cannot leave out {part}: no other calibrated test of "
+                f"{where} has an actuation above zero"
+            )
     return parts
 
 

@@ -101,7 +101,7 @@ def test_draws_must_be_of_the_walkers(posterior):
 def test_a_test_needs_its_actuation():
     trace = Trace.from_arrays(TIME, np.sin(TIME), None, np.cos(TIME))
     posterior = Posterior(trace, "mfd", "iid", "lugre")
-    with pytest.raises(StoreError, match="actuation above zero, got"):
+    with pytest.raises(StoreError, match="must be of a test with an actuation, got nan"):
         check_draws(make(posterior), posterior, "a.nc")
 
 

@@ -257,12 +257,14 @@ def test_a_pressure_above_the_numbers_that_is_not_called_one_is_a_doubt(tmp_path
     assert doubts(draft) == ["800psi: it could also be 3000 psi"]
 
 
-def test_an_actuation_of_zero_is_left_out(tmp_path):
+def test_an_actuation_of_zero_is_a_test_with_a_doubt(tmp_path):
     for name in ("0psi.csv", "500psi.csv"):
         write(tmp_path / name)
-    assert [test.id for test in accepted(tmp_path).tests] == ["500psi"]
-    ((_, reason),) = draft_campaign(tmp_path).left_out
-    assert "actuation is zero" in reason
+    draft, content = draft_of(tmp_path)
+    assert [test["actuation"] for test in content["test"]] == ["0 psi", "500 psi"]
+    (doubt,) = doubts(draft)
+    assert "only laws with an intercept learn from it" in str(doubt)
+    assert len(accepted(tmp_path).tests) == 2
 
 
 def test_a_link_to_a_file_elsewhere_is_left_out(tmp_path):

@@ -405,6 +405,21 @@ def test_a_dry_run_names_the_tests_and_writes_nothing(folder):
     assert contents(folder.parent) == before
 
 
+def test_a_dry_run_says_what_a_test_at_zero_does_not_tell(folder):
+    with (folder / "campaign.toml").open("a") as file:
+        file.write('\n[[test]]\nid = "idle"\nfile = "p500.csv"\nactuation = "0 psi"\n')
+    before = contents(folder.parent)
+    dry = ("calibrate", folder / "campaign.toml", "-o", folder.parent / "out", "--dry-run")
+    outcome = here(*dry)
+    assert outcome.exit_code == 0, outcome.output
+    (line,) = [x for x in outcome.stdout.splitlines() if x.startswith("warning: laws: ")]
+    assert "from idle nothing is learned about Fc_fwd (proportional), Fc_bwd (prop" in line
+    assert contents(folder.parent) == before
+    friction = "".join(f'F{kind}_{side} = "affine"\n' for kind in "cs" for side in ("fwd", "bwd"))
+    change(folder, "[laws]", f"[laws]\n{friction}")
+    assert "warning: laws" not in here(*dry).stdout
+
+
 def test_a_dry_run_finds_the_same_faults(folder):
     write_csv(folder / "p500.csv", signals()[:60])
     assert_refused(folder, "turning point", arguments=("--dry-run",))

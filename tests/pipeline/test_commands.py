@@ -644,7 +644,7 @@ def test_check_fails_where_a_limit_is_not_kept(copied):
 
 def test_every_law_is_scored_and_friction_is_not_called_constant(out):
     table = pd.read_csv(out / "law_scores.csv").set_index(["quantity", "law"])
-    laws = ("proportional", "affine", "power", "constant")
+    laws = ("proportional", "affine", "power", "constant", "residual_power")
     assert set(table.index) == {(n, law) for n in ("Fc_fwd", "Fc_bwd", "sigma0") for law in laws}
     assert table.groupby("quantity")["weight"].sum().to_numpy() == pytest.approx(1.0)
     for name in ("Fc_fwd", "Fc_bwd"):

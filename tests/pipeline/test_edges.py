@@ -98,7 +98,7 @@ def test_any_actuation_above_zero_is_planned(tmp_path, actuation):
 @pytest.mark.parametrize(
     ("actuation", "words"),
     [
-        ("0 psi", "needs an actuation above zero"),
+        ("0 psi", "need an actuation above zero in at least one"),
         ("-1 psi", "must not be negative"),
         ("1e300 psi", "too large to use"),
         ("1e999 psi", "not finite"),

@@ -86,13 +86,15 @@ class Linear:
         """Offsets (J, d), and design matrices from u to tests, by effect sd, (n, J, d, u)."""
         count, d = self.y.shape
         follows = bool(self.layout.laws)
+        out = ~self.layout.informs  # these have their own prior, N(0, 1)
         cells, home = np.unique(self.actuations, return_inverse=True)
         parts = cells.size if self.layout.effects else 0
         design = np.zeros((len(omega), count, d, d + parts + follows))
         design[:, :, range(d), range(d)] = 1.0
         offsets = np.zeros((count, d))
         if follows:
-            folds = np.log(self.actuations / self.layout.reference) / self.layout.spread[0]
+            relative = np.where(out[:, 0], 1.0, self.actuations / self.layout.reference)
+            folds = np.log(relative) / self.layout.spread[0]
             offsets[:, 0] = folds  # exponent 1 + u/2
             design[:, :, 0, -1] = 0.5 * folds
         if parts:
@@ -100,6 +102,7 @@ class Linear:
             root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)))
             scaled = omega / self.layout.spread[0]
             design[:, :, 0, d : d + parts] = scaled[:, None, None] * root[home]
+        design[:, out] = 0.0
         return offsets, design
 
     def conditional(self, h: Array) -> tuple[Array, Array, Array]:
@@ -115,7 +118,8 @@ class Linear:
         noise = linalg.block_diag(*self.covariances)
         prior = a @ a.swapaxes(1, 2)
         each = np.arange(count * d)
-        prior[:, each, each] += np.tile((np.exp(h[:, :d]) / self.layout.spread) ** 2, (1, count))
+        spread = np.tile((np.exp(h[:, :d]) / self.layout.spread) ** 2, (1, count))
+        prior[:, each, each] += np.where(self.layout.informs.ravel(), spread, 1.0)
         everything = np.zeros((n, u + count * d, u + count * d))
         everything[:, range(u), range(u)] = 1.0
         everything[:, u:, :u], everything[:, :u, u:] = a, a.swapaxes(1, 2)
@@ -189,7 +193,8 @@ def make_linear(priors: PriorFile) -> Callable[..., Linear]:
         tau = 0.5 * layout.scatter_sd / layout.spread
         x = level * rng.choice([-1.0, 1.0], d) + tau * rng.standard_normal((count, d))
         if laws:
-            x[:, 0] += 0.8 * np.log(np.array(actuations) / layout.reference) / layout.spread[0]
+            relative = np.maximum(actuations, 0.02) / layout.reference
+            x[:, 0] += 0.8 * np.log(relative) / layout.spread[0]
         covariances = []
         for _ in range(count):
             root = rng.standard_normal((d, d + 2))

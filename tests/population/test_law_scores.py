@@ -65,6 +65,10 @@ def grid_of(law):
     q = (np.arange(200) + 0.5) / 200
     if law == "affine":
         return q, np.ones(200), np.zeros(200)
+    if law == "residual_power":
+        both = (np.arange(50) + 0.5) / 50
+        share, exponent = np.meshgrid(both, stats.norm(1.0, 0.5).ppf(both))
+        return share.ravel(), exponent.ravel(), np.zeros(2500)
     if law == "power":
         exponents = stats.norm(1.0, 0.5).ppf(q)
         return np.ones(200), exponents, np.zeros(200)
@@ -82,14 +86,17 @@ def brute_force(layout, tests, law, session_effect=False):
     sessions = [s.session for s in layout.settings]
     alike = np.array([[float(a == b) for a in sessions] for b in sessions])
     share, exponent, _ = grid_of(law)
-    means = np.log(share[:, None] * relative ** exponent[:, None] + 1.0 - share[:, None])
-    means /= layout.spread[k]
+    power = np.where(relative > 0, np.maximum(relative, 1e-9) ** exponent[:, None], 0.0)
+    value = share[:, None] * power + 1.0 - share[:, None]
+    told = np.all(value > 0, axis=0)  # where the law has a value
+    means = np.where(told, np.log(np.where(told, value, 1.0)), 0.0) / layout.spread[k]
 
     def density(kept):
         terms = []
         for tau in taus:
             for omega in omegas:
-                c = noise + tau**2 * np.eye(len(data)) + 1.0 + omega**2 * alike
+                c = tau**2 * np.eye(len(data)) + 1.0 + omega**2 * alike
+                c = noise + np.where(np.outer(told, told), c, np.eye(len(data)))
                 normal = stats.multivariate_normal(cov=c[np.ix_(kept, kept)])
                 terms.append(np.atleast_1d(normal.logpdf((data - means)[:, kept])))
         return special.logsumexp(terms) - np.log(np.size(terms))
@@ -109,6 +116,30 @@ def test_scores_are_brute_force(campaign, law):
     assert found.se == pytest.approx(np.sqrt(3) * np.std(found.levels, ddof=1))
     other = brute_force(layout, [*tests[:3], replace(tests[3], mean=0.9 * tests[3].mean)], law)
     assert abs(other([0, 1, 2, 3]) - other([0, 1, 2]) - found.levels[2]) > 0.03  # the control
+
+
+@pytest.mark.parametrize("law", ["proportional", "affine", "power", "residual_power"])
+def test_scores_with_a_test_at_zero_are_brute_force(campaign, law):
+    layout, tests = campaign(levels=(0.5, 0.5, 0.8, 1.5), exponent=0.8)
+    zero = replace(tests[0], mean=np.array([-1.2, 0.0]))
+    settings = [Setting(0.0), *layout.settings]
+    layout, tests = replace(layout, settings=tuple(settings)), [zero, *tests]
+    density = brute_force(layout, tests, law)
+    everything = density([0, 1, 2, 3, 4])
+    kept = [1, 2, 3, 4], [0, 3, 4], [0, 1, 2, 4], [0, 1, 2, 3]
+    scores = {s.law: s for s in compare_laws(layout, tests)}
+    expected = [everything - density(those) for those in kept]
+    np.testing.assert_allclose(scores[law].levels, expected, atol=0.05)
+    assert scores["proportional"].weight == scores["power"].weight == 0.0
+    assert sum(s.weight for s in scores.values()) == pytest.approx(1.0)
+
+
+def test_an_exponent_is_freed_with_three_levels_above_zero(priors, gaussian_test):
+    rng = np.random.default_rng(1)
+    for levels, freed in (((0.0, 0.5, 1.0), set()), ((0.0, 0.5, 0.8, 1.5), {"Fc_fwd"})):
+        layout = lay_out(priors, ("Fc_fwd", "offset"), [Setting(p) for p in levels])
+        tests = [gaussian_test(np.zeros(2), 0.1 * np.eye(2), rng, 200) for _ in levels]
+        assert set(free_exponents(layout, tests)) == freed
 
 
 def test_scores_know_of_sessions(campaign):

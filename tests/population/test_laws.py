@@ -65,6 +65,21 @@ def test_the_affine_law_keeps_its_intercept_without_actuation():
     assert at("affine", np.zeros(1), share=0.7) == pytest.approx(0.3)
 
 
+def test_residual_friction_is_left_without_actuation():
+    relative, free = np.array([0.0, 0.5, 2.0]), {"share": 0.7, "exponent": 1.4}
+    found = at("residual_power", relative, **free)
+    np.testing.assert_allclose(found, 0.3 + 0.7 * relative**1.4)
+
+
+def test_laws_with_an_intercept_are_known():
+    with_one = {name for name, law in LAWS.items() if law.intercept}
+    assert with_one == {"affine", "constant", "residual_power"}
+
+
+def test_stored_numbers_of_laws_keep_their_meaning():
+    assert tuple(LAWS)[:4] == ("proportional", "affine", "power", "constant")
+
+
 def test_ratios_broadcast_draws_against_actuations():
     share = np.linspace(0, 1, 6).reshape(2, 3, 1)
     found = ratio(np.linspace(0.1, 2, 5), share, np.ones((2, 3, 1)))
@@ -107,6 +122,7 @@ def test_a_law_infers_what_it_leaves_open():
         "affine": ("share",),
         "power": ("exponent",),
         "constant": (),
+        "residual_power": ("share", "exponent"),
         COMPARE: ("share", "exponent"),
     }
 

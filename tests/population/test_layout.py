@@ -199,8 +199,8 @@ def test_chains_have_laws_in_the_proportion_of_their_weights(priors):
     layout = compared(priors, weights)
     choice = layout.draw_choice(400)
     for column in choice.T:
-        shares = np.bincount(column, minlength=4) / 400
-        np.testing.assert_allclose(shares, [weights[law] for law in LAW_NAMES], atol=0.01)
+        shares = np.bincount(column, minlength=5) / 400
+        np.testing.assert_allclose(shares, [weights.get(law, 0) for law in LAW_NAMES], atol=0.01)
     np.testing.assert_array_equal(choice, layout.draw_choice(400))
 
 
@@ -220,7 +220,7 @@ def test_one_law_is_the_law_of_all_chains(priors):
     assert list(layout.laws) == ["Fc_fwd", "Fc_bwd", "sigma0"]
     assert set(layout.weights["sigma0"]) == {"affine"}
     mixed = lay_out(priors, NAMES, settings(), {"sigma0": COMPARE})
-    assert mixed.weights["sigma0"] == dict.fromkeys(LAWS, 0.25)
+    assert mixed.weights["sigma0"] == dict.fromkeys(LAWS, 0.2)
 
 
 def test_what_no_test_shares_is_not_pooled(priors):
@@ -228,10 +228,67 @@ def test_what_no_test_shares_is_not_pooled(priors):
     assert layout.names == ("Fc_fwd",)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan")])
-def test_a_test_without_actuation_cannot_be_pooled(priors, bad):
-    with pytest.raises(FitError, match="needs an actuation above zero for the pressure laws"):
-        lay_out(priors, ("Fc_fwd",), settings((bad, 1.0)))
+@pytest.mark.parametrize("bad", [(-1.0, 1.0), (float("nan"), 1.0), (0.0, 0.0)])
+def test_some_actuation_is_needed_and_none_may_be_negative(priors, bad):
+    with pytest.raises(FitError, match="need an actuation above zero in at least one calibrated"):
+        lay_out(priors, ("Fc_fwd",), settings(bad))
+
+
+LAWS_OF = {"Fc_fwd": "proportional", "Fc_bwd": "residual_power", "sigma0": COMPARE}
+
+
+def test_the_reference_is_the_mean_over_tests_with_actuation(priors):
+    layout = lay_out(priors, NAMES, settings((0.0, 0.5, 0.0, 0.8)))
+    assert layout.reference == pytest.approx(np.sqrt(0.5 * 0.8))
+
+
+def test_a_test_at_zero_informs_only_laws_with_an_intercept(priors):
+    layout = lay_out(priors, NAMES, settings((0.0, 0.5, 0.8, 1.5)), LAWS_OF)
+    k = NAMES.index("Fc_fwd")
+    assert not layout.informs[0, k]
+    assert np.count_nonzero(~layout.informs) == 1
+    assert np.all(lay_out(priors, NAMES, settings(), LAWS_OF).informs)
+
+
+def test_with_a_test_at_zero_only_laws_with_a_value_there_are_compared(priors):
+    layout = lay_out(priors, NAMES, settings((0.0, 0.5)), LAWS_OF)
+    third = pytest.approx(1 / 3)
+    assert layout.weights["sigma0"] == {"affine": third, "constant": third, "residual_power": third}
+
+
+def test_offsets_at_zero_are_those_of_the_intercept_or_none(priors):
+    layout = lay_out(priors, NAMES, settings((0.0, 0.5, 0.8)), LAWS_OF | {"sigma0": "affine"})
+    h = np.zeros((1, layout.dim))  # a share of one half
+    offsets, choice = layout.offsets(h, layout.draw_choice(1)), layout.draw_choice(1)
+    for name, at_zero in (("Fc_fwd", 0.0), ("Fc_bwd", np.log(0.5)), ("sigma0", np.log(0.5))):
+        k = NAMES.index(name)
+        assert offsets[0, 0, k] == pytest.approx(at_zero / layout.spread[k])
+    predicted = layout.offsets(h, choice, [Setting(0.0)])[0, 0]
+    assert np.exp(predicted[NAMES.index("Fc_fwd")] * layout.spread[0]) < 1e-200
+    assert predicted[NAMES.index("sigma0")] == offsets[0, 0, NAMES.index("sigma0")]
+
+
+@pytest.mark.parametrize(("shown", "zero"), [(1e-4, True), (0.01, False)])
+def test_what_a_gauge_shows_with_nothing_applied_is_zero(priors, shown, zero):
+    layout = lay_out(priors, NAMES, settings((shown, 0.5, 0.8, 1.5)))
+    assert (layout.settings[0].actuation == 0.0) == zero
+
+
+def test_the_effect_of_zero_is_independent_of_all_others(priors):
+    laws = {"Fc_fwd": "affine", "Fc_bwd": "affine"}
+    effect = level_of(lay_out(priors, NAMES, settings((0.0, 0.5, 0.8)), laws))
+    rows = np.array([effect.row(("", p))[0] for p in (0.0, 0.5, 0.8)])
+    np.testing.assert_allclose((rows @ rows.T)[0], [1.0, 0.0, 0.0], atol=1e-12)
+    assert (rows @ rows.T)[1, 2] > 0.4  # the control
+    new, sd = effect.row(("", 0.1))
+    assert new @ effect.root[0] == 0.0
+    assert 0.0 < sd < 1.0
+
+
+def test_a_level_that_does_not_inform_does_not_count_towards_an_effect(priors):
+    for pressures, members in (((0.0, 0.5, 0.8), {"sigma0"}), ((0.0, 0.5, 0.8, 1.5), set(LAWS_OF))):
+        layout = lay_out(priors, NAMES, settings(pressures))
+        assert {NAMES[k] for e in layout.effects for k in e.members} == members
 
 
 def test_a_law_needs_a_positive_quantity(priors):

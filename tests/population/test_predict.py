@@ -129,9 +129,12 @@ def test_without_actuation_there_is_no_slip_force(population):
     assert np.median(np.abs(ask(population, 1.0).median[SLIDING])) > 1.0  # the control
 
 
-def test_a_history_that_never_changes_is_the_constant(population):
-    constant = ask(population, 0.8, kind="new_test", draws=40)
-    history = ask(population, np.full(TIME.size, 0.8), kind="new_test", draws=40)
+@pytest.mark.parametrize("level", [0.8, 0.0])
+@pytest.mark.parametrize("law", ["proportional", "affine", "residual_power"])
+def test_a_history_that_never_changes_is_the_constant(law, level, make_population):
+    population = make_population({"Fc_fwd": law, "Fc_bwd": law})
+    constant = ask(population, level, kind="new_test", draws=40)
+    history = ask(population, np.full(TIME.size, level), kind="new_test", draws=40)
     np.testing.assert_allclose(history.draws, constant.draws, atol=1e-9)
 
 
@@ -174,6 +177,16 @@ def test_the_device_holds_what_is_unknown_of_an_untested_level(make_population):
     none = make_population(effect=1e-6, scatter=0.05)  # the control
     tested, far = (width(none, p, kind="device") / p for p in (1.0, 8.0))
     assert far < 1.5 * tested
+
+
+@pytest.mark.parametrize("law", ["affine", "residual_power"])
+def test_a_valve_that_closes_leaves_the_residual_friction(law, make_population):
+    population = make_population({"Fc_fwd": law, "Fc_bwd": law}, level_sd=1e-9)
+    history = np.where(TIME < 2.0, 1.0, 0.0)
+    closed, open_ = (ask(population, p, kind="device", draws=40) for p in (history, 0.0))
+    slides = (TIME > 3.3) & (np.abs(MOTION) < 0.3)
+    np.testing.assert_allclose(closed.median[slides], open_.median[slides], atol=0.05)
+    assert np.median(np.abs(open_.median[slides])) > 0.3
 
 
 def test_this_very_test_is_the_draws_of_that_test(population, medians):

@@ -8,6 +8,7 @@ import pytest
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.population import sampling
+from mfd_bayes.population.apart import joined, set_apart
 from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import WALKERS, JointProblem, _correlate, sample_joint
@@ -20,7 +21,7 @@ MEAN, SPREAD = 0.1, 0.1
 def run(linear, priors, tests=None, layout=None, effort=EFFORT, seed=5):
     tests = linear.likelihoods(np.random.default_rng(6)) if tests is None else tests
     chosen = linear.layout if layout is None else layout
-    problem = JointProblem(chosen, tests, priors.parameters, "ksi")
+    problem = JointProblem(chosen, set_apart(chosen, tests), priors.parameters, "ksi")
     return sample_joint(problem, effort, np.random.default_rng(seed))
 
 
@@ -38,7 +39,8 @@ def deviations(linear, draws):
     if layout.laws:
         u.append((h[:, -1:] - 1.0) / 0.5)
     found["u"] = np.concatenate(u, axis=1)
-    found["x"] = np.stack([x.reshape(population.size, -1) for x in draws.tests], axis=1)
+    own = [joined(layout, j, x) for j, x in enumerate(draws.tests)]
+    found["x"] = np.stack([x.reshape(population.size, -1) for x in own], axis=1)
     means = [np.abs(v.mean(axis=0) - exact.mean[k]) / exact.sd[k] for k, v in found.items()]
     sds = [np.abs(v.std(axis=0) / exact.sd[k] - 1.0) for k, v in found.items()]
     return max(float(np.max(m)) for m in means), max(float(np.max(s)) for s in sds)
@@ -49,6 +51,7 @@ CASES = {
     "with a power law": ((0.5, 0.5, 0.9, 0.9, 0.9), ("Fc_fwd",)),
     "with an effect of the level": ((0.5, 0.5, 0.9, 1.6), ("Fc_fwd",)),
     "two quantities, known together": ((0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "offset")),
+    "a test at zero": ((0.0, 0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "offset")),
 }
 
 
@@ -59,6 +62,15 @@ def test_inference_is_brute_force_where_everything_is_gaussian(make_linear, prio
     mean, sd = deviations(linear, run(linear, priors))
     assert mean < MEAN
     assert sd < SPREAD
+
+
+def test_a_test_at_zero_that_informs_a_power_law_is_told_apart(make_linear, priors, monkeypatch):
+    """The control: where its value is taken for one of the law's, level and scatter follow it."""
+    linear = make_linear(*CASES["a test at zero"], seed=4)
+    everyone = replace(linear.layout, settings=(Setting(0.02), *linear.layout.settings[1:]))
+    draws = run(linear, priors, layout=everyone, effort=FEWER)
+    mean, sd = deviations(linear, draws)
+    assert mean > 3 * MEAN or sd > 3 * SPREAD
 
 
 FEWER = Effort(ess=100, limit=200, r_hat=1.1, kept=3000)
@@ -194,6 +206,19 @@ def test_slopes_are_the_papers_constants(priors):
     np.testing.assert_allclose(slopes["alpha_sigma0"] * p + slopes["sigma0_0"], stiffness)
     power = written(priors, {"Fc_fwd": "power", "sigma0": "power"}).slopes
     assert set(power) == {"K_c_bwd", "K_s_bwd"}
+
+
+def test_straight_laws_with_residual_friction_have_slope_and_intercept(priors):
+    laws = {"Fc_fwd": "affine", "Fc_bwd": "residual_power", "sigma0": "residual_power"}
+    population = written(priors, laws)
+    slopes, p = population.slopes, np.array([0.0, 1.7])
+    friction = population.median("Fc_fwd", p)
+    np.testing.assert_allclose(slopes["Fc_fwd_0"], friction[..., 0])
+    np.testing.assert_allclose(slopes["Fc_fwd_0"] + 1.7 * slopes["K_c_fwd"], friction[..., 1])
+    assert np.all(slopes["Fc_fwd_0"] > 0)
+    for name in ("Fc_bwd", "sigma0"):
+        np.testing.assert_allclose(slopes[f"{name}_0"], population.median(name, p)[..., 0])
+    assert not {"K_c_bwd", "alpha_sigma0"} & set(slopes)  # these laws are bent
 
 
 def test_a_drawn_test_has_scatter_about_the_median(priors):

@@ -185,6 +185,17 @@ def test_no_laws_no_figure():
     assert laws.draw_laws("laws", (), "ksi") is None
 
 
+def test_tests_at_zero_are_drawn_inside_the_panel(campaign):
+    (law, *_) = campaign.laws
+    idle = tuple((name, 0.0, 0.1, 0.2, 0.3) for name in ("a", "b", "c", "d"))
+    (axes,) = laws.draw_laws("laws", (replace(law, tested=law.tested + idle),), "ksi").axes
+    places = np.concatenate([line.get_xdata() for line in axes.lines])
+    assert places.min() < 0.0  # the control: they stand side by side
+    assert places.min() > axes.get_xlim()[0]
+    (plain,) = laws.draw_laws("laws", (law,), "ksi").axes
+    assert plain.get_xlim()[0] == 0.0
+
+
 def test_more_tests_than_panels_are_announced(test_view):
     figure = draw_overview("all", [test_view("a", samples=30)] * 61)
     assert "first 60 of 61" in figure.get_suptitle()

@@ -77,6 +77,7 @@ def test_numbers_are_maths(value, written):
     [
         ("sigma0", r"$\sigma_0$"),
         ("K_c_fwd", r"$K_{c,\mathrm{fwd}}$"),
+        ("Fc_bwd_0", r"$F_{c,\mathrm{bwd}}|_{p=0}$"),
         ("exponent_Fc_fwd", r"exponent of $F_{c,\mathrm{fwd}}$"),
         ("scatter_Fc_fwd", "scatter of slip force fwd"),
         ("my_own", "my own"),

@@ -66,6 +66,10 @@ def prevailing_unit(files: Sequence[Candidate]) -> ActuationUnit | None:
     return "ksi" if count["ksi"] >= count["kip"] else "kip"
 
 
+IDLE = "no actuation: only laws with an intercept learn from it, affine and residual_power"
+"""Doubt about a test at zero actuation."""
+
+
 def actuation_of(
     one: Candidate, unit: ActuationUnit | None
 ) -> tuple[str | Guess | None, str, tuple[str, ...]]:
@@ -77,7 +81,7 @@ def actuation_of(
     Raises
     ------
     RecordError
-        When the actuation is zero, or a pressure where most files have tensions or the reverse.
+        When the actuation is a pressure where most files have tensions or the reverse.
     """
     stated = one.levels
     levels = [level for level in stated if level.unit == unit]
@@ -94,8 +98,7 @@ def actuation_of(
         others = [lv.text for lv in stated if lv.text != level.text]
         doubts += (level.doubt,) if level.doubt else ()
         doubts += (f"it could also be {_or(others)}",) if others else ()
-        if level.value == 0.0:
-            raise RecordError("its actuation is zero, and nothing presses the device")
+        doubts += (IDLE,) if level.value == 0.0 else ()
         return level.text, "in the header" if level == one.header else "in the file's name", doubts
     if stated:
         raise RecordError(

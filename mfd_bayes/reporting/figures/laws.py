@@ -66,6 +66,8 @@ def _draw_law(axes: Axes, law: LawView) -> None:
     axes.set_ylabel(label(law.name, law.unit))
     axes.set_ylim(*_limits(law))
     axes.margins(x=0.0)
+    if any(test[1] == 0 for test in law.tested):  # room for tests at zero, side by side
+        axes.set_xlim(left=-0.03 * law.actuation[-1])
 
 
 def _fill(axes: Axes, law: LawView, fan: Fan, colour: str, name: str) -> None:
