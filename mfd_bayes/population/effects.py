@@ -19,6 +19,8 @@ Cell = tuple[str, float]
 ALIKE = float(np.log(2.0))
 """Correlation length of a level's effect, along the logarithm of the actuation."""
 
+_FAR = 1e3  # exp(−r) is 0 there
+
 LEVELS = 3
 """Fewest levels at which a deviation from a law can be told from the law."""
 
@@ -28,8 +30,8 @@ class Effect:
     """Deviation that tests have in common, for the quantities of one scatter group.
 
     Tests of one session share an effect. So do those of one level of actuation, and effects of
-    near levels are similar: over the logarithm of the actuation they are a Gaussian process of
-    correlation exp(−|log p − log p'| / log 2), within a session.
+    near levels are similar: over the logarithm of the actuation they are a smooth Gaussian process,
+    within a session, of correlation (1 + r) exp(−r), r = √3 |log p − log p'| / log 2 (Matérn 3/2).
 
     Attributes
     ----------
@@ -40,6 +42,9 @@ class Effect:
     cells : tuple of (str, float)
     home : tuple of int
         Index of each test's cell.
+    kernel : "matern" or "exponential"
+        Correlation along the actuation; exp(−|log p − log p'| / log 2) in populations that earlier
+        versions have stored.
     """
 
     name: str
@@ -47,6 +52,7 @@ class Effect:
     members: tuple[int, ...]
     cells: tuple[Cell, ...]
     home: tuple[int, ...]
+    kernel: str = "matern"
 
     @cached_property
     def root(self) -> Array:
@@ -60,8 +66,11 @@ class Effect:
         sessions = np.array([[a[0] == b[0] for b in self.cells] for a in others])
         with np.errstate(divide="ignore"):  # no actuation is infinitely far from every level
             at = np.log(np.array([[actuation] for _, actuation in others]))
-        apart = np.abs(at - np.log(np.array([actuation for _, actuation in self.cells])))
-        return np.asarray(sessions * np.exp(-apart / ALIKE))
+        apart = np.abs(at - np.log(np.array([actuation for _, actuation in self.cells]))) / ALIKE
+        if self.kernel == "exponential":
+            return np.asarray(sessions * np.exp(-apart))
+        r = np.minimum(np.sqrt(3.0) * apart, _FAR)
+        return np.asarray(sessions * (1.0 + r) * np.exp(-r))
 
     def row(self, cell: Cell) -> tuple[Array, float]:
         """Weights of the independent parts in a cell's effect, (cells,), and sd of the rest."""
