@@ -30,6 +30,7 @@ PRIOR_LED = "strong prior or weak data"
 _SCALING = 1.01
 """Power α to which the prior or likelihood is raised; 1/α is used too."""
 
+
 @dataclass(frozen=True)
 class Pair:
     """Two parameters that trade off, and the rank correlation of their draws."""
