@@ -81,8 +81,8 @@ class CrossValidation:
 
     def part(self, chosen: NDArray[np.bool_]) -> CrossValidation:
         """Figures of the chosen cycles; `chosen` is (C,)."""
-        kept = (getattr(self, name)[chosen] for name in _FIGURES)
-        return CrossValidation(*kept, None if self.test is None else self.test[chosen])
+        kept = {name: getattr(self, name)[chosen] for name in _FIGURES}
+        return CrossValidation(**kept, test=None if self.test is None else self.test[chosen])
 
 
 def cross_validate(
@@ -156,8 +156,9 @@ def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, fl
 def join(parts: Iterable[CrossValidation]) -> CrossValidation:
     """Figures of several tests, joined over all their cycles."""
     several = list(parts)
-    joined = (np.concatenate([getattr(p, n) for p in several]) for n in _FIGURES)
-    return CrossValidation(*joined, np.repeat(np.arange(len(several)), [p.cycles for p in several]))
+    joined = {n: np.concatenate([getattr(p, n) for p in several]) for n in _FIGURES}
+    test = np.repeat(np.arange(len(several)), [p.cycles for p in several])
+    return CrossValidation(**joined, test=test)
 
 
 def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> float:
