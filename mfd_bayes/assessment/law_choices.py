@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mfd_bayes.assessment.views import LawChoice, LawScoreRow
-from mfd_bayes.population.law_scores import LawScore
+from mfd_bayes.population.law_scores import LARGEST_K, LawScore
 from mfd_bayes.population.laws import COMPARE
 
 
@@ -22,7 +22,7 @@ def law_choices(scores: Sequence[LawScore], laws: Mapping[str, str]) -> tuple[La
 
 
 def _rows(scores: Sequence[LawScore], chosen: str) -> tuple[LawScoreRow, ...]:
-    ordered = sorted(scores, key=lambda score: -score.elpd)
+    ordered = sorted(scores, key=lambda score: (not score.trusted, -score.elpd))
     best = np.array(ordered[0].levels)
     rows = []
     for score in ordered:
@@ -37,6 +37,7 @@ def _rows(scores: Sequence[LawScore], chosen: str) -> tuple[LawScoreRow, ...]:
                 difference=float(apart.sum()),
                 difference_se=float(np.sqrt(apart.size) * apart.std(ddof=1)),
                 weight=score.weight,
+                pareto_k=score.pareto_k,
             )
         )
     return tuple(rows)
@@ -44,6 +45,14 @@ def _rows(scores: Sequence[LawScore], chosen: str) -> tuple[LawScoreRow, ...]:
 
 def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> str:
     """Which law predicts best, and which others are within the standard error."""
+    doubtful = [row for row in rows if row.pareto_k > LARGEST_K]
+    rows = [row for row in rows if row not in doubtful]
+    doubt = ""
+    if doubtful:
+        named = " and ".join(f"{row.law} (Pareto k {row.pareto_k:.2f})" for row in doubtful)
+        doubt = f"; the score of {named} cannot be trusted, and takes no part in the weights"
+    if not rows:
+        return f"the laws are not weighed{doubt}."
     best, *others = rows
     text = f"the {best.law} law predicts levels that were left out best"
     near = [row.law for row in others if -row.difference <= row.difference_se]
@@ -61,7 +70,7 @@ def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> s
     elif chosen == COMPARE:
         held = weighed(COMPARE, {row.law: row.weight for row in rows})
         text += f"; predictions mix them ({held})"
-    return text + "."
+    return f"{text}{doubt}."
 
 
 def weighed(law: str, weights: Mapping[str, float]) -> str:

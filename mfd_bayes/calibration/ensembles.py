@@ -114,7 +114,7 @@ def sample_density(
     of Student-t densities is learned from their positions. The mixture is then frozen, and
     draws are kept: from independence proposals of the mixture and differential evolution. If
     the chains mix slowly, or are far from the effort's target, the mixture is learned again
-    from the kept draws, which are then discarded.
+    from the kept draws, which are then discarded: not in the second half of the effort's limit.
     """
     watch = watch or Watch()
     walk = _Walk(density, modes, effort, rng, watch.derived)
@@ -130,7 +130,8 @@ def sample_density(
         reached = walk.length(chains) >= 1.0 and found.reached(effort.r_hat, effort.ess)
         if reached or walk.steps >= effort.limit:
             return chains
-        if found.worst_ess < 0.5 * effort.ess or slowest > SLOW:
+        slow = found.worst_ess < 0.5 * effort.ess or slowest > SLOW
+        if slow and 2 * walk.steps <= effort.limit:
             walk.learn_again()
         wait = max(4 * ROUND, walk.fresh // 2)
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy import special
 from scipy.stats import rankdata
 
+from mfd_bayes.calibration.diagnostics import measure_draws
+from mfd_bayes.calibration.directions import Directions, find_directions
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
 
@@ -27,44 +29,6 @@ PRIOR_LED = "strong prior or weak data"
 
 _SCALING = 1.01
 """Power α to which the prior or likelihood is raised; 1/α is used too."""
-
-_LOADED = 0.1  # least share of a direction's squared length for a parameter to carry it
-_CARRIERS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """Directions in parameter space, ordered by how much the data say about them.
-
-    Attributes
-    ----------
-    curvature : (dim,)
-        Curvature of the log likelihood along each direction in prior units: the precision
-        that the data add, as a multiple of the prior's; largest first.
-    axes : (dim, dim)
-        Unit vectors in prior units, one column for each direction.
-    """
-
-    names: tuple[str, ...]
-    curvature: Array
-    axes: Array
-
-    @property
-    def informed(self) -> int:
-        """Number of directions about which the data say more than the prior: curvature > 1."""
-        return int(np.sum(self.curvature > 1.0))
-
-    @property
-    def narrowing(self) -> Array:
-        """Ratio of prior to posterior width along each direction, (dim,)."""
-        times: Array = np.sqrt(1.0 + self.curvature)
-        return times
-
-    def carriers(self, direction: int) -> tuple[str, ...]:
-        """Parameters that contribute most to a direction, strongest first, at most three."""
-        share = self.axes[:, direction] ** 2
-        order = np.argsort(-share)[:_CARRIERS]
-        return tuple(self.names[i] for i in order if share[i] >= _LOADED)
 
 
 @dataclass(frozen=True)
@@ -152,34 +116,16 @@ def identify(
     width = np.array([posterior.priors[n].coordinate(prior[n]).std() for n in names])
     flat = draws.reshape(len(names), -1).T
     return Identifiability(
-        directions=find_directions(names, width, flat),
+        directions=find_directions(names, width, flat, _effective(draws)),
         pairs=find_pairs(names, flat),
         sensitivities=measure_sensitivity(names, draws, log_prior, log_likelihood),
     )
 
 
-def find_directions(names: tuple[str, ...], prior_sd: Array, draws: Array) -> Directions:
-    """Directions that the data inform, from the covariance of posterior draws.
-
-    With prior covariance C0 = diag(prior_sd²) and posterior covariance C, the likelihood's
-    curvature in prior units is H = C0^½ C⁻¹ C0^½ − I, and its eigenvectors are the directions
-    that the data inform (Spantini et al., SIAM J. Sci. Comput. 37, 2015; Cui et al., Inverse
-    Problems 30, 2014). That is exact for a linear model with Gaussian prior and noise.
-    Otherwise it holds for the Gaussian with the posterior's covariance: it describes the whole
-    posterior, where derivatives at a mode describe one point. A negative eigenvalue means a
-    posterior wider than its prior.
-
-    Parameters
-    ----------
-    prior_sd : (dim,)
-        Standard deviations of the coordinates, which are independent under the prior.
-    draws : (n, dim)
-        Posterior draws of the coordinates.
-    """
-    covariance = np.atleast_2d(np.cov(draws / prior_sd, rowvar=False))
-    variances, axes = np.linalg.eigh(covariance)  # smallest first: best known first
-    curvature = 1.0 / np.maximum(variances, np.finfo(float).tiny) - 1.0
-    return Directions(names, np.asarray(curvature), np.asarray(axes))
+def _effective(draws: Array) -> float:
+    """Smallest effective sample size of the coordinates, from draws (dim, chain, draw)."""
+    sizes = [measure_draws(coordinate, 1).ess_bulk[0] for coordinate in draws]
+    return float(np.min(np.nan_to_num(sizes, nan=0.0)))
 
 
 def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:

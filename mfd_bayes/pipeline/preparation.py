@@ -11,6 +11,7 @@ from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.pipeline.plan import Plan, layout_of
+from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
 from mfd_bayes.records.record import read_record
@@ -73,7 +74,8 @@ def find_warnings(plan: Plan) -> list[tuple[str, str]]:
     known: dict[str, Trace] = {}
     for test in plan.campaign.tests:
         trace = plan.records[test.id].trace()
-        found += [(test.id, fault.sentence) for fault in find_faults(trace, gap)]
+        faults = (*contradictions(plan.records[test.id], trace), *find_faults(trace, gap))
+        found += [(test.id, fault.sentence) for fault in faults]
         twin = next((name for name, other in known.items() if same_record(trace, other)), None)
         if twin is not None:
             found.append((test.id, f"same record as {twin}: it would count twice"))

@@ -19,6 +19,8 @@ Cell = tuple[str, float]
 ALIKE = float(np.log(2.0))
 """Correlation length of a level's effect, along the logarithm of the actuation."""
 
+_FAR = 1e3  # exp(−r) is 0 there
+
 LEVELS = 3
 """Fewest levels at which a deviation from a law can be told from the law."""
 
@@ -28,9 +30,9 @@ class Effect:
     """Deviation that tests have in common, for the quantities of one scatter group.
 
     Tests of one session share an effect. So do those of one level of actuation, and effects of
-    near levels are similar: over the logarithm of the actuation they are a Gaussian process of
-    correlation exp(−|log p − log p'| / log 2), within a session. Zero has no logarithm: the effect
-    of that level is independent of all others.
+    near levels are similar: over the logarithm of the actuation they are a smooth Gaussian process,
+    within a session, of correlation (1 + r) exp(−r), r = √3 |log p − log p'| / log 2 (Matérn 3/2).
+    Zero has no logarithm: the effect of that level is independent of all others.
 
     Attributes
     ----------
@@ -41,6 +43,9 @@ class Effect:
     cells : tuple of (str, float)
     home : tuple of int
         Index of each test's cell.
+    kernel : "matern" or "exponential"
+        Correlation along the actuation; exp(−|log p − log p'| / log 2) in populations that earlier
+        versions have stored.
     """
 
     name: str
@@ -48,6 +53,7 @@ class Effect:
     members: tuple[int, ...]
     cells: tuple[Cell, ...]
     home: tuple[int, ...]
+    kernel: str = "matern"
 
     @cached_property
     def root(self) -> Array:
@@ -62,8 +68,11 @@ class Effect:
         there = np.array([[actuation] for _, actuation in others])
         here = np.array([actuation for _, actuation in self.cells])
         with np.errstate(divide="ignore", invalid="ignore"):  # zero: infinitely far, but for itself
-            apart = np.where(there == here, 0.0, np.abs(np.log(there) - np.log(here)))
-        return np.asarray(sessions * np.exp(-apart / ALIKE))
+            apart = np.where(there == here, 0.0, np.abs(np.log(there) - np.log(here))) / ALIKE
+        if self.kernel == "exponential":
+            return np.asarray(sessions * np.exp(-apart))
+        r = np.minimum(np.sqrt(3.0) * apart, _FAR)
+        return np.asarray(sessions * (1.0 + r) * np.exp(-r))
 
     def row(self, cell: Cell) -> tuple[Array, float]:
         """Weights of the independent parts in a cell's effect, (cells,), and sd of the rest."""

@@ -121,7 +121,8 @@ def infer_population(
     weights = dict(layout.weights)
     for name, law in layout.laws.items():
         if law == COMPARE and scores:
-            weights[name] = {s.law: s.weight for s in scores if s.quantity == name}
+            found = {s.law: s.weight for s in scores if s.quantity == name}
+            weights[name] = found if any(found.values()) else weights[name]
     weighed = replace(layout, weights=weights)
     problem = JointProblem(
         weighed,

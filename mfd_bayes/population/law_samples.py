@@ -1,26 +1,25 @@
-"""Quasi-random points of a law's hyperparameters, and the tests' density at each."""
+"""The tests of one quantity under one law, and their density at points of its hyperparameters."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
-from scipy.stats import qmc
 
+from mfd_bayes.population.effects import Effect
 from mfd_bayes.population.laws import LAWS, draw_shape, ratio, value_of
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
-POINTS = 1 << 13
-"""Points of the quasi-random sample."""
+LOST = 1e-4
+"""Share of an effect's variance that may be lost by leaving out its least important parts."""
 
-AT_ONCE = 1 << 19
-"""Points times tests that are computed at once, to bound the memory."""
+_SMALLEST = 1e-9  # sd over the scale of its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,61 +81,140 @@ class LawSample:
         return density
 
 
-def samples_of(
+@dataclass(frozen=True, eq=False)
+class LawProblem:
+    """One quantity of all tests under one law, whose hyperparameters z are unknown.
+
+    z holds those of the scatter and the effects' sds, of the law's shapes and of dependences, each
+    on a scale on which its prior is N(0, 1): there the posterior is nearly normal, whether the
+    tests say much or little.
+
+    Attributes
+    ----------
+    data, noise : (J,)
+        Mean and variance of the tests' likelihoods.
+    rows : (J, m)
+        Weights of the level and of the effects' independent parts in each test.
+    sd_of : (m,) int
+        Which sd each part has; 0, in the place of the scatter, for the level, whose sd is 1.
+    follows : tuple of str
+        Covariates that the quantity follows.
+    free : (J,) bool
+        Tests whose value has its own prior, N(0, 1): those at zero actuation where the law has no
+        value, so that the density is of the same data under every law.
+    """
+
+    layout: Layout
+    k: int
+    law: str
+    data: Array
+    noise: Array
+    rows: Array
+    sd_of: NDArray[np.intp]
+    follows: tuple[str, ...]
+    free: NDArray[np.bool_]
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Shapes of the law, and covariates."""
+        return (*LAWS[self.law].shapes, *self.follows)
+
+    @property
+    def sds(self) -> int:
+        """Number of sds."""
+        return 1 + int(self.sd_of.max())
+
+    @property
+    def dim(self) -> int:
+        """Number of hyperparameters."""
+        return self.sds + len(self.shapes)
+
+    def log_prior(self, z: Array) -> Array:
+        """Log prior density, (n, dim) -> (n,)."""
+        density: Array = -0.5 * np.sum(z**2 + np.log(2 * np.pi), axis=1)
+        return density
+
+    def sample(self, z: Array) -> LawSample:
+        """The tests at points z, (n, dim)."""
+        unit = self.layout.scatter_sd[self.k] / self.layout.spread[self.k]
+        sds = unit * np.maximum(_half_normal(z[:, : self.sds]), _SMALLEST)
+        of_parts = np.where(self.sd_of > 0, sds[:, self.sd_of], 1.0)
+        means, exponent = self._means(z[:, self.sds :])
+        residuals = self.data - np.where(self.free, 0.0, means)
+        variances = self.noise + np.where(self.free, 1.0, sds[:, :1] ** 2)
+        return LawSample(residuals, variances, self.rows, of_parts, exponent)
+
+    def _means(self, z: Array) -> tuple[Array, Array]:
+        """Law and dependences at the shapes' part of z, (n, J), and the exponents, (n,)."""
+        layout, law = self.layout, LAWS[self.law]
+        q = np.zeros_like(z)
+        for i, shape in enumerate(self.shapes):
+            q[:, i] = _shape(shape, z[:, i])
+        share, exponent = (
+            value_of(s, q[:, law.shapes.index(s)])
+            if s in law.shapes
+            else np.full(len(q), getattr(law, s))
+            for s in ("share", "exponent")
+        )
+        relative = np.array([s.actuation for s in layout.settings]) / layout.reference
+        followed = ratio(relative, share[:, None], exponent[:, None])
+        means = np.log(np.maximum(followed, 1e-300)) / layout.spread[self.k]
+        for i, covariate in enumerate(self.follows, start=len(law.shapes)):
+            folds = np.log([s.covariates[covariate] for s in layout.settings])
+            means = means + q[:, [i]] * (folds - folds.mean()) / layout.spread[self.k]
+        return means, exponent
+
+
+def problem_of(
     layout: Layout,
     tests: Sequence[TestLikelihood],
-    k: int,
+    name: str,
     law: str,
     follows: Sequence[str] | None = None,
-) -> Iterator[LawSample]:
-    """Points of a law for quantity k, which follows its own covariates if none are given.
+    *,
+    level_effect: bool = False,
+) -> LawProblem:
+    """A law's problem for a quantity, which follows its own covariates if none are given.
 
-    They come in parts, so that many tests take no more memory than few. Where a law has no value,
-    at zero actuation, a test's value has its own prior: the density is of the same data under
-    every law.
+    With `level_effect` it allows for the level's deviation from its law, as predictions do.
     """
-    effects = [e for e in layout.effects if k in e.members and e.name != "level"]
-    follows = layout.dependence.get(layout.names[k], ()) if follows is None else follows
-    begin = 1 + len(effects)
-    dim = begin + len(LAWS[law].shapes) + len(follows)
-    points = qmc.Sobol(dim, scramble=True, rng=np.random.default_rng(0)).random(POINTS)
-    points = np.clip(points, 1e-9, 1.0 - 1e-9)
-    noise = np.array([test.covariance[k, k] for test in tests])
-    data = np.array([test.mean[k] for test in tests])
+    k = layout.names.index(name)
+    effects = [e for e in layout.effects if k in e.members and (level_effect or e.name != "level")]
+    rows = [np.ones((len(tests), 1)), *(_parts(e)[list(e.home)] for e in effects)]
     zero = np.array([setting.actuation == 0 for setting in layout.settings])
     free = zero & (not LAWS[law].intercept)
-    parts = [np.ones((len(tests), 1)), *(e.root[list(e.home)] for e in effects)]
-    rows = np.where(free[:, None], 0.0, np.concatenate(parts, axis=1))
-    for part in np.array_split(points, -(-POINTS * len(tests) // AT_ONCE)):
-        sd = layout.scatter_sd[k] / layout.spread[k] * special.ndtri(0.5 + 0.5 * part)
-        sds = [np.ones((len(part), 1))]
-        sds += [np.repeat(sd[:, [1 + i]], len(e.cells), axis=1) for i, e in enumerate(effects)]
-        means, exponent = _means(layout, k, law, follows, part[:, begin:])
-        yield LawSample(
-            residuals=data - np.where(free, 0.0, means),
-            variances=noise + np.where(free, 1.0, sd[:, :1] ** 2),
-            rows=rows,
-            sds=np.concatenate(sds, axis=1),
-            exponent=exponent,
-        )
-
-
-def _means(
-    layout: Layout, k: int, law: str, follows: Sequence[str], uniform: Array
-) -> tuple[Array, Array]:
-    """Law and dependences of quantity k for the tests, (n, J), and the exponents, (n,)."""
-    shapes = LAWS[law].shapes
-    share, exponent = (
-        value_of(s, draw_shape(s, uniform[:, shapes.index(s)]))
-        if s in shapes
-        else np.full(len(uniform), getattr(LAWS[law], s))
-        for s in ("share", "exponent")
+    return LawProblem(
+        layout=layout,
+        k=k,
+        law=law,
+        data=np.array([test.mean[k] for test in tests]),
+        noise=np.array([test.covariance[k, k] for test in tests]),
+        rows=np.where(free[:, None], 0.0, np.concatenate(rows, axis=1)),
+        sd_of=np.repeat(np.arange(len(rows)), [r.shape[1] for r in rows]),
+        follows=tuple(layout.dependence.get(name, ()) if follows is None else follows),
+        free=free,
     )
-    relative = np.array([s.actuation for s in layout.settings]) / layout.reference
-    followed = ratio(relative, share[:, None], exponent[:, None])
-    means = np.log(np.maximum(followed, 1e-300)) / layout.spread[k]
-    for i, covariate in enumerate(follows, start=len(shapes)):
-        folds = np.log([s.covariates[covariate] for s in layout.settings])
-        slope = draw_shape(covariate, uniform[:, i])
-        means = means + slope[:, None] * (folds - folds.mean()) / layout.spread[k]
-    return means, exponent
+
+
+def _parts(effect: Effect) -> Array:
+    """Weights of independent parts in each cell, (cells, parts), without those of no account.
+
+    A smooth effect of many cells has few parts.
+    """
+    values, vectors = np.linalg.eigh(effect.root @ effect.root.T)
+    lost = np.cumsum(values) / values.sum()
+    kept = lost > LOST
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+
+def _half_normal(z: Array) -> Array:
+    """Half-normal quantiles at the probabilities of standard normal z, precise in both tails."""
+    return np.asarray(-special.ndtri_exp(special.log_ndtr(-z) - np.log(2.0)))
+
+
+def _shape(shape: str, z: Array) -> Array:
+    """Coordinate of a shape at the probabilities of standard normal z."""
+    if shape == "share":  # a uniform share, by its logit
+        return np.asarray(special.log_ndtr(z) - special.log_ndtr(-z))
+    middle, above = draw_shape(shape, special.ndtr(np.array([0.0, 1.0])))
+    return np.asarray(middle + (above - middle) * z)

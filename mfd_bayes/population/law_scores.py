@@ -2,13 +2,13 @@
 
 Each quantity is scored by itself, with Gaussians in place of the tests' likelihoods. A law has
 scatter here, but not the effect of the level that predictions allow it, which would excuse any
-law. Scatter and shapes are integrated over their priors by a quasi-random sample, levels in closed
-form: no sampler is needed, and the scores are always the same.
+law. Scatter and shapes are integrated by importance sampling with quasi-random points near their
+posterior, levels in closed form: the scores are always the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy import optimize, special
 
 from mfd_bayes.population.effects import LEVELS
-from mfd_bayes.population.law_samples import LawSample, samples_of
+from mfd_bayes.population.law_points import NEAR, LawPoints, draw_points, worst_k
+from mfd_bayes.population.law_samples import LawProblem, problem_of
 from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.setting import Setting, levels_of
@@ -27,6 +28,9 @@ Array = NDArray[np.float64]
 
 TESTS = 4
 """Fewest tests with which a dependence on speed or stroke is scored."""
+
+LARGEST_K = 0.7
+"""Pareto k above which a score cannot be trusted, and its law is not weighed."""
 
 COVARIATES = ("velocity", "amplitude")
 
@@ -44,9 +48,11 @@ class LawScore:
     se : float
         Standard error of the sum, from the spread of its terms.
     weight : float
-        Stacking weight among the laws.
+        Stacking weight among the laws; 0 where its score cannot be trusted.
     levels : tuple of float
         The terms of the sum.
+    pareto_k : float
+        Of the importance weights behind the score, the largest; NaN of an earlier version.
     """
 
     quantity: str
@@ -55,6 +61,12 @@ class LawScore:
     se: Figure
     weight: Figure
     levels: tuple[Figure, ...]
+    pareto_k: Figure = np.nan
+
+    @property
+    def trusted(self) -> bool:
+        """Whether its Pareto k allows to weigh it."""
+        return not self.pareto_k > LARGEST_K
 
 
 @dataclass(frozen=True)
@@ -79,27 +91,38 @@ class DependenceScore:
     se: Figure
 
 
-def compare_laws(layout: Layout, tests: Sequence[TestLikelihood]) -> tuple[LawScore, ...]:
+def compare_laws(
+    layout: Layout, tests: Sequence[TestLikelihood], seed: int = 0
+) -> tuple[LawScore, ...]:
     """Score of every law for each quantity that follows the actuation, by leave-one-level-out.
 
-    Empty where tests are at fewer than `LEVELS` levels. With tests at zero actuation, laws that
-    have no value there have no weight.
+    Empty where tests are at fewer than `LEVELS` levels. A law whose score cannot be trusted has no
+    weight; where none can, no law has. With tests at zero actuation, laws that have no value there
+    have none either.
     """
     folds = levels_of(layout.settings)
     if len(folds) < LEVELS:
         return ()
     zero = any(setting.actuation == 0 for setting in layout.settings)
-    weighed = [law for law in LAWS if LAWS[law].intercept or not zero]
+    allowed = np.array([LAWS[law].intercept or not zero for law in LAWS])
     scores = []
     for name in layout.laws:
-        k = layout.names.index(name)
-        terms = {law: _left_out(samples_of(layout, tests, k, law), folds) for law in LAWS}
-        stacked = stack(np.stack([terms[law] for law in weighed], axis=1)).tolist()
-        weights = dict.fromkeys(LAWS, 0.0) | dict(zip(weighed, stacked, strict=True))
-        for law, found in terms.items():
+        problems = [problem_of(layout, tests, name, law) for law in LAWS]
+        terms, k = zip(*(_left_out(p, folds, seed) for p in problems), strict=True)
+        weights = _weights(np.stack(terms, axis=1), np.array(k), allowed)
+        for law, found, worst, weight in zip(LAWS, terms, k, weights, strict=True):
             total, se, levels = float(found.sum()), _error(found), tuple(found.tolist())
-            scores.append(LawScore(name, law, total, se, weights[law], levels))
+            scores.append(LawScore(name, law, total, se, float(weight), levels, worst))
     return tuple(scores)
+
+
+def _weights(terms: Array, k: Array, allowed: NDArray[np.bool_]) -> Array:
+    """Stacking weights of allowed laws (laws,) with a good Pareto k; terms are (folds, laws)."""
+    trusted = allowed & ~(k > LARGEST_K)
+    weights = np.zeros(len(k))
+    if np.any(trusted):
+        weights[trusted] = stack(terms[:, trusted])
+    return weights
 
 
 def compare_dependence(
@@ -115,8 +138,8 @@ def compare_dependence(
     scores = []
     varied = [covariate for covariate in COVARIATES if varies(layout.settings, covariate)]
     for name, law in layout.laws.items():
-        given = layout, tests, layout.names.index(name), "power" if law == COMPARE else law
-        terms = {c: _each_left_out(samples_of(*given, [c] if c else [])) for c in ("", *varied)}
+        given = layout, tests, name, "power" if law == COMPARE else law
+        terms = {c: _each_left_out(problem_of(*given, [c] if c else [])) for c in ("", *varied)}
         for covariate, found in terms.items():
             better = found - terms[""]
             score = float(found.sum()), float(better.sum()), _error(better)
@@ -140,19 +163,23 @@ def free_exponents(
 ) -> dict[str, tuple[float, float, float]]:
     """Quantiles 2.5, 50 and 97.5 % of each proportional law's exponent, were it a power law.
 
-    Empty where no law is proportional, or the tests are at fewer than `LEVELS` levels above zero.
+    Levels may deviate from the law as in predictions: the exponent is known no better than the
+    number of levels allows, however many tests each has. Empty where no law is proportional, or
+    the tests are at fewer than `LEVELS` levels above
+    zero.
     """
     if len(levels_of([s for s in layout.settings if s.actuation > 0])) < LEVELS:
         return {}
     found = {}
     for name in (name for name, law in layout.laws.items() if law == "proportional"):
+        problem = problem_of(layout, tests, name, "power", level_effect=True)
         drawn, densities = [], []
-        for sample in samples_of(layout, tests, layout.names.index(name), "power"):
+        for sample, weights in draw_points(problem).parts():
             drawn.append(sample.exponent)
-            densities.append(sample.log_density(sample.sums(slice(None))))
-        exponents, weights = np.concatenate(drawn), special.softmax(np.concatenate(densities))
+            densities.append(weights + sample.log_density(sample.sums(slice(None))))
+        exponents, shares = np.concatenate(drawn), special.softmax(np.concatenate(densities))
         order = np.argsort(exponents)
-        mass = np.cumsum(weights[order])
+        mass = np.cumsum(shares[order])
         low, middle, high = np.interp([0.025, 0.5, 0.975], mass, exponents[order])
         found[name] = (float(low), float(middle), float(high))
     return found
@@ -179,25 +206,38 @@ def stack(scores: Array) -> Array:
     return np.asarray(kept / kept.sum())
 
 
-def _left_out(samples: Iterable[LawSample], folds: Sequence[Sequence[int]]) -> Array:
-    """Log predictive density of the tests of each fold given the others, (folds,)."""
-    everything, others = [], []
-    for sample in samples:
+def _left_out(
+    problem: LawProblem, folds: Sequence[Sequence[int]], seed: int
+) -> tuple[Array, float]:
+    """Log predictive density of the tests of each fold given the others, (folds,), and Pareto k."""
+    every = np.arange(len(problem.data))
+    others = [np.setdiff1d(every, fold).tolist() for fold in folds]
+    log_weights = _densities(draw_points(problem, others, seed), folds)
+    sums: Array = special.logsumexp(log_weights, axis=0)
+    return sums[0] - sums[1:], worst_k(log_weights)
+
+
+def _densities(points: LawPoints, folds: Sequence[Sequence[int]]) -> Array:
+    """Log weights of the points by all tests, and by those outside each fold, (n, 1 + folds)."""
+    found = []
+    for sample, weights in points.parts():
         whole = sample.sums(slice(None))
-        everything.append(sample.log_density(whole))
-        parts = [sample.sums(fold) for fold in folds]
-        rest = [tuple(a - b for a, b in zip(whole, part, strict=True)) for part in parts]
-        others.append([special.logsumexp(sample.log_density(sums)) for sums in rest])  # type: ignore[arg-type]
-    found: Array = special.logsumexp(np.concatenate(everything)) - special.logsumexp(others, axis=0)
-    return found
+        columns = [sample.log_density(whole)]
+        for fold in folds:
+            gram, pull, rest = (a - b for a, b in zip(whole, sample.sums(fold), strict=True))
+            columns.append(sample.log_density((gram, pull, rest)))
+        found.append(weights[:, None] + np.stack(columns, axis=1))
+    return np.concatenate(found)
 
 
-def _each_left_out(samples: Iterable[LawSample]) -> Array:
+def _each_left_out(problem: LawProblem) -> Array:
     """Log predictive density of each test given the others, (J,)."""
     everything, others = [], []
-    for sample in samples:
+    tests = len(problem.data)
+    few = [[i for i in range(tests) if i != j] for j in range(tests)] if tests <= NEAR else []
+    for sample, weights in draw_points(problem, few).parts():
         whole = sample.sums(slice(None))
-        density = sample.log_density(whole)
+        density = weights + sample.log_density(whole)
         everything.append(density)
         rest = density[:, None] - sample.log_density_of_each(whole)
         others.append(special.logsumexp(rest, axis=0))

@@ -141,4 +141,5 @@ def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
 def _effect(facts: Mapping[str, Any]) -> Effect:
     cells = tuple((str(session), float(at)) for session, at in facts["cells"])
     members, home = tuple(facts["members"]), tuple(facts["home"])
-    return Effect(facts["name"], facts["group"], members, cells, home)
+    kernel = facts.get("kernel", "exponential")  # which earlier versions do not name
+    return Effect(facts["name"], facts["group"], members, cells, home, kernel)

@@ -48,6 +48,7 @@ class _Effect(Part):
     members: Annotated[list[Index], Field(min_length=1)]
     cells: list[Annotated[tuple[str, _Level], Field(strict=False)]]
     home: list[Index]
+    kernel: Literal["matern", "exponential"] = "exponential"  # of earlier versions
 
 
 class _Facts(Part):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.motion import Array
@@ -67,7 +68,8 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
         facts["actuation"] = f"{level:.4g} {record.actuation_unit}{history}"
     if trace.force is not None:
         facts |= _force_facts(trace.force, loops)
-    return Inspection(name, facts, trace, loops, find_faults(trace, gap))
+    faults = (*contradictions(record, trace), *find_faults(trace, gap))
+    return Inspection(name, facts, trace, loops, faults)
 
 
 def _loops_fact(loops: Loops) -> str:

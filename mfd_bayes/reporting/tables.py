@@ -87,12 +87,12 @@ def law_scores_csv(choices: Iterable[LawChoice]) -> str:
     lines = (
         (
             *(r.quantity, r.law, "yes" if r.chosen else "no", r.elpd, r.elpd_se),
-            *(r.difference, r.difference_se, r.weight),
+            *(r.difference, r.difference_se, r.weight, r.pareto_k),
         )
         for choice in choices
         for r in choice.rows
     )
-    return csv_text((*head, "elpd_difference_se", "weight"), lines)
+    return csv_text((*head, "elpd_difference_se", "weight", "pareto_k"), lines)
 
 
 def derived_csv(rows: Iterable[DerivedRow]) -> str:

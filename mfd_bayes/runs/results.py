@@ -92,7 +92,8 @@ class ComparisonRow:
     subject, model : str
     cycles : int
     elpd, elpd_se : float
-        Expected log predictive density of all cycles, and its standard error over them.
+        Expected log predictive density of all cycles, and its standard error: over tests where
+        there are several, over cycles of one.
     p_loo : float
         Effective number of parameters.
     worst_k, bad : float

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 LARGEST_K = 0.7
 """Pareto k above which the importance weights of a cycle cannot be trusted."""
 
+_FIGURES = ("elpd", "lppd", "psis_k", "k")
+
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
@@ -37,12 +39,15 @@ class CrossValidation:
         Pareto k of PSIS with the posterior's draws.
     k : (C,)
         Pareto k of the weights behind `elpd`, from PSIS or from the evidences.
+    test : (C,) int, optional
+        Number of each cycle's test, where there are several.
     """
 
     elpd: Array
     lppd: Array
     psis_k: Array
     k: Array
+    test: NDArray[np.intp] | None = None
 
     @property
     def cycles(self) -> int:
@@ -56,8 +61,8 @@ class CrossValidation:
 
     @property
     def error(self) -> float:
-        """Standard error of the total over cycles."""
-        return standard_error(self.elpd)
+        """Standard error of the total."""
+        return standard_error(self.elpd, self.test)
 
     @property
     def p_loo(self) -> float:
@@ -76,9 +81,8 @@ class CrossValidation:
 
     def part(self, chosen: NDArray[np.bool_]) -> CrossValidation:
         """Figures of the chosen cycles; `chosen` is (C,)."""
-        return CrossValidation(
-            self.elpd[chosen], self.lppd[chosen], self.psis_k[chosen], self.k[chosen]
-        )
+        kept = {name: getattr(self, name)[chosen] for name in _FIGURES}
+        return CrossValidation(**kept, test=None if self.test is None else self.test[chosen])
 
 
 def cross_validate(
@@ -152,18 +156,37 @@ def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, fl
 def join(parts: Iterable[CrossValidation]) -> CrossValidation:
     """Figures of several tests, joined over all their cycles."""
     several = list(parts)
-    names = ("elpd", "lppd", "psis_k", "k")
-    return CrossValidation(*(np.concatenate([getattr(p, n) for p in several]) for n in names))
+    joined = {n: np.concatenate([getattr(p, n) for p in several]) for n in _FIGURES}
+    test = np.repeat(np.arange(len(several)), [p.cycles for p in several])
+    return CrossValidation(**joined, test=test)
 
 
-def standard_error(figures: Array) -> float:
-    """Standard error of a sum over cycles, √(C var); NaN for fewer than two."""
+def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> float:
+    """Standard error of a sum over cycles; NaN for fewer than two.
+
+    The cycles of one test resemble each other, so that tests count, not cycles: with J tests and
+    the sum s_j of the cycles of test j, less the mean over all cycles, it is
+    √(J/(J − 1) Σ s_j²), but never less than if all cycles were independent, √(C var). Of one test
+    only the latter is known.
+
+    Parameters
+    ----------
+    figures : (C,)
+    test : (C,) int, optional
+        Number of each cycle's test; one test if not given.
+    """
     if figures.size < 2:
         return float("nan")
-    return float(np.sqrt(figures.size * np.var(figures, ddof=1)))
+    alone = np.sqrt(figures.size * np.var(figures, ddof=1))
+    tests = np.empty(0) if test is None else np.unique(test)
+    if tests.size < 2:
+        return float(alone)
+    away = figures - figures.mean()
+    sums = np.array([away[test == one].sum() for one in tests])
+    return float(max(alone, np.sqrt(tests.size / (tests.size - 1) * np.sum(sums**2))))
 
 
 def difference(one: CrossValidation, other: CrossValidation) -> tuple[float, float]:
     """Elpd of one minus that of the other, and its standard error, paired over cycles."""
     apart = one.elpd - other.elpd
-    return float(apart.sum()), standard_error(apart)
+    return float(apart.sum()), standard_error(apart, one.test)

@@ -31,7 +31,9 @@ CLEAR = 2.0
 """Number of standard errors from which one model counts as better than another."""
 
 FEW = 10
-"""Number of cycles below which a standard error over cycles is rough."""
+"""Number of tests, or of cycles of one test, below which a standard error is rough."""
+
+TARGET = "This is about another cycle of the same tests, not about another test."
 
 ALL = "all"
 _DRAWS = 400  # for the median of the force
@@ -101,7 +103,7 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
     total = {model: _together(list(found.values())) for model, found in scores.items()}
     overall = _rows(ALL, total)
     pair = overall[0].model, overall[1].model
-    parts = [_favour(total, pair, len(shared)), _trust(total, pair)]
+    parts = [_favour(total, pair, len(shared)), TARGET, _trust(total, pair)]
     lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
     if lost:
         parts.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
@@ -168,13 +170,15 @@ def _favour(total: Mapping[str, _Score], pair: tuple[str, str], tests: int) -> s
     one, other = total[best].validation, total[second].validation
     apart, error = difference(one, other)
     errors = apart / error if error > 0 else np.inf
-    where = f"{one.cycles} cycles of {tests} test{'s' if tests > 1 else ''}"
+    cycles = f"{one.cycles} cycles"
+    where = f"{tests} tests of {cycles} in all" if tests > 1 else f"{cycles} of 1 test"
     by = f"elpd higher by {apart:.4g}, {errors:.1f} standard errors over {where}"
     if errors >= CLEAR:
         text = f"The records favour {best} over {second}: {by}"
     else:
         text = f"The records do not tell {best} from {second}: {by}"
-    return text + (" (a rough error, of so few)." if one.cycles < FEW else ".")
+    few = (tests if tests > 1 else one.cycles) < FEW
+    return text + (" (a rough error, of so few)." if few else ".")
 
 
 def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from mfd_bayes.assessment.law_choices import law_choices, weighed
@@ -43,6 +45,19 @@ def test_compared_laws_are_named_with_their_weights():
     weights = {"proportional": 0.3, "affine": 0.0, "power": 0.7}
     assert weighed("compare", weights) == "compared: power 0.7, proportional 0.3"
     assert weighed("power", {"power": 1.0}) == "power"
+
+
+def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
+    found = [*scores(proportional=[1.0, 2.0, 0.0]), *scores(power=[9.0, 9.0, 9.0])]
+    found[1] = replace(found[1], pareto_k=0.93, weight=0.0)
+    (choice,) = law_choices(found, {"Fc_fwd": "compare"})
+    assert [row.law for row in choice.rows] == ["proportional", "power"]
+    assert choice.sentence.startswith("the proportional law predicts")
+    assert "the score of power (Pareto k 0.93) cannot be trusted" in choice.sentence
+    (none,) = law_choices([replace(s, pareto_k=1.5) for s in found], {"Fc_fwd": "compare"})
+    assert none.sentence.startswith("the laws are not weighed; the score of power (Pareto k 1.50)")
+    (all_,) = law_choices([replace(s, pareto_k=0.6) for s in found], {"Fc_fwd": "compare"})
+    assert "trusted" not in all_.sentence  # the control
 
 
 def test_without_scores_there_is_no_choice():

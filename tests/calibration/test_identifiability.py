@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
+from mfd_bayes.calibration.directions import Directions, find_directions
 from mfd_bayes.calibration.identifiability import (
     CONFLICT,
     PRIOR_LED,
     SENSITIVE,
-    Directions,
     Sensitivity,
     cjs_distance,
-    find_directions,
     find_pairs,
     identify,
     measure_sensitivity,
@@ -67,6 +66,35 @@ def test_data_without_information_inform_no_direction():
     found = find_directions(NAMES, PRIOR_SD, draws)
     np.testing.assert_allclose(found.curvature, 0.0, atol=0.06)
     assert found.informed == 0
+
+
+@pytest.mark.parametrize(("draws", "dim"), [(100, 20), (200, 20), (60, 20), (100, 5)])
+def test_few_draws_without_information_inform_no_direction(draws, dim):
+    rng, names = np.random.default_rng(2), tuple("x" * dim)
+    found = [
+        find_directions(names, np.ones(dim), rng.normal(size=(draws, dim))).informed
+        for _ in range(200)
+    ]
+    assert np.mean(found) < 0.05  # 3 without the limit, of 100 draws in 20 dimensions
+
+
+def test_few_draws_show_the_directions_that_are_well_informed():
+    rng, sd = np.random.default_rng(3), np.ones(20)
+    sd[:6] = 0.1, 0.15, 0.2, 0.25, 0.3, 0.35
+    found = [
+        find_directions(tuple("x" * 20), np.ones(20), sd * rng.normal(size=(100, 20))).informed
+        for _ in range(100)
+    ]
+    assert np.mean(found) == pytest.approx(6.0, abs=0.1)
+
+
+def test_draws_that_follow_each_other_count_as_fewer():
+    rng = np.random.default_rng(4)
+    held = np.repeat(rng.normal(size=(100, 20)), 30, axis=0)
+    names = tuple("x" * 20)
+    assert find_directions(names, np.ones(20), held, 100.0).informed == 0
+    assert find_directions(names, np.ones(20), held).informed > 0  # the control
+    assert find_directions(names, np.ones(20), held, 15.0).informed == 0  # fewer than dimensions
 
 
 def test_only_a_sum_is_known():
@@ -296,6 +324,20 @@ def test_draws_of_the_prior_say_that_the_data_tell_nothing():
     assert [s.name for s in found.sensitivities] == list(posterior.names)
     assert all(s.diagnosis == PRIOR_LED for s in found.sensitivities)
     assert all(s.likelihood < 0.02 for s in found.sensitivities)
+
+
+def test_held_prior_draws_of_a_damper_inform_no_direction():
+    time = np.arange(0, 2, 1 / 32)
+    motion = np.sin(np.pi * time)
+    trace = Trace.from_arrays(time, motion, actuation=0.8, force=np.cos(np.pi * time))
+    posterior = Posterior(trace, "mfd")
+    rng = np.random.default_rng(9)
+    flat = posterior.draw_prior(rng, 120)
+    log_prior = posterior.log_prior(posterior.coordinates(flat)).repeat(40).reshape(4, -1)
+    values = {name: column.repeat(40).reshape(4, -1) for name, column in flat.items()}
+    found = identify(posterior, values, posterior.draw_prior(rng, 8000), log_prior, log_prior)
+    assert found.directions.informed == 0
+    assert np.sum(found.directions.curvature > 1.0) > 0  # which so few draws show by chance
 
 
 def test_draws_that_never_moved_trade_off_with_nothing():

@@ -99,7 +99,9 @@ class Linear:
             design[:, :, 0, -1] = 0.5 * folds
         if parts:
             distance = np.abs(np.log(cells[:, None] / cells))
-            root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)))
+            # Matérn of order 3/2 by Bessel's K, not by its closed form
+            far = np.sqrt(3.0) * np.maximum(distance, 1e-9) / np.log(2.0)
+            root = np.linalg.cholesky(np.sqrt(2 / np.pi) * far**1.5 * special.kv(1.5, far))
             scaled = omega / self.layout.spread[0]
             design[:, :, 0, d : d + parts] = scaled[:, None, None] * root[home]
         design[:, out] = 0.0

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from mfd_bayes.population.law_samples import samples_of
+from mfd_bayes.population import law_scores
+from mfd_bayes.population.law_points import draw_points, effective
+from mfd_bayes.population.law_samples import problem_of
 from mfd_bayes.population.law_scores import (
+    LARGEST_K,
     compare_dependence,
     compare_laws,
     free_exponents,
@@ -156,13 +159,107 @@ def test_what_other_groups_have_in_common_plays_no_part(priors):
     test = SimpleNamespace(mean=np.zeros(3), covariance=np.eye(3))
     layout = lay_out(priors, ("Fc_fwd", "k3", "offset"), settings)
     assert {e.group for e in layout.effects if e.name == "session"} == {0, 1, 2}
-    sample = next(samples_of(layout, [test] * 4, 0, "proportional"))
-    assert sample.rows.shape == (4, 1 + 2)  # the level, and the effects of two sessions
+    problem = problem_of(layout, [test] * 4, "Fc_fwd", "proportional")
+    assert problem.rows.shape == (4, 1 + 2)  # the level, and the effects of two sessions
 
 
 def test_scores_are_always_the_same(campaign):
     layout, tests = campaign()
     assert compare_laws(layout, tests) == compare_laws(layout, tests)
+
+
+def half_affine(layout):
+    """Tests whose friction is by three tenths a constant, with 4 % scatter."""
+    rng = np.random.default_rng(6)
+    relative = np.array([s.actuation for s in layout.settings]) / layout.reference
+    q = 0.3 + np.log(0.3 + 0.7 * relative) + 0.045 * rng.standard_normal(relative.size)
+    return [
+        SimpleNamespace(
+            mean=np.array([m / layout.spread[0]]),
+            covariance=np.array([[4e-4 / layout.spread[0] ** 2]]),
+        )
+        for m in q
+    ]
+
+
+@pytest.mark.parametrize("count", [5, 10, 200, 500])
+def test_scores_are_the_same_with_other_points_however_many_tests_there_are(priors, count):
+    levels = np.resize([0.4, 0.6, 0.9, 1.4, 2.0], count)
+    layout = lay_out(priors, ("Fc_fwd",), [Setting(p) for p in levels])
+    tests = half_affine(layout)
+    first, second = (compare_laws(layout, tests, seed) for seed in (0, 1))
+    for one, other in zip(first, second, strict=True):
+        assert one.pareto_k < LARGEST_K
+        assert one.elpd == pytest.approx(other.elpd, abs=0.05)
+        assert one.weight == pytest.approx(other.weight, abs=0.03)
+    for law in ("affine", "power"):
+        points = draw_points(problem_of(layout, tests, "Fc_fwd", law))
+        log_weights = [
+            w + sample.log_density(sample.sums(slice(None))) for sample, w in points.parts()
+        ]
+        assert effective(np.concatenate(log_weights)) > 0.2 * len(points.z)
+    if count >= 200:
+        assert max(first, key=lambda score: score.elpd).law == "affine"
+
+
+def test_a_law_whose_points_miss_the_posterior_is_not_weighed(campaign, monkeypatch):
+    layout, tests = campaign(levels=MANY)
+    trusted = compare_laws(layout, tests)
+    assert all(score.trusted for score in trusted)
+
+    def missing(problem, subsets=(), seed=0):
+        points = draw_points(problem, subsets, seed)
+        if problem.law != "power":
+            return points
+        z = np.random.default_rng(seed).normal(1.5, 0.2, points.z.shape)  # far from where it is
+        log_weights = problem.log_prior(z) - stats.norm(1.5, 0.2).logpdf(z).sum(axis=1)
+        return replace(points, z=z, log_weights=log_weights - np.log(len(z)))
+
+    monkeypatch.setattr(law_scores, "draw_points", missing)
+    found = {score.law: score for score in compare_laws(layout, tests)}
+    assert found["power"].pareto_k > LARGEST_K
+    assert found["power"].weight == 0.0
+    assert sum(score.weight for score in found.values()) == pytest.approx(1.0)
+    monkeypatch.setattr(law_scores, "LARGEST_K", -100.0)
+    assert all(score.weight == 0.0 for score in compare_laws(layout, tests))
+
+
+@pytest.mark.parametrize("law", ["affine", "power"])
+def test_points_have_the_prior_of_the_laws(campaign, law):
+    layout, tests = campaign(sessions=list("abab"))
+    problem = problem_of(layout, tests, "Fc_fwd", law, ["velocity"], level_effect=True)
+    assert problem.dim == 5  # scatter, level, session, shape, slope
+    sample = problem.sample(np.random.default_rng(3).standard_normal((40_000, 5)))
+    unit = layout.scatter_sd[0] / layout.spread[0]
+    for sd in (np.sqrt(sample.variances[:, 0] - problem.noise[0]), *sample.sds[:, [1, -1]].T):
+        assert stats.kstest(sd / unit, stats.halfnorm.cdf).statistic < 0.01
+    if law == "power":
+        assert stats.kstest(sample.exponent, stats.norm(1.0, 0.5).cdf).statistic < 0.01
+    relative = np.log(LEVELS[-1] / layout.reference)
+    means = (problem.data - sample.residuals)[:, -1] * layout.spread[0]
+    assert stats.kstest(means, reference_means(law, relative)).statistic < 0.012
+
+
+def reference_means(law, fold):
+    """Draws of a law's logarithm at a fold of the actuation, speeds being all the same."""
+    rng = np.random.default_rng(4)
+    if law == "power":
+        return fold * rng.normal(1.0, 0.5, 200_000)
+    share = rng.random(200_000)
+    return np.log(share * np.exp(fold) + 1.0 - share)
+
+
+def test_a_smooth_effect_of_many_levels_has_few_parts(priors):
+    settings = [Setting(p) for p in np.geomspace(0.2, 2.0, 300)]
+    layout = lay_out(priors, ("Fc_fwd",), settings)
+    tests = [SimpleNamespace(mean=np.zeros(1), covariance=np.eye(1))] * 300
+    problem = problem_of(layout, tests, "Fc_fwd", "power", level_effect=True)
+    assert problem.rows.shape[1] < 40
+    effect = layout.effects[0]
+    root = effect.root[list(effect.home)]
+    np.testing.assert_allclose(
+        problem.rows[:, 1:] @ problem.rows[:, 1:].T, root @ root.T, atol=0.01
+    )
 
 
 @pytest.mark.parametrize(
@@ -203,14 +300,52 @@ def test_the_exponents_interval_is_brute_force(campaign):
     folds = np.log(np.array(LEVELS) / layout.reference) / layout.spread[0]
     exponents = np.linspace(0.0, 2.0, 801)
     scale = layout.scatter_sd[0] / layout.spread[0]
-    density = np.zeros(exponents.size)
-    for tau in stats.halfnorm(scale=scale).ppf((np.arange(200) + 0.5) / 200):
-        normal = stats.multivariate_normal(cov=noise + tau**2 * np.eye(4) + 1.0)
-        density += normal.pdf(data - exponents[:, None] * folds)
-    density *= stats.norm(1.0, 0.5).pdf(exponents)
-    mass = np.cumsum(density) / density.sum()
-    expected = np.interp([0.025, 0.5, 0.975], mass, exponents)
-    np.testing.assert_allclose(free_exponents(layout, tests)["Fc_fwd"], expected, atol=0.02)
+    apart = np.sqrt(3.0) * np.abs(np.log(np.array(LEVELS)[:, None] / LEVELS)) / np.log(2.0)
+    alike = (1.0 + apart) * np.exp(-apart)
+    sds = stats.halfnorm(scale=scale).ppf((np.arange(60) + 0.5) / 60)
+    density, without = np.zeros((2, exponents.size))
+    for tau in sds:
+        for omega in (0.0, *sds):
+            c = noise + tau**2 * np.eye(4) + 1.0 + omega**2 * alike
+            normal = stats.multivariate_normal(cov=c).pdf(data - exponents[:, None] * folds)
+            density, without = (
+                density + (omega > 0) * normal,
+                without + (omega == 0) * normal,
+            )
+
+    def quantiles(density):
+        mass = np.cumsum(density * stats.norm(1.0, 0.5).pdf(exponents))
+        return np.interp([0.025, 0.5, 0.975], mass / mass[-1], exponents)
+
+    found = free_exponents(layout, tests)["Fc_fwd"]
+    np.testing.assert_allclose(found, quantiles(density), atol=0.02)
+    assert np.max(np.abs(found - quantiles(without))) > 0.1  # the control
+
+
+def deviating(priors, runs, each, exponent):
+    """Share of campaigns that contradict a proportional law, with smooth deviations of 5 %."""
+    at = np.array([0.4, 0.6, 0.9, 1.4, 2.0])
+    apart = np.log(at[:, None] / at)
+    root = np.linalg.cholesky(np.exp(-0.5 * (apart / np.log(2.0)) ** 2) + 1e-9 * np.eye(5))
+    layout = lay_out(priors, ("Fc_fwd",), [Setting(p) for p in np.repeat(at, each)])
+    rng, bad = np.random.default_rng(11), 0
+    for _ in range(runs):
+        q = exponent * np.log(at / layout.reference) + 0.05 * root @ rng.standard_normal(5)
+        q = np.repeat(q, each) + 0.04 * rng.standard_normal(5 * each)
+        tests = [
+            SimpleNamespace(mean=np.array([m]), covariance=np.array([[v]]))
+            for m, v in zip(
+                q / layout.spread[0], [0.02**2 / layout.spread[0] ** 2] * q.size, strict=True
+            )
+        ]
+        low, _, high = free_exponents(layout, tests)["Fc_fwd"]
+        bad += not low <= 1.0 <= high
+    return bad / runs
+
+
+def test_levels_that_deviate_a_little_do_not_contradict_a_law(priors):
+    assert deviating(priors, 120, 10, 1.0) <= 0.08  # 0.55 without the effect of the level
+    assert deviating(priors, 10, 10, 0.5) == 1.0  # the control: the law is wrong
 
 
 def test_only_proportional_laws_are_freed(campaign):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.laws import COMPARE, LAWS
@@ -26,7 +26,9 @@ def level_of(layout, name="Fc_fwd"):
 
 
 def correlation(first, other):
-    return np.exp(-np.abs(np.log(first / other)) / np.log(2.0))
+    """Of a Matérn process of order 3/2, by Bessel's K."""
+    far = np.sqrt(3.0) * np.maximum(np.abs(np.log(first / other)), 1e-9) / np.log(2.0)
+    return np.sqrt(2.0 / np.pi) * far**1.5 * special.kv(1.5, far)
 
 
 def test_levels_belong_to_the_geometric_mean_of_the_actuations(priors):
@@ -102,6 +104,25 @@ def test_levels_of_different_sessions_have_nothing_in_common(priors):
     row, sd = effect.row(("c", 0.5))
     np.testing.assert_array_equal(row, 0.0)
     assert sd == 1.0
+
+
+def test_effects_are_smooth_over_the_actuation(priors):
+    effect = level_of(lay_out(priors, NAMES, settings()))
+
+    def lost(apart):
+        """One less the correlation of a tested level with one nearby."""
+        row, _ = effect.row(("", 0.8 * np.exp(apart)))
+        return 1.0 - row @ effect.root[1]
+
+    assert lost(0.02) / lost(0.01) == pytest.approx(4.0, abs=0.2)  # 2 where it is not smooth
+
+
+def test_a_population_of_an_earlier_version_keeps_its_kernel(priors):
+    effect = replace(level_of(lay_out(priors, NAMES, settings())), kernel="exponential")
+    row, _ = effect.row(("", 0.65))
+    expected = np.exp(-np.abs(np.log(0.65 / np.array([0.5, 0.8, 1.5]))) / np.log(2.0))
+    np.testing.assert_allclose(row @ effect.root.T, expected)
+    assert level_of(lay_out(priors, NAMES, settings())).kernel == "matern"
 
 
 def test_without_actuation_a_level_has_nothing_in_common_with_others(priors):

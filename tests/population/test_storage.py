@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -162,3 +163,12 @@ def test_a_file_of_another_kind_is_refused(tmp_path, priors):
     (tmp_path / "population.nc").write_text("time_s,force_kip\n0,1\n")
     with pytest.raises(StoreError, match=r"population\.nc"):
         load_population(tmp_path / "population.nc", priors)
+
+
+def test_effects_come_back_with_their_kernel(population, back, tmp_path, priors):
+    assert {effect.kernel for effect in back.layout.effects} == {"matern"}
+    older = [replace(effect, kernel="exponential") for effect in population.layout.effects]
+    layout = replace(population.layout, effects=tuple(older))
+    save_population(tmp_path / "older.nc", replace(population, layout=layout))
+    found = load_population(tmp_path / "older.nc", priors).layout.effects
+    assert {effect.kernel for effect in found} == {"exponential"}

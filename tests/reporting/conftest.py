@@ -23,8 +23,8 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.calibration.directions import Directions
 from mfd_bayes.calibration.identifiability import (
-    Directions,
     Identifiability,
     Pair,
     Sensitivity,
@@ -131,7 +131,7 @@ def make_law() -> LawView:
 
 
 def make_choice() -> LawChoice:
-    best = LawScoreRow("Fc_fwd", "power", False, 3.2, 0.9, 0.0, 0.0, 0.7)
+    best = LawScoreRow("Fc_fwd", "power", False, 3.2, 0.9, 0.0, 0.0, 0.7, 0.25)
     own = LawScoreRow("Fc_fwd", "proportional", True, 2.9, 1.1, -0.3, 0.8, 0.3)
     return LawChoice("Fc_fwd", (best, own), "the power law predicts best, but only just.")
 

@@ -88,6 +88,7 @@ def test_laws_are_scored_best_first(campaign):
         ("proportional", "yes"),
     ]
     assert (lines[1]["elpd_difference"], lines[1]["weight"]) == ("-0.3", "0.3")
+    assert (lines[0]["pareto_k"], lines[1]["pareto_k"]) == ("0.25", "")
 
 
 def test_a_campaign_that_was_not_cross_validated_has_no_table_of_it(campaign):

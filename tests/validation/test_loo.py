@@ -121,6 +121,41 @@ def test_differences_are_paired_over_cycles():
     assert np.isnan(standard_error(np.ones(1)))
 
 
+def test_cycles_of_one_test_are_not_independent():
+    rng = np.random.default_rng(6)
+    test = np.repeat(np.arange(12), 30)
+    totals, errors, wrong = [], [], []
+    for _ in range(400):  # a model is better or worse in a whole test at once
+        figures = rng.normal(0.0, 1.0, 12)[test] + rng.normal(0.0, 1.0, test.size)
+        totals.append(figures.sum())
+        errors.append(standard_error(figures, test))
+        wrong.append(standard_error(figures))
+    assert np.mean(errors) == pytest.approx(np.std(totals), rel=0.1)
+    assert np.std(totals) > 3.0 * np.mean(wrong)  # the control
+
+
+def test_independent_cycles_have_the_error_of_independent_cycles():
+    figures = np.random.default_rng(7).normal(size=400)
+    test = np.repeat(np.arange(40), 10)
+    alone = standard_error(figures)
+    assert alone <= standard_error(figures, test) < 1.3 * alone
+    assert standard_error(figures, np.zeros(400, dtype=int)) == alone
+    balanced = np.tile([1.0, -1.0], 200)  # whose tests agree by chance
+    assert standard_error(balanced, test) == standard_error(balanced)
+
+
+def test_joined_tests_keep_their_cycles_together():
+    rng = np.random.default_rng(8)
+    parts = [CrossValidation(*([rng.normal(m, 1.0, 20)] * 4)) for m in (-3.0, 0.0, 3.0)]
+    both = join(parts)
+    np.testing.assert_array_equal(both.test, np.repeat([0, 1, 2], 20))
+    assert both.error == standard_error(both.elpd, both.test) > standard_error(both.elpd)
+    chosen = np.arange(60) % 2 == 0
+    np.testing.assert_array_equal(both.part(chosen).test, np.repeat([0, 1, 2], 10))
+    assert difference(both, join(parts[::-1]))[1] > 50.0  # −6, 0 and 6 times 20
+    assert parts[0].part(chosen[:20]).test is None
+
+
 def record_of(model, seed=5):
     """Four cycles of a model's force with some noise."""
     time = np.arange(0, 4, 1 / 40)

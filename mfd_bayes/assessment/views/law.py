@@ -47,6 +47,8 @@ class LawScoreRow:
         Elpd minus that of the best law, and its standard error, paired over levels.
     weight : float
         Stacking weight.
+    pareto_k : float
+        Of the score's importance weights; above 0.7 it cannot be trusted.
     """
 
     quantity: str
@@ -57,6 +59,7 @@ class LawScoreRow:
     difference: float
     difference_se: float
     weight: float
+    pareto_k: float = float("nan")
 
 
 @dataclass(frozen=True)

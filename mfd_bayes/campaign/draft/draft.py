@@ -17,6 +17,7 @@ from mfd_bayes.campaign.draft.actuation import (
 from mfd_bayes.campaign.draft.columns import Guess, guess_columns
 from mfd_bayes.campaign.draft.levels import level_in_header, levels_in
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
+from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import read_record
 from mfd_bayes.units import ActuationUnit
@@ -46,7 +47,7 @@ class TestDraft:
     source: str
     """Where the actuation was found, or which columns might hold it."""
     doubts: tuple[str, ...]
-    """What is not certain about the actuation."""
+    """What is not certain about the actuation, and what contradicts the file's name."""
     earthquake: bool
     """Whether the file's name is that of an earthquake."""
 
@@ -165,7 +166,9 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
     units = {role: guess.unit or _INTERNAL[role] for role, guess in roles.items()}
     if isinstance(actuation, Guess):
         names["actuation"], units["actuation"] = actuation.name, str(actuation.unit)
-    read_record(one.path, names, units, actuation if isinstance(actuation, str) else None)
+    level = actuation if isinstance(actuation, str) else None
+    record = read_record(one.path, names, units, level)
+    doubts += tuple(fault.sentence for fault in contradictions(record))
     return TestDraft(
         id=_id(one.path.stem, taken),
         file=one.path.name,

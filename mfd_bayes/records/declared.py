@@ -1,0 +1,91 @@
+"""What a file's name says of its test, against what its record shows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from mfd_bayes.records.faults import Fault
+from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.units import factor, parse_actuation
+
+TOLERANCE = 0.1
+"""A name and its record agree if they differ by no more than this share of the name's value."""
+
+_NUMBER = r"(?<![\d.A-Za-z])(\d+(?:[.p]\d+)?)"
+_FREQUENCY = re.compile(r"(?<![\d.])(\d+(?:[.p]\d+)?)[ _-]?hz(?![a-z])", re.IGNORECASE)
+_LENGTH = re.compile(rf"{_NUMBER}(in|inch|mm)(?![a-z])", re.IGNORECASE)
+_ACTUATION = re.compile(
+    rf"{_NUMBER}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
+)
+_HALF = re.compile(r"(?<![a-z])amp(?:l|litude)?(?![a-z])", re.IGNORECASE)
+_FULL = re.compile(
+    r"(?<![a-z])(?:stroke|pp|p2p|pk-?pk|peak[ _-]?to[ _-]?peak)(?![a-z])", re.IGNORECASE
+)
+_SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
+
+
+def contradictions(record: Record, trace: Trace | None = None) -> tuple[Fault, ...]:
+    """Amplitude, frequency and actuation in a file's name that its record does not have.
+
+    Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
+    stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
+    ``pp``); a rate may also be that of the samples. Where a name has several of one kind it is
+    enough that one agrees. Names without such words, and motions without a full loop, are not
+    compared.
+    """
+    trace = record.trace() if trace is None else trace
+    return (*_of_motion(record, trace), *_of_actuation(record, trace))
+
+
+def _of_motion(record: Record, trace: Trace) -> Iterator[Fault]:
+    """Amplitude and frequency of the loops at full stroke."""
+    loops, name = find_loops(trace), record.path.stem
+    if not loops.period.size:
+        return
+    amplitude = float(np.median(loops.amplitude[loops.strong]))
+    rate = float(1.0 / np.median(loops.period[loops.strong]))
+    lengths = [(m[0], _value(m[1]) * factor(m[2], "displacement")) for m in _LENGTH.finditer(name)]
+    half, full = bool(_HALF.search(name)), bool(_FULL.search(name))
+    may_be = [amplitude] * (half or not full) + [2.0 * amplitude] * (full or not half)
+    shown = (
+        f"the record has an amplitude of {amplitude:.3g} in (a stroke of {2 * amplitude:.3g} in)"
+    )
+    yield from _fault(record, lengths, may_be, shown)
+    rates = [(m[0], _value(m[1])) for m in _FREQUENCY.finditer(name)]
+    shown = f"the record's motion has {rate:.3g} Hz"
+    yield from _fault(record, rates, [rate, record.rate], shown)
+
+
+def _of_actuation(record: Record, trace: Trace) -> Iterator[Fault]:
+    """Pressure or tension, as the campaign or a column gives it, of the same kind as the name's."""
+    if record.actuation is None:
+        return
+    found = []
+    for match in _ACTUATION.finditer(record.path.stem):
+        unit = _SPELLED.get(match[2].lower(), match[2].lower())
+        value, internal = parse_actuation(f"{_value(match[1]):g} {unit}")
+        if internal == record.actuation_unit:
+            found.append((match[0], value))
+    level = float(np.mean(record.actuation))
+    source = "its column" if "actuation" in record.columns else "the campaign"
+    shown = f"{source} has an actuation of {level:.4g} {record.actuation_unit}"
+    yield from _fault(record, found, [level], shown)
+
+
+def _value(number: str) -> float:
+    return float(number.lower().replace("p", "."))
+
+
+def _fault(
+    record: Record, declared: list[tuple[str, float]], found: list[float], shown: str
+) -> Iterator[Fault]:
+    """A warning where none of the declared values, in internal units, is among those found."""
+    agree = any(abs(f - value) <= TOLERANCE * value + 1e-9 for _, value in declared for f in found)
+    if declared and not agree:
+        said = " and ".join(dict.fromkeys(word for word, _ in declared))
+        yield Fault("file name", f"the name of {record.path.name} says {said}, but {shown}")

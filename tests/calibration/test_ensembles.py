@@ -1,0 +1,24 @@
+"""How the sampler of a test spends its steps."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.ensembles import sample_density
+from mfd_bayes.calibration.map_fit import climb
+
+
+def funnel(q):
+    """A funnel of Neal, in which no mixture that is learned fits."""
+    wide = q[:, :1]
+    return -0.5 * (wide[:, 0] / 2) ** 2 - 0.5 * np.sum(q[:, 1:] ** 2 * np.exp(-wide) + wide, axis=1)
+
+
+@pytest.mark.parametrize(("limit", "again"), [(1300, False), (2100, True)])
+def test_the_proposal_is_learned_again_only_in_the_first_half(limit, again):
+    effort = Effort(ess=1e6, limit=limit, ensembles=2, walkers=20)  # which is never reached
+    modes = [climb(funnel, np.full(4, 0.1), np.ones(4))]
+    chains = sample_density(funnel, modes, effort, np.random.default_rng(1))
+    assert chains.steps == limit
+    assert chains.discarded <= limit // 2  # the steps of the second half are kept
+    assert (chains.discarded > 400) == again  # the warm-up takes 300
