@@ -1,9 +1,11 @@
 """A first fit of all tests together: what they leave over in common, and a Gaussian near each.
 
-A linear mixed model, linearised anew in every step (Gauss–Newton with damping): quantities whose
-scatter prior prefers none are the same in all tests, the others are each test's own, and the
-discrepancy is a Gaussian process. Its size, the noise and the shape of the noise are updated by
-expectation–maximisation.
+Penalised least squares by damped Gauss–Newton steps: quantities whose scatter prior prefers none
+are the same in all tests, the others are each test's own. What is left over is a Gaussian process,
+the discrepancy, plus noise; their sizes and the shape of the noise are updated by expectation–
+maximisation. The discrepancy is kept apart from what the quantities do: as a function over all
+tests it is orthogonal to the slopes of the force with any of them (Plumlee, 2017), so that they
+are those of the fit without it.
 """
 
 from __future__ import annotations
@@ -32,6 +34,9 @@ LARGEST = 8.0
 
 WEAK = 1e-3
 """Precision, in prior units, that every Gaussian has at least."""
+
+APART = 0.03
+"""Slopes are told apart down to this share of the largest singular value."""
 
 EVEN = 30.0
 """Samples near a knot that the noise's even shape is worth."""
@@ -66,7 +71,7 @@ def fit_pilot(likelihoods: Sequence[WorkingLikelihood], starts: Sequence[Array])
     for _ in range(STEPS):
         fit.linearise()
         fit.step()
-        fit.update_sizes()
+        fit.learn()
     return fit.pilot()
 
 
@@ -118,6 +123,8 @@ class _Fit:
         shared = np.median([x[: self.d] for x in starts], axis=0)
         self.inverse = np.linalg.inv(self.basis.covariance())
         self.coefficients = np.zeros(self.basis.size)
+        self.covariance = self.basis.covariance()
+        self.directions = self.basis.size
         self.log_shape = np.zeros(self.basis.size)
         self.tests = []
         for likelihood, start in zip(likelihoods, starts, strict=True):
@@ -151,94 +158,103 @@ class _Fit:
         for one, slip in zip(self.tests, slips, strict=True):
             one.basis = one.functions * (slip / self.slip_force)
 
-    def _columns(self, one: _One) -> tuple[Array, Array]:
-        """Slopes of what is common (quantities, then discrepancy) and of what is free, (T, …)."""
-        common = np.concatenate([one.slopes[:, : self.d][:, self.common], one.basis], axis=1)
-        return common, one.slopes[:, self.free]
-
     def step(self) -> None:
         """One damped Gauss–Newton step, if one lowers the objective."""
-        before = self._objective([one.x for one in self.tests], self.coefficients)
+        before = self._objective([one.x for one in self.tests])
         for _ in range(8):
-            xs, coefficients = self._proposed()
-            if self._objective(xs, coefficients) <= before:
+            xs = self._proposed()
+            if self._objective(xs) <= before:
                 for one, x in zip(self.tests, xs, strict=True):
                     one.x = x
-                self.coefficients = coefficients
                 self.damping = 0.0 if self.damping < 1e-3 else self.damping / 10.0
                 return
             self.damping = max(1e-3, 6.0 * self.damping)
 
-    def _proposed(self) -> tuple[list[Array], Array]:
-        """Coordinates of the tests and coefficients after a step, by elimination of the free."""
-        c = int(self.common.sum())
-        matrix = np.zeros((c + self.basis.size,) * 2)
-        matrix[:c, :c] = np.eye(c)
-        matrix[c:, c:] = self.inverse / self.amplitude**2
-        pull = -matrix @ np.append(self.tests[0].x[: self.d][self.common], self.coefficients)
+    def _proposed(self) -> list[Array]:
+        """Coordinates of the tests after a step: what is free is eliminated first."""
+        those = np.flatnonzero(self.common)
+        matrix = np.eye(those.size)
+        pull = -self.tests[0].x[those]
         kept = []
         for one in self.tests:
-            common, free = self._columns(one)
             weights = one.weights(self.log_shape)
-            left = (one.residual - one.basis @ self.coefficients) * weights
-            a, b = common * weights[:, None], free * weights[:, None]
-            own = b.T @ b
+            slopes, left = one.slopes * weights[:, None], one.residual * weights
+            a, b = slopes[:, those], slopes[:, self.free]
+            own, gram, cross = b.T @ b, a.T @ a, a.T @ b
             own += np.diag(np.full(len(own), 1.0) + self.damping * np.diag(own))
-            cross, gradient = a.T @ b, b.T @ left - one.x[self.free]
+            gradient = b.T @ left - one.x[self.free]
             gain = np.linalg.solve(own, cross.T).T
-            gram = a.T @ a
             matrix += gram + self.damping * np.diag(np.diag(gram)) - gain @ cross.T
             pull += a.T @ left - gain @ gradient
             kept.append((own, cross, gradient))
-        self.matrix = matrix
         moved = np.linalg.solve(matrix, pull)
         xs = []
         for one, (own, cross, gradient) in zip(self.tests, kept, strict=True):
             x = one.x.copy()
             x[self.free] += np.linalg.solve(own, gradient - cross.T @ moved)
-            x[: self.d][self.common] += moved[:c]
+            x[those] += moved
             xs.append(x)
-        return xs, self.coefficients + moved[c:]
+        return xs
 
-    def _objective(self, xs: Sequence[Array], coefficients: Array) -> float:
+    def _objective(self, xs: Sequence[Array]) -> float:
         """Half the weighted squares of what is left, plus the priors'."""
-        total = 0.5 * float(coefficients @ self.inverse @ coefficients) / self.amplitude**2
-        total += 0.5 * float(np.sum(xs[0][: self.d][self.common] ** 2))
+        total = 0.5 * float(np.sum(xs[0][: self.d][self.common] ** 2))
         for one, x in zip(self.tests, xs, strict=True):
             if np.max(np.abs(x)) > LARGEST:
                 return np.inf
-            left = one.likelihood.residual(x[None])[0] - one.basis @ coefficients
+            left = one.likelihood.residual(x[None])[0]
             total += 0.5 * float(np.sum((left * one.weights(self.log_shape)) ** 2))
             total += 0.5 * float(np.sum(x[self.free] ** 2))
         return total
 
-    def update_sizes(self) -> None:
-        """Size of the discrepancy, noise of each test, and shape of the noise."""
-        c, size = int(self.common.sum()), self.basis.size
-        covariance = np.linalg.inv(self.matrix)[c:, c:]
+    def learn(self) -> None:
+        """Discrepancy, its size, noise of each test, and shape of the noise."""
+        for one in self.tests:
+            one.residual = one.likelihood.residual(one.x[None])[0]
+        self._learn_discrepancy()
         squares = self.coefficients @ self.inverse @ self.coefficients
-        squares += np.sum(self.inverse * covariance)
-        self.amplitude = max(float(np.sqrt(squares / size)), 1e-9)
-        total, count = np.full(size, EVEN), np.full(size, EVEN)
+        squares += np.sum(self.inverse * self.covariance)
+        self.amplitude = max(float(np.sqrt(squares / self.directions)), 1e-9)
+        self._learn_noise()
+
+    def _learn_discrepancy(self) -> None:
+        """Posterior of the discrepancy's coefficients, orthogonal to the slopes of all tests."""
+        precision, pull, slopes, functions = self.inverse / self.amplitude**2, 0.0, [], []
+        for one in self.tests:
+            weights = one.weights(self.log_shape)[:, None]
+            slopes.append(one.slopes[:, : self.d] * weights)
+            functions.append(one.basis * weights)
+            precision = precision + functions[-1].T @ functions[-1]
+            pull = pull + functions[-1].T @ (one.residual * weights[:, 0])
+        left, singular, _ = np.linalg.svd(np.concatenate(slopes), full_matrices=False)
+        apart = left[:, singular > APART * singular[0]].T @ np.concatenate(functions)
+        self.covariance = np.linalg.inv(precision)
+        gain = np.linalg.solve(apart @ self.covariance @ apart.T, apart @ self.covariance).T
+        self.coefficients = self.covariance @ pull
+        self.coefficients = self.coefficients - gain @ (apart @ self.coefficients)
+        self.covariance = self.covariance - gain @ apart @ self.covariance
+        self.directions = self.basis.size - len(apart)
+
+    def _learn_noise(self) -> None:
+        """Noise of each test, and shape of the noise."""
+        total, count = np.full(self.basis.size, EVEN), np.full(self.basis.size, EVEN)
         for one in self.tests:
             kept = one.likelihood.kept
-            left = one.likelihood.residual(one.x[None])[0] - one.basis @ self.coefficients
-            shape = np.exp(one.functions @ self.log_shape)
-            one.sd = max(float(np.sqrt(np.mean((left / shape)[kept] ** 2))), 1e-12)
-            total += one.functions[kept].T @ (left[kept] / one.sd) ** 2
+            left = (one.residual - one.basis @ self.coefficients)[kept]
+            shape = np.exp(one.functions @ self.log_shape)[kept]
+            one.sd = max(float(np.sqrt(np.mean((left / shape) ** 2))), 1e-12)
+            total += one.functions[kept].T @ (left / one.sd) ** 2
             count += one.functions[kept].sum(axis=0)
         self.log_shape = 0.5 * np.log(total / count)
 
     def pilot(self) -> Pilot:
         """What is kept of the fit."""
         self.linearise()
-        self._proposed()
-        c = int(self.common.sum())
         information, noise_time = self._memory()
         residual = Residual(
             basis=self.basis,
             mean=self.coefficients,
-            covariance=np.asarray(np.linalg.inv(self.matrix)[c:, c:] / information),
+            covariance=np.asarray(self.covariance / information),
             log_shape=self.log_shape,
             slip_force=self.slip_force,
             noise_time=noise_time,

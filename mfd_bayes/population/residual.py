@@ -62,7 +62,7 @@ class Residual:
 
     def draw_coefficients(self, rng: np.random.Generator, n: int) -> Array:
         """Draws of the discrepancy's coefficients, (n, K), kip."""
-        return rng.multivariate_normal(self.mean, self.covariance, size=n, method="cholesky")
+        return rng.multivariate_normal(self.mean, self.covariance, size=n, method="eigh")
 
     def draw_noise(self, rng: np.random.Generator, trace: Trace, sd: Array) -> Array:
         """Draws of the noise for these standard deviations (n,), (n, T), kip."""

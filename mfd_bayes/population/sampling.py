@@ -137,7 +137,6 @@ def _warm_up(
         if i == SETTLE // 2:
             sampler.tune(chains)
         sampler.sweep(chains)
-    sampler.choose_moves()
     return sampler, chains
 
 

@@ -18,8 +18,10 @@ from mfd_bayes.population.effects import Effect
 from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.stored import check_draws, check_facts
+from mfd_bayes.population.travel import TravelBasis
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
 Array = NDArray[np.float64]
@@ -44,6 +46,7 @@ def save_population(path: Path, population: Population) -> None:
         "r_hat": convergence.r_hat.tolist(),
         "ess_bulk": convergence.ess_bulk.tolist(),
         "ess_tail": convergence.ess_tail.tolist(),
+        "residual": _residual_facts(population.residual),
     }
     save_arrays(path, arrays, facts)
 
@@ -86,6 +89,7 @@ def _population(
         convergence=Convergence(
             np.array(facts["r_hat"]), np.array(facts["ess_bulk"]), np.array(facts["ess_tail"])
         ),
+        residual=_residual_of(facts.get("residual")),
     )
 
 
@@ -133,6 +137,7 @@ def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
         settings=tuple(Setting(**s) for s in facts["settings"]),
         effects=tuple(_effect(e) for e in facts["effects"]),
         dependence={name: tuple(those) for name, those in facts["dependence"].items()},
+        sparse=tuple(facts.get("sparse", ())),
         **arrays,
         **{key: facts[key] for key in ("laws", "weights", "reference", "covariate_reference")},
     )
@@ -143,3 +148,24 @@ def _effect(facts: Mapping[str, Any]) -> Effect:
     members, home = tuple(facts["members"]), tuple(facts["home"])
     kernel = facts.get("kernel", "exponential")  # which earlier versions do not name
     return Effect(facts["name"], facts["group"], members, cells, home, kernel)
+
+
+_FIGURES = ("slip_force", "noise_time", "information")
+_ARRAYS = ("mean", "covariance", "log_shape")
+
+
+def _residual_facts(residual: Residual | None) -> dict[str, Any] | None:
+    """Discrepancy and noise as JSON can hold them."""
+    if residual is None:
+        return None
+    arrays = {name: getattr(residual, name).tolist() for name in _ARRAYS}
+    figures = {name: getattr(residual, name) for name in _FIGURES}
+    return {"basis": asdict(residual.basis), **arrays, **figures}
+
+
+def _residual_of(facts: Mapping[str, Any] | None) -> Residual | None:
+    if facts is None:
+        return None
+    arrays = {name: np.array(facts[name], dtype=np.float64) for name in _ARRAYS}
+    figures = {name: facts[name] for name in _FIGURES}
+    return Residual(basis=TravelBasis(**facts["basis"]), **arrays, **figures)

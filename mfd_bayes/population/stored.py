@@ -13,6 +13,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.travel import KNOTS
 from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
 
 _WIDEST = 40.0
@@ -22,6 +23,7 @@ _FARTHEST = 1e6
 """Largest coordinate in prior units; no draw is larger."""
 
 _Near = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Shape = Annotated[float, Field(ge=-_WIDEST, le=_WIDEST)]
 _Name = Annotated[str, AfterValidator(lambda name: _known(name, sampled_quantities()))]
 _Law = Annotated[str, AfterValidator(lambda name: _known(name, LAWS))]
 _Covariate = Literal["velocity", "amplitude"]
@@ -51,6 +53,29 @@ class _Effect(Part):
     kernel: Literal["matern", "exponential"] = "exponential"  # of earlier versions
 
 
+class _Basis(Part):
+    shortest: Annotated[float, Field(gt=0, le=1e10)]
+    longest: Annotated[float, Field(gt=0, le=1e10)]
+
+
+class _Residual(Part):
+    basis: _Basis
+    mean: Annotated[list[_Near], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
+    covariance: Annotated[list[list[_Near]], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
+    log_shape: Annotated[list[_Shape], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
+    slip_force: Annotated[float, Field(gt=0, le=1e10)]
+    noise_time: Annotated[float, Field(gt=0, le=1e10)]
+    information: Annotated[float, Field(gt=0, le=1)]
+
+    @model_validator(mode="after")
+    def _check_together(self) -> Self:
+        _need(
+            all(len(row) == len(self.mean) for row in self.covariance),
+            "covariance must be as wide as the mean is long",
+        )
+        return self
+
+
 class _Facts(Part):
     names: Annotated[list[_Name], Field(min_length=1)]
     speed: Annotated[float, Field(gt=0, le=1e10)]
@@ -71,6 +96,8 @@ class _Facts(Part):
     r_hat: list[Figure]
     ess_bulk: list[Figure]
     ess_tail: list[Figure]
+    sparse: list[bool] = []  # earlier versions had neither of the two
+    residual: _Residual | None = None
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:
@@ -78,6 +105,7 @@ class _Facts(Part):
         _need(len(set(self.names)) == d, "names must differ")
         for key in ("centre", "spread", "member", "scatter_sd"):
             _need(len(getattr(self, key)) == d, f"{key} must be as many as the names")
+        _need(len(self.sparse) in (0, d), "sparse must be as many as the names")
         _need(max(self.member) < len(self.groups), "member must be indices of groups")
         _need(set(self.laws) <= set(self.names), "laws must be of known names")
         _need(set(self.laws.values()) <= {*LAWS, COMPARE}, "laws must be known")

@@ -28,7 +28,6 @@ from mfd_bayes.population.moves.one_test import (
     evolve_tests,
     step_near,
 )
-from mfd_bayes.population.moves.redraw import redraw
 from mfd_bayes.population.moves.shared import rescale, shift
 
 Array = NDArray[np.float64]
@@ -45,9 +44,6 @@ SHIFTS = 2
 TOGETHER = 2
 """Moves of scatter and level together with the tests in a sweep."""
 
-LOW_ACCEPTANCE = 0.1
-"""Acceptance rate of `redraw` below which `transport` takes its place."""
-
 
 class Sampler:
     """Samples a joint posterior sweep by sweep.
@@ -56,14 +52,11 @@ class Sampler:
     ----------
     accepted : dict of str to list of float
         Acceptance rates by kind of proposal, in the order of the sweeps.
-    transported : (d,) bool
-        Quantities that are moved by `transport`, the others by `redraw`.
     """
 
     def __init__(self, joint: Joint, rng: np.random.Generator) -> None:
         self.joint, self.rng = joint, rng
         self.accepted: dict[str, list[float]] = {}
-        self.transported = np.full(joint.d, all(test.gaussian for test in joint.tests))
         self._tune(Tuning.by_prior(joint.layout, joint.tests))
 
     def start(self, n: int, ensembles: int) -> Chains:
@@ -113,8 +106,7 @@ class Sampler:
     def move_together(self, chains: Chains) -> None:
         """Move scatter and level of one quantity, with its tests' values, in place."""
         k = int(self.rng.choice(self.joint.d, p=self.weights))
-        move = transport if self.transported[k] else redraw
-        self._note(move(self.joint, chains, self.rng, self.tuning, k))
+        self._note(transport(self.joint, chains, self.rng, self.tuning, k))
 
     def tune(self, chains: Chains) -> None:
         """Tune proposals to the chains. It must not be called once chains are kept."""
@@ -123,12 +115,6 @@ class Sampler:
     def _tune(self, tuning: Tuning) -> None:
         self.tuning = tuning
         self.weights = tuning.missing / tuning.missing.sum()
-
-    def choose_moves(self) -> None:
-        """Choose `transport` or `redraw` by acceptance rate, before chains are kept."""
-        for k, name in enumerate(self.joint.layout.names):
-            rates = self.accepted.get(f"redraw {name}", [1.0])
-            self.transported[k] |= bool(np.mean(rates) < LOW_ACCEPTANCE)
 
     def _note(self, accepted: Accepted) -> None:
         for name, yes in accepted:

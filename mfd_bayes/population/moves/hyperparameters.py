@@ -21,7 +21,7 @@ def evolve_hyperparameters(joint: Joint, chains: Chains, rng: np.random.Generato
         proposed = h + jump + 1e-3 * rng.standard_normal(h.shape)
         given = chains.choice[half], x[half]
         old, new = joint.log_blocks(h, *given), joint.log_blocks(proposed, *given)
-        yes = np.log(rng.random(old.shape)) < new - old  # (n, G)
+        yes = np.log(rng.random(old.shape)) + old < new  # (n, G)
         chains.h[half] = np.where(yes[:, block], proposed, h)
         accepted.append(("scatter and shapes", yes))
     return accepted

@@ -2,7 +2,7 @@
 
 Where each test tells little of a quantity, the tests' values of it and its scatter and level hold
 each other in place, the more so the more tests there are: moved in turn, they would hardly move at
-all. `transport` and `redraw` move them together. A test then moves along a line: its value t of
+all. `transport` moves them together. A test then moves along a line: its value t of
 the quantity changes, and its other coordinates follow by their regression on t in the Gaussian near
 its likelihood. Lines and Gaussians depend on nothing that a move changes.
 """
