@@ -219,7 +219,8 @@ class _Fit:
 
     def _learn_discrepancy(self) -> None:
         """Posterior of the discrepancy's coefficients, orthogonal to the slopes of all tests."""
-        precision, pull, slopes, functions = self.inverse / self.amplitude**2, 0.0, [], []
+        precision, pull = self.inverse / self.amplitude**2, np.zeros(self.basis.size)
+        slopes, functions = [], []
         for one in self.tests:
             weights = one.weights(self.log_shape)[:, None]
             slopes.append(one.slopes[:, : self.d] * weights)

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 WALKERS = 32
 """Chains of each ensemble."""
 
-WARM_UP = 80
+WARM_UP = 40
 """Warm-up sweeps with Gaussians in place of the likelihoods, which are cheap."""
 
 SETTLE = 20

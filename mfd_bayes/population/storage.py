@@ -166,6 +166,6 @@ def _residual_facts(residual: Residual | None) -> dict[str, Any] | None:
 def _residual_of(facts: Mapping[str, Any] | None) -> Residual | None:
     if facts is None:
         return None
-    arrays = {name: np.array(facts[name], dtype=np.float64) for name in _ARRAYS}
-    figures = {name: facts[name] for name in _FIGURES}
-    return Residual(basis=TravelBasis(**facts["basis"]), **arrays, **figures)
+    found: dict[str, Any] = {name: facts[name] for name in _FIGURES}
+    found |= {name: np.array(facts[name], dtype=np.float64) for name in _ARRAYS}
+    return Residual(basis=TravelBasis(**facts["basis"]), **found)

@@ -96,7 +96,7 @@ class _Facts(Part):
     r_hat: list[Figure]
     ess_bulk: list[Figure]
     ess_tail: list[Figure]
-    sparse: list[bool] = []  # earlier versions had neither of the two
+    sparse: tuple[bool, ...] = ()  # earlier versions had neither of the two
     residual: _Residual | None = None
 
     @model_validator(mode="after")

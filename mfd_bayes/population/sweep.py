@@ -38,7 +38,7 @@ EVOLUTIONS = 4
 NEAR = 2
 """Proposals near the conditional density in a sweep, for every test."""
 
-SHIFTS = 2
+SHIFTS = 4
 """Moves of the levels of quantities that hardly differ in a sweep."""
 
 TOGETHER = 2
