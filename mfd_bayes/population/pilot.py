@@ -119,7 +119,8 @@ class _Fit:
         self.common = np.array([bool(sparse) for sparse in layout.sparse])
         free = ~self.common
         free[k] = False
-        self.free = np.append(np.flatnonzero(free), range(self.d, len(starts[0])))
+        own = np.arange(self.d, len(starts[0]))
+        self.free = np.concatenate([np.flatnonzero(free), own])
         shared = np.median([x[: self.d] for x in starts], axis=0)
         self.inverse = np.linalg.inv(self.basis.covariance())
         self.coefficients = np.zeros(self.basis.size)
