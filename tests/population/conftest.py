@@ -16,7 +16,7 @@ from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.population.layout import Layout, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.test_likelihood import TestLikelihood, without_prior
+from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
@@ -26,30 +26,15 @@ def priors() -> PriorFile:
     return load_priors("mfd")
 
 
-def gaussian_test(
-    mean: Array, covariance: Array, rng: np.random.Generator, draws: int = 4000
-) -> TestLikelihood:
-    """A test with a Gaussian likelihood as a plain function, and draws under a N(0, 1) prior."""
-    d = len(mean)
+def gaussian_test(mean: Array, covariance: Array) -> TestLikelihood:
+    """A test with a Gaussian likelihood as a plain function."""
     precision = np.linalg.inv(covariance)
-    spread = np.linalg.inv(precision + np.eye(d))
-    drawn = rng.multivariate_normal(spread @ precision @ mean, spread, size=draws)
 
     def log_likelihood(x: Array) -> Array:
         away = x - mean
         return np.asarray(-0.5 * np.einsum("ni,ij,nj->n", away, precision, away))
 
-    def log_prior(x: Array) -> Array:
-        return np.asarray(-0.5 * np.sum(x**2, axis=1))
-
-    return TestLikelihood(
-        log_likelihood,
-        log_prior,
-        lambda own: np.zeros(len(own)),
-        drawn,
-        log_prior(drawn),
-        *without_prior(drawn),
-    )
+    return TestLikelihood(log_likelihood, lambda own: np.zeros(len(own)), mean, covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +64,8 @@ class Linear:
     def actuations(self) -> Array:
         return np.array([s.actuation for s in self.layout.settings])
 
-    def likelihoods(self, rng: np.random.Generator) -> list[TestLikelihood]:
-        return [gaussian_test(*told, rng) for told in zip(self.y, self.covariances, strict=True)]
+    def likelihoods(self) -> list[TestLikelihood]:
+        return [gaussian_test(*told) for told in zip(self.y, self.covariances, strict=True)]
 
     def _design(self, omega: Array) -> tuple[Array, Array]:
         """Offsets (J, d), and design matrices from u to tests, by effect sd, (n, J, d, u)."""
@@ -145,7 +130,9 @@ class Linear:
         axis = np.linspace(-6.0, 1.5, points)  # of the log of an sd over its prior's scale
         grid = np.array(list(product(axis, repeat=d + effects))) + np.log(scales)
         weight, means, covariances = self.conditional(grid)
-        weight += np.sum(grid - 0.5 * (np.exp(grid) / scales) ** 2, axis=1)
+        size = np.exp(grid) / scales
+        sparse = np.append(self.layout.sparse, np.zeros(effects)).astype(bool)
+        weight += np.sum(grid - np.where(sparse, size, 0.5 * size**2), axis=1)
         weight = special.softmax(weight)
         variances = np.diagonal(covariances, axis1=1, axis2=2)
         mean = weight @ means

@@ -1,19 +1,17 @@
 """Every move of a sweep leaves a linear-Gaussian joint posterior invariant; broken ones do not."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
-from scipy.stats import kstest, norm
+from scipy.stats import norm
 
 from mfd_bayes.population.chains import Chains
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.moves import one_test
+from mfd_bayes.population.moves import one_test, shared
 from mfd_bayes.population.moves.hyperparameters import draw_latent, evolve_hyperparameters
 from mfd_bayes.population.moves.lines import Lines, transport
-from mfd_bayes.population.moves.redraw import Profile, redraw
 from mfd_bayes.population.sweep import Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
@@ -29,7 +27,12 @@ class Case:
     def __init__(self, linear, seed=3):
         rng = np.random.default_rng(seed)
         self.linear, self.exact = linear, linear.solve(rng, CHAINS)
-        self.tests, self.rng = linear.likelihoods(rng), rng
+        # Gaussians that are near the likelihoods, not the likelihoods themselves
+        self.tests = [
+            replace(t, mean=t.mean + 0.3 * np.sqrt(np.diag(t.covariance)), covariance=c)
+            for t in linear.likelihoods()
+            for c in [1.3 * t.covariance]
+        ]
 
     def chains(self) -> Chains:
         """Chains at the exact draws."""
@@ -68,6 +71,14 @@ def pair(make_linear):
 def vague(make_linear):
     """Friction about which each test says less than its prior, far from the prior's median."""
     return Case(make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd",), level=2.5, noise=6.0, seed=3))
+
+
+@pytest.fixture(scope="module")
+def device(make_linear):
+    """A quantity whose scatter prior prefers none, and one that differs between tests."""
+    found = Case(make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "k3"), noise=20.0, seed=3))
+    assert found.linear.layout.sparse == (False, True)
+    return found
 
 
 def features(chains: Chains) -> np.ndarray:
@@ -134,36 +145,74 @@ def along_lines(move):
     return kernel
 
 
+def move_all(move, sampler: Sampler, chains: Chains, *tuning) -> None:
+    """Move of all tests at once, some of which must be taken."""
+    accepted = move(sampler.joint, chains, sampler.rng, *tuning)
+    assert len(accepted) == 2
+    assert all(0.02 < np.mean(yes) for _, yes in accepted)
+
+
 MOVES = {
     "hyper": hyper,
     "latent": latent,
-    "stored": of_one_test(one_test.choose_stored),
     "near": of_one_test(one_test.step_near),
     "evolution": of_one_test(one_test.evolve_tests),
     "transport": along_lines(transport),
-    "redraw": along_lines(redraw),
+    "shift": lambda sampler, chains: move_all(shared.shift, sampler, chains, sampler.tuning),
+    "rescale": lambda sampler, chains: move_all(shared.rescale, sampler, chains),
     "together": lambda sampler, chains: sampler.move_together(chains),
     "sweep": lambda sampler, chains: sampler.sweep(chains),
 }
 
 
-FULL = {"redraw": 10, "together": 10, "sweep": 10}
+FULL = {"together": 10, "sweep": 10}
 """Times of those kernels that move everything far at once."""
 
 
-@pytest.mark.parametrize("name", MOVES)
+@pytest.mark.parametrize("name", [name for name in MOVES if name not in ("shift", "rescale")])
 def test_a_move_leaves_the_posterior_as_it_is(case, name):
     assert shift(case, MOVES[name], FULL.get(name, 30)) < FAR
 
 
-@pytest.mark.parametrize("name", ["hyper", "stored", "near", "transport", "redraw", "sweep"])
+@pytest.mark.parametrize("name", ["hyper", "near", "transport", "sweep"])
 def test_a_move_keeps_quantities_that_are_known_together(pair, name):
     assert shift(pair, MOVES[name], FULL.get(name, 20)) < FAR
 
 
-@pytest.mark.parametrize("name", ["stored", "near", "transport", "redraw", "sweep"])
+@pytest.mark.parametrize("name", ["near", "transport", "sweep"])
 def test_a_move_keeps_tests_that_tell_little(vague, name):
     assert shift(vague, MOVES[name], FULL.get(name, 20)) < FAR
+
+
+@pytest.mark.parametrize("name", ["hyper", "latent", "near", "transport", "shift", "rescale", "sweep"])
+def test_a_move_keeps_a_quantity_that_is_one_for_the_device(device, name):
+    assert shift(device, MOVES[name], FULL.get(name, 30)) < FAR
+
+
+@pytest.mark.parametrize("name", ["shift", "rescale"])
+def test_a_move_of_all_tests_with_a_wrong_ratio_does_not(device, name, monkeypatch):
+    """A shift that forgets the other quantities' scatter, a rescale with the Jacobian again."""
+    accept = shared._accept
+
+    def wrong(joint, chains, rng, proposed):
+        ratio, which = proposed.log_ratio.copy(), proposed.chains
+        if name == "shift":
+            ratio[:] = 0.0
+        else:
+            ratio += (proposed.h - chains.h[which]).sum(axis=1) * len(joint.tests)
+        return accept(joint, chains, rng, replace(proposed, log_ratio=ratio))
+
+    monkeypatch.setattr(shared, "_accept", wrong)
+    assert shift(device, MOVES[name], 150) > 1.5 * FAR
+
+
+@pytest.mark.parametrize("move", ["shift", "rescale"])
+def test_without_a_quantity_of_the_device_nothing_moves_with_all_tests(case, move):
+    sampler, chains = sampler_of(case), case.chains()
+    before = features(chains)
+    tuning = [sampler.tuning] if move == "shift" else []
+    assert getattr(shared, move)(sampler.joint, chains, sampler.rng, *tuning) == []
+    np.testing.assert_array_equal(features(chains), before)
 
 
 def broken_prior(case: Case) -> Sampler:
@@ -179,13 +228,6 @@ def broken_prior(case: Case) -> Sampler:
     layout = object.__new__(Wrong)
     vars(layout).update(vars(case.linear.layout))
     return sampler_of(case, layout=layout)
-
-
-def broken_weights(case: Case) -> Sampler:
-    """Stored draws that are not weighted by the interim prior."""
-    tests = [replace(t, draws_log_prior=np.zeros(len(t.draws))) for t in case.tests]
-    tests = [replace(t, log_interim_prior=lambda x: np.zeros(len(x))) for t in tests]
-    return sampler_of(case, tests)
 
 
 def broken_scatter(case: Case) -> Sampler:
@@ -207,7 +249,6 @@ def broken_scatter(case: Case) -> Sampler:
         ("hyper", broken_scatter),
         ("latent", broken_scatter),
         ("transport", broken_prior),
-        ("redraw", broken_prior),
     ],
 )
 def test_a_broken_move_does_not(case, name, wrong):
@@ -247,65 +288,6 @@ def forgetful(accept):
     return wrong
 
 
-def test_redraws_whose_densities_are_forgotten_do_not(vague, monkeypatch):
-    monkeypatch.setattr(Profile, "log_density", lambda self, t, *_: np.zeros_like(t))
-    assert shift(vague, MOVES["redraw"], 20) > 1.5 * FAR
-
-
-def test_redraws_keep_a_likelihood_that_no_polynomial_follows(vague):
-    """The likelihood has a kink and a step within a test's sd, where profiles fit badly."""
-
-    def bent(test: TestLikelihood) -> TestLikelihood:
-        def log_likelihood(x):
-            away = np.abs(x[:, 0] - test.mean[0])
-            return test.log_likelihood(x) - 0.5 * away - 0.7 * (away < 0.4)
-
-        return replace(test, log_likelihood=log_likelihood)
-
-    tests = [bent(test) for test in vague.tests]
-    sampler, chains = sampler_of(vague, tests), vague.chains()
-    sampler.take_over(chains)
-    for _ in range(60):  # warm-up to the new joint posterior, without the tested move
-        hyper(sampler, chains)
-        MOVES["near"](sampler, chains)
-        together(transport, sampler, chains)
-    before = features(chains)
-    for _ in range(20):
-        together(redraw, sampler, chains)
-    after = features(chains)
-    error = np.sqrt((before.var(axis=0) + after.var(axis=0)) / CHAINS)
-    assert np.max(np.abs(after.mean(axis=0) - before.mean(axis=0)) / error) < FAR
-
-
-def test_redraws_are_taken_where_lines_are_smooth(vague):
-    """Also where they are not parabolas, and for any constant in a likelihood."""
-
-    def smooth(test: TestLikelihood) -> TestLikelihood:
-        def log_likelihood(x):
-            away = x[:, 0] - test.mean[0]
-            return test.log_likelihood(x) - 9.0 * np.log(np.cosh(away)) - 1e4
-
-        return replace(test, log_likelihood=log_likelihood)
-
-    for tests, least in ((vague.tests, 0.95), ([smooth(test) for test in vague.tests], 0.6)):
-        sampler, chains = sampler_of(vague, tests), vague.chains()
-        sampler.take_over(chains)
-        shares = [together(redraw, sampler, chains).mean() for _ in range(5)]
-        assert np.mean(shares) > least
-
-
-def test_a_quantity_whose_redraws_are_refused_is_transported(case):
-    sampler = sampler_of(case)
-    sampler.accepted["redraw Fc_fwd"] = [0.05, 0.1]
-    sampler.choose_moves()
-    sampler.move_together(case.chains())
-    assert sampler.accepted["transport Fc_fwd"]
-
-
-def test_stored_draws_with_wrong_weights_do_not(vague):
-    assert shift(vague, MOVES["stored"], sampler=broken_weights(vague)) > 2 * FAR
-
-
 def test_proposals_near_a_gaussian_likelihood_are_all_taken(case):
     tests = [test.approximated() for test in case.tests]
     sampler, chains = sampler_of(case, tests), case.chains()
@@ -332,9 +314,7 @@ def test_chains_never_leave_the_support_of_a_test(case):
         def log_likelihood(x):
             return np.where(x[:, 0] > edge, test.log_likelihood(x), -np.inf)
 
-        kept = test.draws[:, 0] > edge
-        draws, prior = test.draws[kept], test.draws_log_prior[kept]
-        return replace(test, log_likelihood=log_likelihood, draws=draws, draws_log_prior=prior)
+        return replace(test, log_likelihood=log_likelihood)
 
     tests = [bounded(case.tests[0]), *case.tests[1:]]
     sampler, chains = sampler_of(case, tests), case.chains()
@@ -366,29 +346,6 @@ def test_products_are_of_the_standardised_places_summed_over_tests(pair):
         tau = np.exp(chains.h[i, :2]) / layout.spread
         places = (np.stack([x[i] for x in chains.x]) - mean) / tau
         np.testing.assert_allclose(found[i], places.T @ places, rtol=1e-9)
-
-
-def test_tests_are_drawn_from_the_density_that_is_said(vague):
-    """Many draws at one chain state: their shares below each value, against the integral."""
-    chains = vague.chains()
-    for array in (chains.h, chains.latent, *chains.x, *chains.log_likelihood):
-        array[:] = array[:1]
-    sampler = sampler_of(vague)
-    through = Lines.through(sampler.joint, chains, sampler.tuning, 0)
-    profile = Profile.along(through, sampler.tuning)
-    profile.coefficients[..., 1:4] += (0.4, -0.5, 0.2)  # skewed and heavy-tailed
-    here = through.here
-    drawn, told = profile.draw(here, np.random.default_rng(5))
-    np.testing.assert_allclose(profile.log_density(drawn, here), told, rtol=1e-6, atol=1e-9)
-    centre, sd, _ = through.gaussian(here)
-    grid = centre + sd * np.linspace(-5.0, 5.0, CHAINS)[:, None]
-    density = np.exp(profile.log_density(grid, here))
-    for j in range(len(vague.tests)):
-        steps = np.diff(grid[:, j]) * 0.5 * (density[1:, j] + density[:-1, j])
-        shares = np.append(0.0, np.cumsum(steps))
-        assert shares[-1] == pytest.approx(1.0, abs=1e-3)
-        below = partial(np.interp, xp=grid[:, j], fp=shares)
-        assert kstest(drawn[:, j], below).pvalue > 1e-3
 
 
 def test_scatter_and_level_have_their_priors_in_a_move(vague):

@@ -18,6 +18,7 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
     stack,
 )
+from mfd_bayes.population.laws import SENSITIVITY
 from mfd_bayes.population.layout import lay_out
 from mfd_bayes.population.setting import Setting
 
@@ -58,8 +59,7 @@ def make_campaign(
         q[0] += error * rng.standard_normal() + sensitivity * np.log(velocity)
         sd = np.array([error, 0.02]) / layout.spread
         mean = (q - layout.centre) / layout.spread
-        evidence = told(mean, np.diag(sd**2), rng, draws=200)
-        tests.append(replace(evidence, mean=mean, covariance=np.diag(sd**2)))
+        tests.append(told(mean, np.diag(sd**2)))
     return layout, tests
 
 
@@ -138,10 +138,9 @@ def test_scores_with_a_test_at_zero_are_brute_force(campaign, law):
 
 
 def test_an_exponent_is_freed_with_three_levels_above_zero(priors, gaussian_test):
-    rng = np.random.default_rng(1)
     for levels, freed in (((0.0, 0.5, 1.0), set()), ((0.0, 0.5, 0.8, 1.5), {"Fc_fwd"})):
         layout = lay_out(priors, ("Fc_fwd", "offset"), [Setting(p) for p in levels])
-        tests = [gaussian_test(np.zeros(2), 0.1 * np.eye(2), rng, 200) for _ in levels]
+        tests = [gaussian_test(np.zeros(2), 0.1 * np.eye(2)) for _ in levels]
         assert set(free_exponents(layout, tests)) == freed
 
 
@@ -319,7 +318,7 @@ def test_the_exponents_interval_is_brute_force(campaign):
 
     found = free_exponents(layout, tests)["Fc_fwd"]
     np.testing.assert_allclose(found, quantiles(density), atol=0.02)
-    assert np.max(np.abs(found - quantiles(without))) > 0.1  # the control
+    assert np.max(np.abs(found - quantiles(without))) > 0.08  # the control
 
 
 def deviating(priors, runs, each, exponent):
@@ -344,7 +343,7 @@ def deviating(priors, runs, each, exponent):
 
 
 def test_levels_that_deviate_a_little_do_not_contradict_a_law(priors):
-    assert deviating(priors, 120, 10, 1.0) <= 0.08  # 0.55 without the effect of the level
+    assert deviating(priors, 240, 10, 1.0) <= 0.08  # 0.55 without the effect of the level
     assert deviating(priors, 10, 10, 0.5) == 1.0  # the control: the law is wrong
 
 
@@ -376,14 +375,14 @@ def test_leaving_out_a_level_of_one_test_is_leaving_out_that_test(campaign, sess
 
 def test_scores_of_a_dependence_are_brute_force(campaign):
     layout, tests = campaign(
-        levels=(0.4, 0.6, 0.9, 1.4, 2.0), velocities=SPEEDS[:5], sensitivity=0.3
+        levels=(0.4, 0.6, 0.9, 1.4, 2.0), velocities=SPEEDS[:5], sensitivity=SENSITIVITY
     )
     data = np.array([t.mean[0] for t in tests])
     noise = np.diag([t.covariance[0, 0] for t in tests])
     relative = np.array([s.actuation for s in layout.settings]) / layout.reference
     folds = np.log(SPEEDS[:5]) - np.mean(np.log(SPEEDS[:5]))
     places = (np.arange(60) + 0.5) / 60
-    slopes = stats.norm(0.0, 0.3).ppf(places)[:, None]
+    slopes = stats.norm(0.0, SENSITIVITY).ppf(places)[:, None]
     away = data - (np.log(relative) + slopes * folds) / layout.spread[0]
     scale = layout.scatter_sd[0] / layout.spread[0]
 

@@ -188,9 +188,11 @@ def test_the_density_of_the_hyperparameters_is_scipys_up_to_a_constant(priors):
     rng = np.random.default_rng(2)
     h = rng.normal(-1.5, 0.7, size=(7, layout.dim))
     sds = len(layout.sd_scale)
-    expected = np.sum(
-        stats.halfnorm(scale=layout.sd_scale).logpdf(np.exp(h[:, :sds])) + h[:, :sds], axis=1
-    )
+    assert 0 < np.sum(layout.sparse) < len(layout.names)
+    sparse = np.append(layout.sparse, np.zeros(len(layout.effects))).astype(bool)  # no effect is
+    half_normal = stats.halfnorm(scale=layout.sd_scale).logpdf(np.exp(h[:, :sds]))
+    exponential = stats.expon(scale=layout.sd_scale).logpdf(np.exp(h[:, :sds]))
+    expected = np.sum(np.where(sparse, exponential, half_normal) + h[:, :sds], axis=1)
     densities = {"exponent": stats.norm(1.0, 0.5), "share": stats.logistic}
     for i, (_, shape) in enumerate(layout.shapes):
         expected += densities[shape].logpdf(h[:, sds + i])

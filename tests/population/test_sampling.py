@@ -19,7 +19,7 @@ MEAN, SPREAD = 0.1, 0.1
 
 
 def run(linear, priors, tests=None, layout=None, effort=EFFORT, seed=5):
-    tests = linear.likelihoods(np.random.default_rng(6)) if tests is None else tests
+    tests = linear.likelihoods() if tests is None else tests
     chosen = linear.layout if layout is None else layout
     problem = JointProblem(chosen, set_apart(chosen, tests), priors.parameters, "ksi")
     return sample_joint(problem, effort, np.random.default_rng(seed))
@@ -51,6 +51,8 @@ CASES = {
     "with a power law": ((0.5, 0.5, 0.9, 0.9, 0.9), ("Fc_fwd",)),
     "with an effect of the level": ((0.5, 0.5, 0.9, 1.6), ("Fc_fwd",)),
     "two quantities, known together": ((0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "offset")),
+    "one for the device, and one that differs": ((0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "k3")),
+    "two that are one for the device": ((0.5, 0.5, 0.9, 0.9), ("k3", "sigma2")),
     "a test at zero": ((0.0, 0.5, 0.5, 0.9, 0.9), ("Fc_fwd", "offset")),
 }
 
@@ -83,10 +85,21 @@ def test_a_wrong_prior_of_scatter_is_told_apart(make_linear, priors):
     assert mean > 3 * MEAN or sd > 3 * SPREAD
 
 
+def test_a_half_normal_scatter_of_a_device_s_quantity_is_told_apart(make_linear, priors):
+    linear = make_linear((0.5, 0.5, 0.9, 0.9), ("k3",), noise=6.0, seed=4)
+    assert linear.layout.sparse == (True,)
+    mean, sd = deviations(linear, run(linear, priors))
+    assert mean < MEAN
+    assert sd < SPREAD
+    half_normal = replace(linear.layout, sparse=(False,))
+    mean, sd = deviations(linear, run(linear, priors, layout=half_normal, effort=FEWER))
+    assert mean > 2 * MEAN or sd > 2 * SPREAD
+
+
 def test_a_posterior_that_is_taken_for_a_likelihood_is_told_apart(make_linear, priors):
     """The interim prior of each test is then counted twice."""
     linear = make_linear((0.5, 0.5, 0.9, 0.9), ("Fc_fwd",), level=1.5, noise=6.0, seed=3)
-    tests = linear.likelihoods(np.random.default_rng(6))
+    tests = linear.likelihoods()
     right = deviations(linear, run(linear, priors, tests, effort=FEWER))
     wrong = [replace(t, log_likelihood=_with_prior(t)) for t in tests]
     mean, _ = deviations(linear, run(linear, priors, wrong, effort=FEWER))
@@ -95,7 +108,7 @@ def test_a_posterior_that_is_taken_for_a_likelihood_is_told_apart(make_linear, p
 
 
 def _with_prior(test):
-    return lambda x: test.log_likelihood(x) + test.log_interim_prior(x)
+    return lambda x: test.log_likelihood(x) - 0.5 * np.sum(x**2, axis=1)
 
 
 QUICK = Effort(ess=20, limit=100, r_hat=1.2, ensembles=2, kept=300)
