@@ -17,6 +17,7 @@ from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import Run
 
 HEADER = """\
 [campaign]
@@ -120,3 +121,57 @@ def semi_active_trace(path: Path) -> Trace:
     return Trace.from_arrays(
         motion.time, motion.displacement, tension, motion.force, motion.velocity
     )
+
+
+def least_squares(tests: dict[str, Posterior]) -> np.ndarray:
+    """One parameter vector for all tests by least squares, each with its own start and offset.
+
+    Returns the coordinates of the tests' posteriors, with the mean offset and the start in the
+    middle of the gap: what a user would predict a new test by. Posteriors have independent noise.
+    """
+    posteriors = list(tests.values())
+    names = posteriors[0].names
+    own = [names.index(name) for name in ("start", "offset")]
+    shared = [i for i in range(len(names)) if i not in own and names[i] != "noise_sd"]
+    drawn = posteriors[0].coordinates(posteriors[0].draw_prior(np.random.default_rng(0), 3000))
+    middle = drawn.mean(axis=0)
+
+    def points(q: np.ndarray, j: int) -> np.ndarray:
+        full = np.repeat(middle[None], len(q), axis=0)
+        full[:, shared] = q[:, : len(shared)]
+        full[:, own] = q[:, len(shared) + 2 * j : len(shared) + 2 * j + 2]
+        return full
+
+    def residual(q: np.ndarray) -> np.ndarray:
+        found = [p.residual(points(q[None], j))[0] for j, p in enumerate(posteriors)]
+        return np.concatenate([*found, 0.05 * (q - start)])
+
+    def jacobian(q: np.ndarray) -> np.ndarray:
+        around = q + 1e-4 * np.vstack([np.eye(len(q)), np.zeros(len(q))])
+        parts = [p.residual(points(around, j)) for j, p in enumerate(posteriors)]
+        slopes = [((part[:-1] - part[-1]) / 1e-4).T for part in parts]
+        return np.concatenate([*slopes, 0.05 * np.eye(len(q))])
+
+    squares = sum(np.mean(p.residual(drawn) ** 2, axis=1) for p in posteriors[:2])
+    best = None
+    for i in np.argsort(squares)[:3]:
+        start = np.concatenate([drawn[i, shared], np.tile(middle[own], len(posteriors))])
+        fit = optimize.least_squares(residual, start, jacobian, max_nfev=60)
+        if best is None or fit.cost < best.cost:
+            best = fit
+    found = middle.copy()
+    found[shared] = best.x[: len(shared)]
+    found[own[1]] = best.x[len(shared) :].reshape(-1, 2)[:, 1].mean()
+    return found
+
+
+def least_squares_error(run: Run, left_out: str) -> float:
+    """RRSE of a test predicted by `least_squares` of the others."""
+    plain = {
+        name: Posterior(test.trace, run.priors, "iid", test.posterior.model)
+        for name, test in run.tests.items()
+    }
+    target = plain.pop(left_out)
+    residual = target.residual(least_squares(plain)[None])[0]
+    force = np.asarray(target.trace.force)
+    return float(np.sqrt(np.sum(residual**2) / np.sum((force - force.mean()) ** 2)))

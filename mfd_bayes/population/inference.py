@@ -111,7 +111,8 @@ def infer_population(
     under = [setting_of(t.trace, settings.sessions.get(name, "")) for name, t in tests.items()]
     noise = set(some.noise.parameters) - {"noise_sd"}
     names = [name for name in some.names if name not in noise]
-    dependence = settings.dependence or usual_dependence(some.model, under, names)
+    dependence = usual_dependence(some.model, under, names)
+    dependence |= {name: tuple(those) for name, those in settings.dependence.items() if those}
     layout = lay_out(priors, names, under, settings.laws, dependence)
     working = [working_likelihood(layout, test.posterior, priors) for test in tests.values()]
     starts = [_start(one, test) for one, test in zip(working, tests.values(), strict=True)]
