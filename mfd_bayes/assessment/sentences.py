@@ -91,7 +91,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     found += _of_identifiability(tests)
     if any(r.name == "gamma1" for view in tests for r in view.rows):
         found.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
-    found += _of_dependence(run.manifest)
+    found += _of_dependence(run)
     found += zero_sentences(run.population.layout, run.tests)
     if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:
         found.append(
@@ -101,11 +101,11 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _of_dependence(manifest: Manifest) -> list[str]:
-    """Quantities that predict tests left out better if they follow speed or stroke."""
-    asked = manifest.settings.dependence or {}
+def _of_dependence(run: Run) -> list[str]:
+    """Quantities that predict tests left out better if they followed speed or stroke."""
+    asked = run.population.layout.dependence
     found = []
-    for score in manifest.dependence_scores:
+    for score in run.manifest.dependence_scores:
         name, covariate, gain = score.quantity, score.covariate, score.difference
         if covariate and covariate not in asked.get(name, ()) and gain > max(score.se, 1.0):
             found.append(

@@ -14,14 +14,7 @@ from mfd_bayes.calibration.quantities import known_quantities
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.effects import Effect, effects_of
-from mfd_bayes.population.laws import (
-    LAWS,
-    default_laws,
-    log_prior,
-    ratio,
-    shapes_of,
-    value_of,
-)
+from mfd_bayes.population.laws import LAWS, default_laws, log_prior, ratio, shapes_of, value_of
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.zeros import informs_of, weights_of, with_zeros
 
@@ -150,14 +143,12 @@ class Layout:
     def log_prior(self, h: Array) -> Array:
         """Log prior density of each block of h, without constants, (n, G).
 
-        Scatter and effects' sd are half-normal, or exponential where the prior prefers none,
-        with the Jacobian of their logarithms.
+        Scatter and effects' sd are half-normal, or exponential, with the Jacobian of their logs.
         """
         density = np.zeros((len(h), len(self.groups)))
         sd = self.sd_scale
         for i in range(len(sd)):
-            size = np.exp(h[:, i]) / sd[i]
-            sparse = i < len(self.sparse) and self.sparse[i]
+            size, sparse = np.exp(h[:, i]) / sd[i], i in np.flatnonzero(self.sparse)
             density[:, self.block[i]] += h[:, i] - (size if sparse else 0.5 * size**2)
         for i, (_, shape) in enumerate(self.shapes):
             at = len(sd) + i

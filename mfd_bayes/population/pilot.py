@@ -81,16 +81,12 @@ class _One:
 
     Attributes
     ----------
-    likelihood : WorkingLikelihood
     x : (D,)
-    basis : (T, K)
-        Of the discrepancy, times the test's slip force over the typical one.
-    residual : (T,), kip
-        At x, without discrepancy.
-    slopes : (T, D)
-        Of the model's force plus offset.
+    functions, basis : (T, K)
+        Of the discrepancy: as they are, and times the slip force over the typical one.
+    residual, slopes : (T,), (T, D)
+        What is left over at x without discrepancy, and slopes of the model's force, kip.
     sd : float, kip
-        Of the noise.
     """
 
     likelihood: WorkingLikelihood
@@ -173,10 +169,8 @@ class _Fit:
 
     def _proposed(self) -> list[Array]:
         """Coordinates of the tests after a step: what is free is eliminated first."""
-        those = np.flatnonzero(self.common)
-        matrix = np.eye(those.size)
-        pull = -self.tests[0].x[those]
-        kept = []
+        those, kept = np.flatnonzero(self.common), []
+        matrix, pull = np.eye(those.size), -self.tests[0].x[those]
         for one in self.tests:
             weights = one.weights(self.log_shape)
             slopes, left = one.slopes * weights[:, None], one.residual * weights
