@@ -18,10 +18,12 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.layout import Layout, lay_out
+from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
-from mfd_bayes.population.test_likelihood import TestLikelihood, likelihood_of
+from mfd_bayes.population.test_likelihood import TestLikelihood
+from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -103,7 +105,8 @@ def synthesize(study: Study, index: int) -> Campaign:
     rng = np.random.default_rng([study.seed, index, 0])
     blanks = [_blank(study, level) for level in LEVELS]
     settings = [setting_of(blank.trace) for blank in blanks]
-    layout = lay_out(study.priors, blanks[0].names, settings, LAWS)
+    known = [name for name in blanks[0].names if name != "noise_time"]  # the pilot learns it
+    layout = lay_out(study.priors, known, settings, LAWS)
     names = list(layout.names)
     level = layout.centre + layout.spread * rng.standard_normal(len(names))
     scatter = layout.scatter_sd * np.abs(rng.standard_normal(len(names)))
@@ -178,20 +181,28 @@ def draw_jointly(
     study: Study, campaign: Campaign, draws: Sequence[Draws], index: int, way: str = RIGHT
 ) -> JointDraws:
     """Population of calibrated tests, as the package infers it, or wrongly as the control."""
-    tests = []
-    for test, drawn in zip(campaign.tests, draws, strict=True):
-        flat = {name: value.reshape(-1) for name, value in drawn.values.items()}
-        found = likelihood_of(campaign.layout, test, flat)
-        tests.append(found if way == RIGHT else _as_points(found))
+    layout = campaign.layout
+    working = [working_likelihood(layout, test, study.priors) for test in campaign.tests]
+    starts = [_median(one, drawn) for one, drawn in zip(working, draws, strict=True)]
+    pilot = fit_pilot(working, starts)
+    tests = [test if way == RIGHT else _as_points(test) for test in pilot.tests]
     rng = np.random.default_rng([study.seed, index, 2])
-    priors = campaign.tests[0].priors
-    problem = JointProblem(campaign.layout, tests, priors, "ksi")
+    problem = JointProblem(layout, tests, campaign.tests[0].priors, "ksi", pilot.residual)
     return sample_joint(problem, study.joint, rng)
 
 
+def _median(likelihood: WorkingLikelihood, draws: Draws) -> Array:
+    """Medians of a test's draws in the prior units of its likelihood, (D,)."""
+    layout, priors = likelihood.layout, likelihood.posterior.priors
+    values = {name: np.array([np.median(v)]) for name, v in draws.values.items()}
+    parts = [layout.coordinates.of(values)]
+    parts += [priors[name].coordinate(values[name])[:, None] for name in likelihood.own]
+    return np.asarray((np.concatenate(parts, axis=1)[0] - likelihood.middle) / likelihood.scale)
+
+
 def _as_points(test: TestLikelihood) -> TestLikelihood:
-    """The posterior's means taken for measurements without error."""
-    mean = test.draws.mean(axis=0)
+    """The posterior's mean under a N(0, 1) prior taken for a measurement without error."""
+    mean = np.linalg.solve(test.precision + np.eye(test.mean.size), test.precision @ test.mean)
     certain = replace(test, mean=mean, covariance=1e-4 * np.eye(mean.size))
     return certain.approximated()
 

@@ -177,6 +177,9 @@ def test_an_unknown_parameter_lists_the_known(tmp_path):
         load_priors(str(write(tmp_path, GOOD, name="Fc_forward")))
 
 
+SPARSE = '[scatter.k]\nparameters = ["k3"]\nabove = 0.2\nprobability = 0.05\n'
+
+
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
@@ -189,6 +192,21 @@ def test_an_unknown_parameter_lists_the_known(tmp_path):
         ('[scatter.friction]\nparameters = ["Fc_fwd"]\nsd = 0.0\n', "sd must be positive"),
         ('[scatter.friction]\nparameters = "Fc_fwd"\nsd = 0.1\n', "a list"),
         ('[scatter.friction]\nparameters = ["Fc_fwd"]\n', "sd"),
+        ('[scatter.k]\nparameters = ["k3"]\nabove = 0.2\n', "above and probability"),
+        ('[scatter.k]\nparameters = ["k3"]\nprobability = 0.05\n', "above and probability"),
+        (f"{SPARSE}sd = 0.1\n", "expected the keys parameters"),
+        (f"{SPARSE}below = 0.1\n", "expected the keys parameters"),
+        (SPARSE.replace("0.2", "0.0"), "above must be positive, got 0"),
+        (SPARSE.replace("0.2", "-1"), "above must be positive, got -1"),
+        (SPARSE.replace("0.2", "true"), "above: expected a number"),
+        (SPARSE.replace("0.2", "inf"), "above: must be finite"),
+        (SPARSE.replace("0.2", '"0.2 kip"'), "above"),
+        (SPARSE.replace("0.05", "0.0"), "probability must lie between 0 and 1, got 0"),
+        (SPARSE.replace("0.05", "1.0"), "probability must lie between 0 and 1, got 1"),
+        (SPARSE.replace("0.05", "nan"), "probability: must be finite"),
+        (SPARSE.replace("0.05", '"often"'), "probability"),
+        (SPARSE.replace("k3", "k33"), "unknown parameter 'k33'"),
+        (SPARSE.replace("k3", "offset"), "above: expected a quantity with its unit"),
     ],
 )
 def test_a_bad_file_is_named(tmp_path, content, expected):
@@ -197,6 +215,20 @@ def test_a_bad_file_is_named(tmp_path, content, expected):
     with pytest.raises(PriorError, match=expected) as caught:
         load_priors(str(path))
     assert "mine.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scatter_that_is_likely_none_is_exponential(tmp_path):
+    path = tmp_path / "mine.toml"
+    offset = SPARSE.replace("k3", "offset").replace("[scatter.k]", "[scatter.offset]")
+    half_normal = '[scatter.friction]\nparameters = ["Fc_fwd"]\nsd = 0.1\n'
+    path.write_text(SPARSE + offset.replace("0.2", '"0.4448222 kN"') + half_normal)
+    scatter = load_priors(str(path)).scatter
+    for name, above in (("k", 0.2), ("offset", 0.1)):
+        assert scatter[name].sparse
+        assert stats.expon(scale=scatter[name].sd).sf(above) == pytest.approx(0.05, rel=1e-5)
+    assert not scatter["friction"].sparse
+    assert scatter["friction"].sd == 0.1
 
 
 def test_priors_are_found_by_name_and_by_path(tmp_path):

@@ -4,6 +4,7 @@ import json
 import warnings
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -15,8 +16,10 @@ from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.layout import Layout, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.storage import load_population, save_population, save_test_draws
+from mfd_bayes.population.travel import TravelBasis
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_arrays
 
@@ -62,6 +65,22 @@ def population(priors):
         actuation_unit="ksi",
         walkers=6,
         convergence=Convergence(np.array([1.001, 1.0]), np.array([500.0, 6e3]), np.ones(2)),
+        residual=residual_of(rng),
+    )
+
+
+def residual_of(rng):
+    """A discrepancy and a noise whose figures all differ."""
+    basis = TravelBasis(0.9, 2.1)
+    root = 0.01 * rng.normal(size=(basis.size, basis.size))
+    return Residual(
+        basis=basis,
+        mean=0.02 * rng.normal(size=basis.size),
+        covariance=root @ root.T,
+        log_shape=0.1 * rng.normal(size=basis.size),
+        slip_force=1.3,
+        noise_time=0.04,
+        information=0.2,
     )
 
 
@@ -79,6 +98,64 @@ def test_a_population_comes_back_bit_by_bit(population, back):
         expected = getattr(population.convergence, name)
         np.testing.assert_array_equal(getattr(back.convergence, name), expected)
     assert (back.actuation_unit, back.walkers) == ("ksi", 6)
+
+
+def test_discrepancy_and_noise_come_back_bit_by_bit(population, back):
+    for name in Residual.__dataclass_fields__:
+        stored, expected = getattr(back.residual, name), getattr(population.residual, name)
+        np.testing.assert_array_equal(stored, expected)
+        assert type(stored) is type(expected)
+    time = np.arange(120) / 40
+    trace = Trace.from_arrays(time, np.sin(np.pi * time))
+    np.testing.assert_array_equal(back.residual.shape(trace), population.residual.shape(trace))
+
+
+def rewritten(path, **changes):
+    """The facts of a stored file changed; those that become None are left out."""
+    with h5py.File(path, "r+") as file:
+        facts = json.loads(file["posterior"].attrs["facts"]) | changes
+        kept = {name: value for name, value in facts.items() if value is not None}
+        file["posterior"].attrs["facts"] = json.dumps(kept)
+
+
+def test_a_file_of_an_earlier_version_has_no_discrepancy(tmp_path, priors, population):
+    path = tmp_path / "older.nc"
+    save_population(path, population)
+    rewritten(path, residual=None, sparse=None)
+    found = load_population(path, priors)
+    assert found.residual is None
+    assert found.layout.sparse == ()
+    np.testing.assert_array_equal(found.h, population.h)
+
+
+def test_a_population_without_a_discrepancy_is_stored_without_one(tmp_path, priors, population):
+    save_population(tmp_path / "none.nc", replace(population, residual=None))
+    assert load_population(tmp_path / "none.nc", priors).residual is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mean", [0.0]),
+        ("covariance", [[0.0] * 31] * 32),
+        ("log_shape", [1e3] * 32),
+        ("slip_force", 0.0),
+        ("noise_time", -1.0),
+        ("information", 1.5),
+        ("basis", {"shortest": 0.0, "longest": 1.0}),
+        ("basis", {"shortest": 1.0}),
+    ],
+)
+def test_a_damaged_discrepancy_is_refused(tmp_path, priors, population, name, value):
+    path = tmp_path / "population.nc"
+    save_population(path, population)
+    with h5py.File(path) as file:
+        facts = json.loads(file["posterior"].attrs["facts"])["residual"]
+    rewritten(path, residual=facts)
+    load_population(path, priors)  # the control: so far it is as it was
+    rewritten(path, residual=facts | {name: value})
+    with pytest.raises(StoreError, match=r"population\.nc.*residual"):
+        load_population(path, priors)
 
 
 def test_its_layout_comes_back(population, back):

@@ -1,5 +1,7 @@
 """Functions of the travel since a turn: where they stand, and where there are none."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ def sine(amplitude):
 
 def path(*places):
     """Motion that turns at these places, 100 samples to a stroke."""
-    strokes = [np.linspace(a, b, 100, endpoint=False) for a, b in zip(places, places[1:])]
+    strokes = [np.linspace(a, b, 100, endpoint=False) for a, b in pairwise(places)]
     x = np.concatenate([*strokes, places[-1:]])
     return Trace.from_arrays(np.arange(x.size) / 100.0, x)
 
