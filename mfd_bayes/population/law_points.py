@@ -61,8 +61,8 @@ def draw_points(problem: LawProblem, subsets: Sequence[Tests] = (), seed: int = 
     """Points for the posterior of all tests, and of each subset of them; always the same.
 
     They are of a mixture of Student-t densities: two about the mode of each posterior, with its
-    Laplace covariance and a wider one, and one as wide as the prior. Each part is a scrambled Sobol
-    set. Of more than `NEAR` subsets only some have their own densities: each of them then leaves
+    Laplace covariance and a wider one, one as wide as the prior, and one with each posterior's
+    moments as a first set of points gives them. Each part is a scrambled Sobol set. Of more than `NEAR` subsets only some have their own densities: each of them then leaves
     out few tests.
 
     Parameters
@@ -75,11 +75,19 @@ def draw_points(problem: LawProblem, subsets: Sequence[Tests] = (), seed: int = 
     """
     every = _mode(problem, slice(None), np.zeros(problem.dim))
     chosen = np.unique(np.linspace(0, len(subsets) - 1, min(len(subsets), NEAR)).astype(int))
+    targets: list[Tests] = [slice(None), *(subsets[i] for i in chosen.tolist())]
     prior = np.zeros(problem.dim), np.eye(problem.dim)
-    modes = [every, *(_mode(problem, subsets[i], every[0]) for i in chosen.tolist())]
+    modes = [every, *(_mode(problem, those, every[0]) for those in targets[1:])]
     found = [prior, *modes, *((q, WIDER * covariance) for q, covariance in modes)]
-    means, covariances = (np.array(part) for part in zip(*found, strict=True))
-    k = len(found)
+    first = _drawn(problem, found, seed)
+    learned = [_moments(first, those) for those in targets]
+    return _drawn(problem, [*found, *learned], seed)
+
+
+def _drawn(problem: LawProblem, densities: Sequence[tuple[Array, Array]], seed: int) -> LawPoints:
+    """Points of Student-t densities of these means and covariances, as many of each."""
+    means, covariances = (np.array(part) for part in zip(*densities, strict=True))
+    k = len(densities)
     mixture = Mixture.of(np.full(k, 1.0 / k), means, covariances, np.full(k, DOF))
     z = []
     for i in range(k):
@@ -89,6 +97,16 @@ def draw_points(problem: LawProblem, subsets: Sequence[Tests] = (), seed: int = 
     points = np.concatenate(z)
     log_weights = problem.log_prior(points) - mixture.log_density(points) - np.log(len(points))
     return LawPoints(problem, points, log_weights)
+
+
+def _moments(points: LawPoints, those: Tests) -> tuple[Array, Array]:
+    """Mean and covariance of the posterior of some tests, by importance."""
+    log_weights = [w + sample.log_density(sample.sums(those)) for sample, w in points.parts()]
+    weights = special.softmax(np.concatenate(log_weights))
+    mean = weights @ points.z
+    away = points.z - mean
+    covariance = (weights[:, None] * away).T @ away
+    return mean, covariance + 1e-9 * np.eye(len(mean))
 
 
 def _mode(problem: LawProblem, those: Tests, begin: Array) -> tuple[Array, Array]:

@@ -181,7 +181,10 @@ def half_affine(layout):
     ]
 
 
-@pytest.mark.parametrize("count", [5, 10, 200, 500])
+@pytest.mark.parametrize(
+    "count",
+    [5, 10, pytest.param(200, marks=pytest.mark.slow), pytest.param(500, marks=pytest.mark.slow)],
+)
 def test_scores_are_the_same_with_other_points_however_many_tests_there_are(priors, count):
     levels = np.resize([0.4, 0.6, 0.9, 1.4, 2.0], count)
     layout = lay_out(priors, ("Fc_fwd",), [Setting(p) for p in levels])
