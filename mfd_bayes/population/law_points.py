@@ -62,8 +62,8 @@ def draw_points(problem: LawProblem, subsets: Sequence[Tests] = (), seed: int = 
 
     They are of a mixture of Student-t densities: two about the mode of each posterior, with its
     Laplace covariance and a wider one, one as wide as the prior, and one with each posterior's
-    moments as a first set of points gives them. Each part is a scrambled Sobol set. Of more than `NEAR` subsets only some have their own densities: each of them then leaves
-    out few tests.
+    moments as a first set of points gives them. Each part is a scrambled Sobol set. Of more than
+    `NEAR` subsets only some have their own densities: each of them then leaves out few tests.
 
     Parameters
     ----------
