@@ -1,0 +1,91 @@
+"""Tests that stand apart from the others of their campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from mfd_bayes.population.layout import Layout
+from mfd_bayes.runs.folder import pooled_of
+from mfd_bayes.runs.run import Run
+from mfd_bayes.store.netcdf import load_arrays
+
+Array = NDArray[np.float64]
+
+FEWEST = 5
+"""Fewest tests among which one can stand apart."""
+
+RARE = 0.01
+"""Probability with which any test of a campaign stands apart by chance, about."""
+
+DRAWS = 400
+"""Draws of the population by which its median is known well enough."""
+
+
+def odd_tests(run: Run) -> list[str]:
+    """A sentence for every test and quantity that stand apart.
+
+    A test's deviation from the law is compared with the deviations of the others: a Student-t
+    statistic that leaves the test out, with Bonferroni's correction for tests and quantities.
+    """
+    if len(run.tests) < FEWEST:
+        return []
+    layout = run.population.layout
+    columns = [k for k, name in enumerate(layout.names) if _compared(layout, k, name)]
+    places, medians = _places(run)
+    found = []
+    names, deviations = list(run.tests), places - medians
+    for j, i, away in stand_apart(deviations[:, columns]):
+        k = columns[i]
+        others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
+        found.append(
+            f"{names[j]} stands apart from the other tests: {_subject(layout, k)} "
+            f"{np.exp(places[j, k]):.3g}, where the others let expect {np.exp(others):.3g}, "
+            f"{away:.1f} of their standard deviations away. Check its displacement, units and "
+            "actuation before you use its campaign."
+        )
+    return found
+
+
+def stand_apart(deviations: Array) -> Iterator[tuple[int, int, float]]:
+    """Test, quantity and distance in sds of the others, of deviations (J, K) that stand apart."""
+    count, size = deviations.shape
+    limit = float(stats.t.isf(0.5 * RARE / max(count * size, 1), count - 2))
+    for j in range(count):
+        others = np.delete(deviations, j, axis=0)
+        sd = np.maximum(others.std(axis=0, ddof=1), 1e-12)
+        away = np.abs(deviations[j] - others.mean(axis=0)) / sd
+        for i in np.flatnonzero(away / np.sqrt(1.0 + 1.0 / (count - 1)) > limit).tolist():
+            yield j, i, float(away[i])
+
+
+def _compared(layout: Layout, k: int, name: str) -> bool:
+    """Whether a quantity may differ between tests, and is the damper's."""
+    sparse = bool(layout.sparse) and layout.sparse[k]
+    return not sparse and name != "offset" and not name.startswith("noise_")
+
+
+def _places(run: Run) -> tuple[Array, Array]:
+    """Each test's shared coordinates, and those that laws and effects give it, (J, d) each."""
+    population, layout = run.population, run.population.layout
+    rng = np.random.default_rng(0)
+    index = rng.choice(population.size, size=min(DRAWS, population.size))
+    places, medians = [], []
+    for name, setting in zip(run.tests, layout.settings, strict=True):
+        values, _ = load_arrays(run.folder / pooled_of(name))
+        flat = {n: values[n].reshape(-1).astype(np.float64) for n in layout.names}
+        places.append(layout.coordinates.of(flat).mean(axis=0))
+        parts = population.draw_parts(setting, index, rng, scattered=False)
+        middle = (parts.level + parts.law).mean(axis=0)
+        medians.append(layout.centre + layout.spread * middle)
+    return np.array(places), np.array(medians)
+
+
+def _subject(layout: Layout, k: int) -> str:
+    """What a shared coordinate is, in words."""
+    name = layout.names[k]
+    words = {"d2": "gap", "Fc_fwd": "forward slip force", "Fc_bwd": "backward slip force"}
+    return words.get(name, name)
