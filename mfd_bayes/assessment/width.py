@@ -18,8 +18,7 @@ def width_sentence(shares: Mapping[str, float]) -> str:
         return ""
     name = max(shares, key=lambda source: shares[source])
     tenths = min(max(round(10 * shares[name]), 1), 10)
-    verb = "comes" if tenths in (1, 5) else "come"
-    verb = "comes" if tenths == 10 else verb
+    verb = "comes" if tenths in (1, 5, 10) else "come"
     text = f"Of the band's variance {_TENTHS[tenths]} {verb} from {_article(name)}."
     return f"{text} {ADVICE[name]}"
 

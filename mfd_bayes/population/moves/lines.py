@@ -40,21 +40,17 @@ class Tuning:
 
     Attributes
     ----------
-    scatter, level : (d,)
-        Typical scatter and level of each quantity, in prior units.
+    scatter : (d,)
+        Typical scatter of each quantity, in prior units.
     scatter_step, level_step : (d,)
         Sds of the logarithm of the scatter, and of the level.
-    wide : (d,)
-        Sd that covers a large scatter and the spread of the level.
     covariances : sequence of (D, D)
         Of each test's coordinates given a typical scatter.
     """
 
     scatter: Array
-    level: Array
     scatter_step: Array
     level_step: Array
-    wide: Array
     covariances: Sequence[Array]
 
     @classmethod
@@ -63,8 +59,7 @@ class Tuning:
         d = len(layout.names)
         scatter = 0.5 * layout.scatter_sd / layout.spread
         half, some = np.full(d, 0.5), np.full(d, 0.3)
-        wide = np.hypot(2.0 * scatter, 1.0)
-        return cls(scatter, np.zeros(d), half, some, wide, _covariances(tests, scatter))
+        return cls(scatter, half, some, _covariances(tests, scatter))
 
     @classmethod
     def by_chains(cls, layout: Layout, tests: Sequence[TestLikelihood], chains: Chains) -> Tuning:
@@ -73,10 +68,8 @@ class Tuning:
         scatter = np.exp(np.log(scatters).mean(axis=0))
         return cls(
             scatter,
-            levels.mean(axis=0),
             chains.h[:, : len(layout.names)].std(axis=0),
             levels.std(axis=0),
-            np.hypot(np.quantile(scatters, 0.8, axis=0), levels.std(axis=0)),
             _covariances(tests, scatter),
         )
 
