@@ -39,6 +39,8 @@ class Chains:
         Of each test at its coordinates.
     choice : (n, L) int
         Law of each quantity that follows the actuation.
+    weight : (n, J, d)
+        Of each test in the scatter of each quantity: its variance is scatter² / weight.
     ensemble : (n,) int
         Differential evolution takes partners from a chain's own ensemble alone.
     """
@@ -48,6 +50,7 @@ class Chains:
     x: list[Array]
     log_likelihood: list[Array]
     choice: Choice
+    weight: Array
     ensemble: Index
 
     def values(self, k: int) -> Array:

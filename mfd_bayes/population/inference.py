@@ -17,6 +17,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
 from mfd_bayes.population.apart import set_apart
+from mfd_bayes.population.common import share
 from mfd_bayes.population.law_scores import (
     COVARIATES,
     TESTS,
@@ -118,6 +119,7 @@ def infer_population(
     starts = [_start(one, test) for one, test in zip(working, tests.values(), strict=True)]
     pilot = fit_pilot(working, starts)
     likelihoods = pilot.tests
+    layout = share(layout, likelihoods)
     scores = compare_laws(layout, likelihoods)
     weights = dict(layout.weights)
     for name, law in layout.laws.items():

@@ -1,9 +1,11 @@
 """The joint log density of a population and all its tests, from the tests' own likelihoods.
 
-    log p(h, latent, x_1, …, x_J) = log p(h) + log p(latent | h)
-        + Σ_j [log N(x_j; mean_j, scatter²) + log p(own coordinates of j) + log L_j(x_j)]
+    log p(h, latent, w, x_1, …, x_J) = log p(h) + log p(latent | h) + log p(w)
+        + Σ_j [log N(x_j; mean_j, scatter² / w_j) + log p(own coordinates of j) + log L_j(x_j)]
 
-It knows nothing of how it is sampled: the moves stand in `moves`, their order in `sweep`.
+The weights w are 1, or 1/`WIDER`² where a quantity of a test stands apart from the others (a
+contaminated normal density: Tukey, 1960). It knows nothing of how it is sampled: the moves stand
+in `moves`, their order in `sweep`.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.jobs.likelihoods import Evaluate
-from mfd_bayes.population.chains import Chains, Choice
+from mfd_bayes.population.chains import Chains, Choice, Index
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
@@ -49,7 +51,8 @@ class Conditional:
     Attributes
     ----------
     means : (n, J, d)
-    scatter : (n, d)
+    scatter : (n, J, d)
+        Standard deviations, with the tests' weights.
     """
 
     means: Array
@@ -79,6 +82,26 @@ class LatentPosterior:
     solved: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What densities of h and of the latent are conditional on.
+
+    Attributes
+    ----------
+    choice : (n, L) int
+    x, weight : (n, J, d)
+        Shared coordinates of the tests, and their weights.
+    """
+
+    choice: Choice
+    x: Array
+    weight: Array
+
+    def of(self, chains: Index) -> Given:
+        """That of some of the chains."""
+        return Given(self.choice[chains], self.x[chains], self.weight[chains])
+
+
 class Joint:
     """Joint density of a population and its tests.
 
@@ -97,7 +120,6 @@ class Joint:
         self.evaluate = evaluate or self._in_turn
         self.d = len(layout.names)
         self.design = layout.design()  # (J, m)
-        self.gram = self.design.T @ self.design
 
     def _in_turn(self, points: Iterable[tuple[int, Array]]) -> Iterator[Array]:
         for j, x in points:
@@ -120,10 +142,15 @@ class Joint:
         """Shared coordinates of the tests, (n, J, d)."""
         return np.stack([x[:, : self.d] for x in chains.x], axis=1)
 
+    def given(self, chains: Chains) -> Given:
+        """What the chains hold of the tests."""
+        return Given(chains.choice, self.shared(chains), chains.weight)
+
     def conditional(self, chains: Chains) -> Conditional:
         """Density of the tests' shared coordinates given the chains' population."""
         means = self.layout.offsets(chains.h, chains.choice) + self.design @ chains.latent
-        return Conditional(np.asarray(means), self.layout.scatter(chains.h))
+        scatter = self.layout.scatter(chains.h)[:, None] / np.sqrt(chains.weight)
+        return Conditional(np.asarray(means), scatter)
 
     def log_prior_of_test(self, j: int, x: Array, mean: Array, scatter: Array) -> Array:
         """Log density of a test's coordinates (n, D) given its mean and scatter (n, d), (n,)."""
@@ -132,29 +159,32 @@ class Joint:
         own: Array = density + self.tests[j].log_own_prior(x[:, self.d :])
         return own
 
-    def latent_posterior(self, h: Array, choice: Choice, x: Array) -> LatentPosterior:
-        """Conditional density of the latent given h and the shared coordinates x (n, J, d)."""
-        variance = self.layout.scatter(h) ** 2  # (n, d)
-        residual = x - self.layout.offsets(h, choice)
+    def latent_posterior(self, given: Given, h: Array) -> LatentPosterior:
+        """Conditional density of the latent given h and what is given of the tests."""
+        precision = given.weight / self.layout.scatter(h)[:, None] ** 2  # (n, J, d)
+        residual = given.x - self.layout.offsets(h, given.choice)
         sds = np.concatenate([np.ones((len(h), 1, self.d)), self.layout.effect_sd(h)], axis=1)
         sd = np.swapaxes(sds, 1, 2)  # (n, d, m)
-        a = sd[..., :, None] * self.gram * sd[..., None, :] / variance[..., None, None]
         m = self.design.shape[1]
+        outer = (self.design[:, :, None] * self.design[:, None, :]).reshape(-1, m * m)
+        gram = (np.swapaxes(precision, 1, 2) @ outer).reshape(*sd.shape, m)
+        a = sd[..., :, None] * gram * sd[..., None, :]
         a[..., range(m), range(m)] += 1.0
-        b = (np.swapaxes(residual, 1, 2) @ self.design) * sd / variance[..., None]
+        pulled = precision * residual
+        b = (np.swapaxes(pulled, 1, 2) @ self.design) * sd
         factor = np.linalg.cholesky(a)
         solved = np.linalg.solve(factor, b[..., None])[..., 0]
         log_det = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-        squares = np.einsum("njk,njk->nk", residual, residual) / variance
+        squares = np.einsum("njk,njk->nk", pulled, residual)
         squares -= np.einsum("nkm,nkm->nk", solved, solved)
-        terms = -0.5 * (len(self.tests) * np.log(variance) + log_det + squares)
+        terms = -0.5 * (log_det + squares - np.log(precision).sum(axis=1))
         return LatentPosterior(terms, sd, factor, solved)
 
-    def log_blocks(self, h: Array, choice: Choice, x: Array) -> Array:
+    def log_blocks(self, given: Given, h: Array) -> Array:
         """Log density of each block of h given the tests, the latent integrated out, (n, G)."""
         density = self.layout.log_prior(h)
         inside = np.all(np.abs(h) < FAR, axis=1)
-        terms = self.latent_posterior(np.clip(h, -FAR, FAR), choice, x).log_marginal
+        terms = self.latent_posterior(given, np.clip(h, -FAR, FAR)).log_marginal
         for g in range(density.shape[1]):
             density[:, g] += terms[:, self.layout.member == g].sum(axis=1)
         density[~inside] = -np.inf
@@ -170,5 +200,5 @@ class Joint:
     def products(self, chains: Chains) -> Array:
         """Products of the tests' standardised deviations, summed over tests, (n, d, d)."""
         given = self.conditional(chains)
-        deviations: Array = (self.shared(chains) - given.means) / given.scatter[:, None]
+        deviations: Array = (self.shared(chains) - given.means) / given.scatter
         return np.asarray(np.swapaxes(deviations, 1, 2) @ deviations)

@@ -26,6 +26,15 @@ USUAL = 2.0 / np.pi
 
 LAW_NAMES = tuple(LAWS)
 
+ODD = 0.01
+"""Probability that a quantity of a test stands apart from the others."""
+
+WIDER = 10.0
+"""Scatter of what stands apart, over that of the others."""
+
+NONE = 1e-5
+"""Scatter, in prior units, of a quantity that is the same in all tests."""
+
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
 
@@ -67,6 +76,11 @@ class Layout:
         Values of the covariates at which levels are medians over tests.
     sparse : tuple of bool
         Whether each quantity's scatter prior prefers none: exponential, not half-normal.
+    common : tuple of bool
+        Whether each quantity is the same in all tests; its scatter is then `NONE`.
+    odd : float
+        Probability that a quantity of a test stands apart from the other tests', with `WIDER` times
+        their scatter, so that it hardly widens what is expected of others.
     """
 
     coordinates: Coordinates
@@ -83,6 +97,8 @@ class Layout:
     dependence: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     covariate_reference: Mapping[str, float] = field(default_factory=dict)
     sparse: tuple[bool, ...] = ()
+    common: tuple[bool, ...] = ()
+    odd: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -104,6 +120,13 @@ class Layout:
     def dim(self) -> int:
         """Number of hyperparameters in h."""
         return len(self.names) + len(self.effects) + len(self.shapes)
+
+    @cached_property
+    def inferred(self) -> NDArray[np.bool_]:
+        """Whether each coordinate of h is inferred, (dim,): not the scatter of what is common."""
+        inferred = np.ones(self.dim, dtype=np.bool_)
+        inferred[np.flatnonzero(self.common)] = False
+        return inferred
 
     @property
     def block(self) -> NDArray[np.intp]:
@@ -264,6 +287,7 @@ def lay_out(
         reference=_geometric_mean([s.actuation for s in settings if s.actuation > 0]),
         settings=settings,
         effects=effects_of(settings, shared, member, chosen, informs),
+        odd=ODD,
         dependence=follows,
         covariate_reference={c: _geometric_mean([s.covariates[c] for s in settings]) for c in used},
     )

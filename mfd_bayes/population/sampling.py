@@ -246,4 +246,5 @@ def _active(layout: Layout) -> NDArray[np.intp]:
             weight > 0 and shape in LAWS[law].shapes for law, weight in layout.weights[name].items()
         )
     ]
+    idle += np.flatnonzero(~layout.inferred).tolist()
     return np.setdiff1d(np.arange(layout.dim + len(layout.names)), idle)

@@ -138,6 +138,8 @@ def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
         effects=tuple(_effect(e) for e in facts["effects"]),
         dependence={name: tuple(those) for name, those in facts["dependence"].items()},
         sparse=tuple(facts.get("sparse", ())),
+        common=tuple(facts.get("common", ())),
+        odd=facts.get("odd", 0.0),
         **arrays,
         **{key: facts[key] for key in ("laws", "weights", "reference", "covariate_reference")},
     )

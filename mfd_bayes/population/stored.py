@@ -96,7 +96,9 @@ class _Facts(Part):
     r_hat: list[Figure]
     ess_bulk: list[Figure]
     ess_tail: list[Figure]
-    sparse: tuple[bool, ...] = ()  # earlier versions had neither of the two
+    sparse: tuple[bool, ...] = ()  # earlier versions had none of these
+    common: tuple[bool, ...] = ()
+    odd: Annotated[float, Field(ge=0, lt=1)] = 0.0
     residual: _Residual | None = None
 
     @model_validator(mode="after")
@@ -105,7 +107,8 @@ class _Facts(Part):
         _need(len(set(self.names)) == d, "names must differ")
         for key in ("centre", "spread", "member", "scatter_sd"):
             _need(len(getattr(self, key)) == d, f"{key} must be as many as the names")
-        _need(len(self.sparse) in (0, d), "sparse must be as many as the names")
+        for key in ("sparse", "common"):
+            _need(len(getattr(self, key)) in (0, d), f"{key} must be as many as the names")
         _need(max(self.member) < len(self.groups), "member must be indices of groups")
         _need(set(self.laws) <= set(self.names), "laws must be of known names")
         _need(set(self.laws.values()) <= {*LAWS, COMPARE}, "laws must be known")

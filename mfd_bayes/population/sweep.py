@@ -4,7 +4,8 @@ A sweep
 
 1.  updates scatter, effects' sd and shapes given the tests, with levels and effects integrated
     out, by differential evolution;
-2.  draws levels and effects from their Gaussian conditional density;
+2.  draws levels and effects, and the tests' weights in the scatter, from their conditional
+    densities;
 3.  updates every test's coordinates given the population: proposals of a Gaussian near the
     conditional density, and differential evolution;
 4.  moves levels and scatter of the quantities that hardly differ, with all tests;
@@ -19,9 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.population.chains import Accepted, Chains
+from mfd_bayes.population.common import draw_common
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import draw_shape
-from mfd_bayes.population.moves.hyperparameters import draw_latent, evolve_hyperparameters
+from mfd_bayes.population.layout import NONE
+from mfd_bayes.population.moves.hyperparameters import (
+    draw_latent,
+    draw_weights,
+    evolve_hyperparameters,
+)
 from mfd_bayes.population.moves.lines import Tuning, transport
 from mfd_bayes.population.moves.one_test import (
     GaussianConditional,
@@ -65,11 +72,16 @@ class Sampler:
         sd = layout.sd_scale
         log_sd = np.log(0.5 * sd) + 0.5 * rng.standard_normal((n, len(sd)))
         shapes = [draw_shape(shape, rng.random(n)) for _, shape in layout.shapes]
+        common = np.flatnonzero(layout.common)
+        log_sd[:, common] = np.log(NONE * layout.spread[common])
         h = np.concatenate([log_sd, np.reshape(shapes, (-1, n)).T], axis=1)
         latent = np.zeros((n, joint.design.shape[1], joint.d))
         ensemble = np.repeat(np.arange(ensembles), n // ensembles)
-        chains = Chains(h, latent, [], [], layout.draw_choice(n), ensemble)
+        weight = np.ones((n, len(joint.tests), joint.d))
+        chains = Chains(h, latent, [], [], layout.draw_choice(n), weight, ensemble)
         mean, scatter = np.zeros((n, joint.d)), np.ones((n, joint.d))
+        mean[:, common] = draw_common(layout, joint.tests, rng, n)
+        scatter[:, common] = NONE
         for test in joint.tests:
             near = GaussianConditional.of(test, mean, scatter, rng)
             chains.x.append(near.mean + near.noise)
@@ -93,6 +105,7 @@ class Sampler:
         for _ in range(EVOLUTIONS):
             self._note(evolve_hyperparameters(*given))
         draw_latent(*given)
+        draw_weights(*given)
         conditional = self.joint.conditional(chains)
         for _ in range(NEAR):
             self._note(step_near(*given, conditional))
@@ -114,7 +127,8 @@ class Sampler:
 
     def _tune(self, tuning: Tuning) -> None:
         self.tuning = tuning
-        self.weights = tuning.missing / tuning.missing.sum()
+        missing = np.where(self.joint.layout.inferred[: self.joint.d], tuning.missing, 0.0)
+        self.weights = missing / missing.sum()
 
     def _note(self, accepted: Accepted) -> None:
         for name, yes in accepted:

@@ -176,7 +176,7 @@ def make_linear(priors: PriorFile) -> Callable[..., Linear]:
         """A campaign in which the noise of every test, relative to the scatter, is not small."""
         laws = {"Fc_fwd": "power"} if "Fc_fwd" in names else {}
         settings = [Setting(p) for p in actuations]
-        layout = lay_out(priors, names, settings, laws)
+        layout = replace(lay_out(priors, names, settings, laws), odd=0.0)
         rng = np.random.default_rng(seed)
         d, count = len(names), len(actuations)
         tau = 0.5 * layout.scatter_sd / layout.spread

@@ -169,26 +169,26 @@ class Lines:
         """Log prior density of scatter and level, the others as they are, (n,)."""
         return self.joint.log_prior_of_quantity(self.k, self.chains.h, *at)
 
-    def gaussian(self, at: ScatterLevel) -> tuple[Array, Array, Array]:
-        """Conditional means and sds of t (n, J) by the Gaussians, and log marginal densities."""
+    def gaussian(self, at: ScatterLevel) -> tuple[Array, Array]:
+        """Conditional means and sds of t by the Gaussians, (n, J) each."""
         scatter = np.exp(at.log_scatter) / self.joint.layout.spread[self.k]
-        prior = scatter[:, None] ** -2.0
+        prior = self.chains.weight[..., self.k] / scatter[:, None] ** 2
         mean = self.base + at.level[:, None]
         precision = self.information + prior
         centre = (self.pull + prior * mean) / precision
-        weight = 0.5 * (centre**2 * precision - mean**2 * prior - np.log(precision))
-        return centre, precision**-0.5, weight - np.log(scatter)[:, None]
+        return centre, precision**-0.5
 
     def log_population(self, t: Array, at: ScatterLevel) -> Array:
         """Log density of t (n, J) given scatter and level, without constants, (n, J)."""
         log_scale = at.log_scatter - np.log(self.joint.layout.spread[self.k])
         standard = (t - self.base - at.level[:, None]) * np.exp(-log_scale)[:, None]
-        return np.asarray(-0.5 * standard**2 - log_scale[:, None])
+        weight = self.chains.weight[..., self.k]
+        return np.asarray(-0.5 * weight * standard**2 - log_scale[:, None])
 
     def log_prior_of_others(self, j: int, x: Array) -> Array:
         """Log prior density of a test's coordinates (…, n, D) other than t, (…, n)."""
         d = self.joint.d
-        standard = (x[..., :d] - self.given.means[:, j]) / self.given.scatter
+        standard = (x[..., :d] - self.given.means[:, j]) / self.given.scatter[:, j]
         standard[..., self.k] = 0.0
         own = self.joint.tests[j].log_own_prior(x.reshape(-1, x.shape[-1])[:, d:])
         density = own.reshape(x.shape[:-1])
@@ -238,8 +238,8 @@ def transport(
     lines = Lines.through(joint, chains, tuning, k)
     new = tuning.step(k, lines.here, rng)
     ratio = lines.log_prior(new) - lines.log_prior(lines.here)
-    before, old_sd, _ = lines.gaussian(lines.here)
-    after, new_sd, _ = lines.gaussian(new)
+    before, old_sd = lines.gaussian(lines.here)
+    after, new_sd = lines.gaussian(new)
     t = after + new_sd / old_sd * (chains.values(k) - before)
     ratio += np.sum(np.log(new_sd / old_sd), axis=1)
     yes = lines.accept(new, t, ratio, np.log(rng.random(len(ratio))))

@@ -94,7 +94,7 @@ def step_near(
     def propose() -> Iterator[Proposal]:
         for j, test in enumerate(joint.tests):
             beta = rng.choice((1.0,) if test.gaussian else STEPS, size=everyone.size)
-            near = GaussianConditional.of(test, given.means[:, j], given.scatter, rng)
+            near = GaussianConditional.of(test, given.means[:, j], given.scatter[:, j], rng)
             away = chains.x[j] - near.mean
             moved = np.sqrt(1.0 - beta**2)[:, None] * away + beta[:, None] * near.noise
             log_ratio = 0.5 * (near.square(moved) - near.square(away))
@@ -107,7 +107,8 @@ def step_near(
 def evolve_tests(
     joint: Joint, chains: Chains, rng: np.random.Generator, given: Conditional
 ) -> Accepted:
-    """Differential evolution of some of the tests."""
+    """Differential evolution of some of the tests; what is common to all stays where it is."""
+    common = np.flatnonzero(joint.layout.common)
     share = rng.random(len(joint.tests))
     evolved = [j for j, t in enumerate(joint.tests) if not t.gaussian and share[j] < EVOLVED]
     accepted: Accepted = []
@@ -120,7 +121,9 @@ def evolve_tests(
                 x = chains.x[j]
                 shorter = rng.choice([1.0, 0.4], size=(len(half), 1))
                 jump = 2.38 / np.sqrt(2 * x.shape[1]) * shorter * (x[first] - x[second])
-                new = x[half] + jump + 1e-4 * rng.standard_normal(jump.shape)
+                jump += 1e-4 * rng.standard_normal(jump.shape)
+                jump[:, common] = 0.0
+                new = x[half] + jump
                 yield Proposal(j, half, new, 0.0, np.log(rng.random(len(half))))
 
         accepted += _accept(joint, chains, given, propose(), "evolution")
@@ -134,7 +137,7 @@ def _accept(
     accepted: Accepted = []
     for proposal, likelihood in joint.with_likelihoods(proposals):
         j, which = proposal.j, proposal.chains
-        prior = given.means[which, j], given.scatter[which]
+        prior = given.means[which, j], given.scatter[which, j]
         gain = joint.log_prior_of_test(j, proposal.x, *prior)
         gain -= joint.log_prior_of_test(j, chains.x[j][which], *prior)
         threshold = proposal.log_uniform - gain - proposal.log_ratio

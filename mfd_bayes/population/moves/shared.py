@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from mfd_bayes.population.chains import Accepted, Chains, Index
 from mfd_bayes.population.joint import FAR, Joint
 from mfd_bayes.population.moves.lines import Tuning
+from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ def shift(joint: Joint, chains: Chains, rng: np.random.Generator, tuning: Tuning
     those = np.flatnonzero(joint.layout.sparse)
     if those.size == 0:
         return []
-    slopes = [_slopes(tuning, j, those) for j in range(len(joint.tests))]
+    slopes = [_slopes(test, tuning.scatter, those) for test in joint.tests]
     accepted: Accepted = []
     for half, first, second in chains.partners(rng):
         given, level = joint.conditional(chains), chains.latent[:, 0]
@@ -64,9 +65,9 @@ def shift(joint: Joint, chains: Chains, rng: np.random.Generator, tuning: Tuning
         for j, x in enumerate(chains.x):
             moved = x[half] + jump @ slopes[j].T
             mean = given.means[half, j].copy()
-            ratio -= joint.log_prior_of_test(j, x[half], mean, given.scatter[half])
+            ratio -= joint.log_prior_of_test(j, x[half], mean, given.scatter[half, j])
             mean[:, those] += jump
-            ratio += joint.log_prior_of_test(j, moved, mean, given.scatter[half])
+            ratio += joint.log_prior_of_test(j, moved, mean, given.scatter[half, j])
             xs.append(moved)
         proposed = _Proposed(half, chains.h[half], new, xs, ratio)
         accepted.append(("shift", _accept(joint, chains, rng, proposed)))
@@ -75,7 +76,7 @@ def shift(joint: Joint, chains: Chains, rng: np.random.Generator, tuning: Tuning
 
 def rescale(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
     """Scatter of the sparse quantities, each test's standardised deviations as they are."""
-    those = np.flatnonzero(joint.layout.sparse)
+    those = np.flatnonzero(joint.layout.sparse & joint.layout.inferred[: joint.d])
     if those.size == 0:
         return []
     accepted: Accepted = []
@@ -104,10 +105,11 @@ def _size(rng: np.random.Generator, n: int, dim: int) -> Array:
     return np.asarray(np.where(rng.random((n, 1)) < 0.1, 1.0, size))
 
 
-def _slopes(tuning: Tuning, j: int, those: Index) -> Array:
+def _slopes(test: TestLikelihood, scatter: Array, those: Index) -> Array:
     """Change of a test's coordinates with those that are shifted, (D, those)."""
-    precision = np.linalg.inv(tuning.covariances[j])
-    precision[those, those] -= tuning.scatter[those] ** -2.0
+    precision = test.precision.copy()
+    precision[range(len(precision)), range(len(precision))] += 1.0
+    precision[range(len(scatter)), range(len(scatter))] += scatter**-2.0 - 1.0
     rest = np.setdiff1d(np.arange(len(precision)), those)
     slopes = np.zeros((len(precision), those.size))
     slopes[those, range(those.size)] = 1.0

@@ -1,0 +1,131 @@
+"""Which quantities are the same in all tests.
+
+A quantity whose scatter prior prefers none is one per device unless the tests say otherwise. They
+are asked with the Gaussians near their likelihoods: the marginal density of all tests with the
+quantity's scatter integrated over its prior, against that without scatter. One quantity after the
+other is freed, the one with the most evidence first, as long as the evidence is `EVIDENCE` to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.test_likelihood import TestLikelihood
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+EVIDENCE = 20.0
+"""Evidence for scatter, as odds, above which a quantity differs between tests."""
+
+POINTS = 40
+"""Values of a scatter over which its prior is integrated."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """Gaussians of J tests in s quantities: log density −x'Ax/2 + b'x.
+
+    Attributes
+    ----------
+    precision : (J, s, s)
+    pull : (J, s)
+    """
+
+    precision: Array
+    pull: Array
+
+    def log_marginal(self, scatter: Mapping[int, float]) -> float:
+        """Log density of the tests with these scatters, levels N(0, 1), without constants."""
+        a, b, total = self.precision, self.pull, 0.0
+        for k, tau in scatter.items():
+            column, pull = a[:, :, k], b[:, k]
+            shrink = tau**2 / (1.0 + tau**2 * column[:, k])
+            total += 0.5 * float(np.sum(shrink * pull**2 - np.log1p(tau**2 * column[:, k])))
+            b = b - (shrink * pull)[:, None] * column
+            a = a - shrink[:, None, None] * column[:, :, None] * column[:, None, :]
+        matrix, vector = a.sum(axis=0) + np.eye(a.shape[1]), b.sum(axis=0)
+        total += 0.5 * float(vector @ np.linalg.solve(matrix, vector))
+        return total - 0.5 * float(np.linalg.slogdet(matrix)[1])
+
+
+def share(layout: Layout, tests: Sequence[TestLikelihood]) -> Layout:
+    """The layout with what the tests leave common, and without effects on it.
+
+    Parameters
+    ----------
+    layout : Layout
+    tests : sequence of TestLikelihood
+        With Gaussians near each other's common values.
+    """
+    followed = {*layout.laws, *layout.dependence}
+    sparse = np.array(layout.sparse, dtype=np.bool_)
+    sparse &= np.array([name not in followed for name in layout.names])
+    those = np.flatnonzero(sparse)
+    if those.size == 0:
+        return layout
+    unit = (layout.scatter_sd / layout.spread)[those]
+    sparse[those[_differing(_reduce(tests, those), unit)]] = False
+    common = np.flatnonzero(sparse)
+    effects = [
+        replace(effect, members=tuple(k for k in effect.members if k not in common))
+        for effect in layout.effects
+    ]
+    return replace(
+        layout,
+        common=tuple(sparse.tolist()),
+        effects=tuple(effect for effect in effects if effect.members),
+    )
+
+
+def draw_common(
+    layout: Layout, tests: Sequence[TestLikelihood], rng: np.random.Generator, n: int
+) -> Array:
+    """Draws of what is common, (n, common), with the tests' Gaussians and nothing else shared."""
+    those = np.flatnonzero(layout.common)
+    reduced = _reduce(tests, those)
+    precision = reduced.precision.sum(axis=0) + np.eye(those.size)
+    mean = np.linalg.solve(precision, reduced.pull.sum(axis=0))
+    root = np.linalg.cholesky(precision)
+    noise = np.linalg.solve(root.T, rng.standard_normal((those.size, n)))
+    return np.asarray(mean + noise.T)
+
+
+def _reduce(tests: Sequence[TestLikelihood], those: Index) -> _Reduced:
+    """Gaussians of some quantities, all others of each test integrated over a N(0, 1) prior."""
+    precisions, pulls = [], []
+    for test in tests:
+        rest = np.setdiff1d(np.arange(len(test.mean)), those)
+        pull = test.precision @ test.mean
+        within = test.precision[np.ix_(rest, rest)] + np.eye(rest.size)
+        gain = np.linalg.solve(within, test.precision[np.ix_(rest, those)]).T
+        precisions.append(
+            test.precision[np.ix_(those, those)] - gain @ test.precision[np.ix_(rest, those)]
+        )
+        pulls.append(pull[those] - gain @ pull[rest])
+    return _Reduced(np.array(precisions), np.array(pulls))
+
+
+def _differing(reduced: _Reduced, unit: Array) -> list[int]:
+    """Quantities that differ between tests; `unit` is the mean of each scatter's prior, (s,)."""
+    quantiles = (np.arange(POINTS) + 0.5) / POINTS
+    grid = -np.log1p(-quantiles)  # of an exponential prior of mean 1
+    found: dict[int, float] = {}
+    while len(found) < len(unit):
+        without = reduced.log_marginal(found)
+        odds, sizes = {}, {}
+        for k in set(range(len(unit))) - set(found):
+            log = np.array([reduced.log_marginal({**found, k: unit[k] * r}) for r in grid])
+            odds[k] = float(logsumexp(log)) - np.log(POINTS) - without
+            sizes[k] = float(unit[k] * grid[np.argmax(log)])
+        best = max(odds, key=lambda k: odds[k])
+        if odds[best] < np.log(EVIDENCE):
+            break
+        found[best] = sizes[best]
+    return list(found)
