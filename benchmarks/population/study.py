@@ -17,7 +17,8 @@ from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.population.layout import Layout, lay_out
+from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint

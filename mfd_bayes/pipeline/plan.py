@@ -23,7 +23,8 @@ from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.laws import default_laws
-from mfd_bayes.population.layout import Layout, lay_out
+from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.record import Record, hash_file
 from mfd_bayes.records.trace import Trace

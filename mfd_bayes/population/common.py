@@ -4,6 +4,7 @@ A quantity whose scatter prior prefers none is one per device unless the tests s
 are asked with the Gaussians near their likelihoods: the marginal density of all tests with the
 quantity's scatter integrated over its prior, against that without scatter. One quantity after the
 other is freed, the one with the most evidence first, as long as the evidence is `EVIDENCE` to one.
+What the likelihoods themselves gain by it less than their Gaussians is taken off the evidence.
 """
 
 from __future__ import annotations
@@ -54,6 +55,21 @@ class _Reduced:
         total += 0.5 * float(vector @ np.linalg.solve(matrix, vector))
         return total - 0.5 * float(np.linalg.slogdet(matrix)[1])
 
+    def places(self, scatter: Mapping[int, float]) -> tuple[Array, Array]:
+        """Most likely level (s,) with these scatters, and the tests' deviations from it, (J, s)."""
+        differ = list(scatter)
+        wide = np.diag(np.array([scatter[k] ** -2.0 for k in differ]))
+        inside = self.precision[:, differ][:, :, differ] + wide
+        across = self.precision[:, differ]  # (J, f, s)
+        gain = np.swapaxes(np.linalg.solve(inside, across), 1, 2)
+        matrix = (self.precision - gain @ across).sum(axis=0) + np.eye(self.pull.shape[1])
+        vector = (self.pull - (gain @ self.pull[:, differ, None])[..., 0]).sum(axis=0)
+        level = np.linalg.solve(matrix, vector)
+        deviations = np.zeros_like(self.pull)
+        left = self.pull[:, differ] - across @ level
+        deviations[:, differ] = np.linalg.solve(inside, left[..., None])[..., 0]
+        return level, deviations
+
 
 def share(layout: Layout, tests: Sequence[TestLikelihood]) -> Layout:
     """The layout with what the tests leave common, and without effects on it.
@@ -71,7 +87,7 @@ def share(layout: Layout, tests: Sequence[TestLikelihood]) -> Layout:
     if those.size == 0:
         return layout
     unit = (layout.scatter_sd / layout.spread)[those]
-    sparse[those[_differing(_reduce(tests, those), unit)]] = False
+    sparse[those[_differing(tests, those, unit)]] = False
     common = np.flatnonzero(sparse)
     effects = [
         replace(effect, members=tuple(k for k in effect.members if k not in common))
@@ -112,20 +128,59 @@ def _reduce(tests: Sequence[TestLikelihood], those: Index) -> _Reduced:
     return _Reduced(np.array(precisions), np.array(pulls))
 
 
-def _differing(reduced: _Reduced, unit: Array) -> list[int]:
-    """Quantities that differ between tests; `unit` is the mean of each scatter's prior, (s,)."""
+def _differing(tests: Sequence[TestLikelihood], those: Index, unit: Array) -> list[int]:
+    """Which of some quantities differ between tests; `unit` is the mean of their scatter's prior.
+
+    Parameters
+    ----------
+    tests : sequence of TestLikelihood
+    those : (s,) int
+    unit : (s,)
+    """
+    reduced = _reduce(tests, those)
     quantiles = (np.arange(POINTS) + 0.5) / POINTS
     grid = -np.log1p(-quantiles)  # of an exponential prior of mean 1
     found: dict[int, float] = {}
-    while len(found) < len(unit):
+    asked = list(range(those.size))
+    while asked:
         without = reduced.log_marginal(found)
         odds, sizes = {}, {}
-        for k in set(range(len(unit))) - set(found):
+        for k in asked:
             log = np.array([reduced.log_marginal({**found, k: unit[k] * r}) for r in grid])
             odds[k] = float(logsumexp(log)) - np.log(POINTS) - without
             sizes[k] = float(unit[k] * grid[np.argmax(log)])
         best = max(odds, key=lambda k: odds[k])
         if odds[best] < np.log(EVIDENCE):
             break
-        found[best] = sizes[best]
+        asked.remove(best)
+        wider = {**found, best: sizes[best]}
+        if odds[best] - _promised_too_much(tests, those, reduced, wider) > np.log(EVIDENCE):
+            found[best] = sizes[best]
     return list(found)
+
+
+def _promised_too_much(
+    tests: Sequence[TestLikelihood], those: Index, reduced: _Reduced, scatter: Mapping[int, float]
+) -> float:
+    """Gain of log likelihood by the Gaussians less the likelihoods' own, of the last deviation."""
+    level, deviations = reduced.places(scatter)
+    *_, last = scatter
+    total = 0.0
+    for test, apart in zip(tests, deviations, strict=True):
+        same = apart.copy()
+        same[last] = 0.0
+        points = np.stack([_complete(test, those, level + away) for away in (same, apart)])
+        near, exact = test.approximated().log_likelihood(points), test.log_likelihood(points)
+        total += float(np.diff(near)[0] - np.diff(exact)[0])
+    return total if np.isfinite(total) else np.inf
+
+
+def _complete(test: TestLikelihood, those: Index, values: Array) -> Array:
+    """Coordinates of a test (D,) with these values, the others where its Gaussian has them."""
+    rest = np.setdiff1d(np.arange(len(test.mean)), those)
+    pull = test.precision[np.ix_(rest, those)] @ (test.mean[those] - values)
+    within = test.precision[np.ix_(rest, rest)]
+    x = np.zeros_like(test.mean)
+    x[those] = values
+    x[rest] = np.linalg.solve(within + np.eye(rest.size), within @ test.mean[rest] + pull)
+    return x

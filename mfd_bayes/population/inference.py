@@ -29,7 +29,7 @@ from mfd_bayes.population.law_scores import (
     varies,
 )
 from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
@@ -137,6 +137,7 @@ def infer_population(
     effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
     with several_processes([t.log_likelihood for t in problem.tests], settings.jobs) as evaluate:
         draws = sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
+    draws = replace(draws, population=replace(draws.population, starts=_starts(working, draws)))
     exponents = free_exponents(layout, likelihoods)
     return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))
 
@@ -150,6 +151,18 @@ def _start(likelihood: WorkingLikelihood, test: TestResult) -> Array:
     coordinates += [priors[name].coordinate(values[name])[:, None] for name in likelihood.own]
     q = np.concatenate(coordinates, axis=1)[0]
     return np.asarray((q - likelihood.middle) / likelihood.scale)
+
+
+def _starts(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | None:
+    """Places in the gap at which the tests began, (chain, draw, J); None where none is inferred."""
+    if any("start" not in one.own for one in working):
+        return None
+    found = []
+    for one, x in zip(working, draws.tests, strict=True):
+        k = len(one.layout.names) + one.own.index("start")
+        prior = one.posterior.priors["start"]
+        found.append(prior.value(one.middle[k] + one.scale[k] * x[..., k]))
+    return np.stack(found, axis=-1)
 
 
 def usual_dependence(

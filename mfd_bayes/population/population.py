@@ -67,6 +67,8 @@ class Population:
         Of scatter, effects' sd, shapes and levels.
     residual : Residual, optional
         Discrepancy and noise that the tests have in common; runs of older versions have none.
+    starts : (chain, draw, J), optional
+        Places in the gap at which the tests began; none with a model or a run without them.
     """
 
     layout: Layout
@@ -79,6 +81,7 @@ class Population:
     walkers: int
     convergence: Convergence
     residual: Residual | None = None
+    starts: Array | None = None
 
     @property
     def size(self) -> int:
@@ -173,6 +176,20 @@ class Population:
     def law_weights(self) -> dict[str, dict[str, float]]:
         """Weight of each law that was considered, by quantity."""
         return {name: dict(weights) for name, weights in self.layout.weights.items()}
+
+    def draw_starts(self, rng: np.random.Generator, n: int) -> Array:
+        """Places in the gap at which n tests may begin, (n,).
+
+        A test begins as one of the calibrated tests did, or, once more, anywhere: the predictive
+        distribution of a Dirichlet process with a concentration of 1 (Ferguson, 1973).
+        """
+        anywhere = rng.random(n)
+        if self.starts is None:
+            return anywhere
+        pooled = self.starts.reshape(-1, self.starts.shape[-1])
+        j = rng.integers(pooled.shape[1] + 1, size=n)
+        known = pooled[rng.integers(len(pooled), size=n), np.minimum(j, pooled.shape[1] - 1)]
+        return np.where(j == pooled.shape[1], anywhere, known)
 
     def draw_test(
         self,

@@ -273,9 +273,11 @@ class Predictor:
 
 
 def _unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
-    """Prior draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
+    """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
     shared = set(population.layout.names)
     unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
+    if "start" in unknown:
+        unknown["start"] = population.draw_starts(rng, n)
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
 

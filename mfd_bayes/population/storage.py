@@ -39,6 +39,8 @@ def save_population(path: Path, population: Population) -> None:
         "law": population.choice.astype(np.float64),
         "together": np.asarray(population.together, dtype=np.float32),  # large
     }
+    if population.starts is not None:
+        arrays["starts"] = np.asarray(population.starts, dtype=np.float32)
     facts = {
         **_facts(population.layout),
         "actuation_unit": population.actuation_unit,
@@ -90,6 +92,7 @@ def _population(
             np.array(facts["r_hat"]), np.array(facts["ess_bulk"]), np.array(facts["ess_tail"])
         ),
         residual=_residual_of(facts.get("residual")),
+        starts=arrays["starts"].astype(np.float64) if "starts" in arrays else None,
     )
 
 

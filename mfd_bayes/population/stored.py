@@ -170,6 +170,11 @@ def check_draws(population: Population, where: object) -> None:
             raise StoreError(f"{where} must hold {name} that is finite and within {_FARTHEST:g}")
     if population.size < 1 or shape[1] % population.walkers:
         raise StoreError(f"{where} must hold draws of {population.walkers} walkers")
+    starts = population.starts
+    if starts is not None and not (
+        starts.shape == (*shape, len(layout.settings)) and np.all((starts >= 0) & (starts <= 1))
+    ):
+        raise StoreError(f"{where} must hold starts between 0 and 1, one for each test")
     try:
         _ = [effect.root for effect in layout.effects]
     except np.linalg.LinAlgError:

@@ -19,7 +19,7 @@ from mfd_bayes.population.law_scores import (
     stack,
 )
 from mfd_bayes.population.laws import SENSITIVITY
-from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.setting import Setting
 
 LEVELS = (0.5, 0.5, 0.8, 1.5)

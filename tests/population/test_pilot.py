@@ -7,7 +7,7 @@ import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.population import pilot
-from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.pilot import Pilot, fit_pilot
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.travel import FINE, KNOTS, TravelBasis

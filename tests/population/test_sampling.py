@@ -9,7 +9,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.population import sampling
 from mfd_bayes.population.apart import joined, set_apart
-from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import WALKERS, JointProblem, _correlate, sample_joint
 from mfd_bayes.population.setting import Setting

@@ -9,7 +9,7 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.errors import StoreError
-from mfd_bayes.population.layout import lay_out
+from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.storage import load_population, save_population
