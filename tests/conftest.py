@@ -12,6 +12,11 @@ from typing import Any
 
 import pytest
 
+# The arrays here are small: with threads of its own, BLAS takes several times the processor time,
+# most of it waiting. Set before the first import of NumPy, and for the processes that tests start.
+for library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
