@@ -41,6 +41,27 @@ def benchmark_module():
     sys.path.remove(str(root))
 
 
+# The command as installed, but for the figures of its reports, which take half of a report's time.
+DRIVER = """\
+from mfd_bayes.cli.commands import main
+
+if __name__ == "__main__":
+    from mfd_bayes.reporting import figures
+
+    figures.draw_shared = lambda view: iter(())
+    figures.draw_test = lambda test, system, unit: iter(())
+    main()
+"""
+
+
+@pytest.fixture(scope="session")
+def without_figures(tmp_path_factory) -> list[str]:
+    """Words that start the command for a test that does not look at a report's figures."""
+    driver = tmp_path_factory.mktemp("driver") / "driver.py"
+    driver.write_text(DRIVER)
+    return [sys.executable, str(driver)]
+
+
 @dataclass(frozen=True)
 class FinishedRun:
     """A small synthetic campaign that the installed command has calibrated.
