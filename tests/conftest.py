@@ -88,11 +88,14 @@ class FinishedRun:
 
 @pytest.fixture(scope="session")
 def finished_run(tmp_path_factory) -> FinishedRun:
-    """The finished run, calibrated once for all processes of a test session."""
+    """The finished run, calibrated once for all processes of a test session.
+
+    Sessions of the same code share one in the folder that MFD_BAYES_FINISHED_RUN names.
+    """
     home = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         home = home.parent  # which the processes share
-    home = home / "finished_run"
+    home = Path(os.environ.get("MFD_BAYES_FINISHED_RUN", home / "finished_run"))
     home.mkdir(exist_ok=True)
     with (home / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # the others wait for the first
