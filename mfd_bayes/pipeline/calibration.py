@@ -21,6 +21,7 @@ from mfd_bayes.runs.folder import (
     CAMPAIGN,
     POPULATION,
     PRIORS,
+    check_apart,
     hash_stored,
     pooled_of,
     posterior_of,
@@ -59,6 +60,9 @@ def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
     check_workers(options)
+    campaign = plan.campaign
+    inputs = (campaign.path, plan.priors.path, *(test.path for test in campaign.tests))
+    check_apart(out, inputs, force=options.force)
     with alone_in(out):
         manifest, before = prepare_folder(
             plan.manifest, plan.campaign.folder, out, resume=options.resume, force=options.force

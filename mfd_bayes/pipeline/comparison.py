@@ -14,6 +14,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.crossvalidation import check_parts, leave_out_parts
+from mfd_bayes.pipeline.outputs import Output, check_outputs, table_with
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.reporting.tables import (
@@ -85,10 +86,13 @@ def _plan_models(
 ) -> dict[str, Plan]:
     """Plan of a campaign under each model, checked for what the comparison needs."""
     plans: dict[str, Plan] = {}
+    table = Output(out / "comparison.csv", table_with("test", "model", "cycles", "elpd"))
+    check_outputs([table], [campaign], force=options.force)
     for model in models:
         plans[model] = plan = plan_campaign(campaign, replace(options, model=model))
         if options.by:
             check_parts(plan)
+        check_outputs([table], [t.path for t in plan.campaign.tests], force=options.force)
         for task in plan.tasks:
             check_cycles(task)
         folder = out / model

@@ -12,6 +12,15 @@ from mfd_bayes.assessment.views import (
     Interval,
 )
 from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.pipeline.outputs import (
+    Output,
+    check_outputs,
+    is_marked,
+    is_picture,
+    known,
+    table_with,
+    write_picture,
+)
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
@@ -20,7 +29,7 @@ from mfd_bayes.reporting.tables import (
     predicted_csv,
 )
 from mfd_bayes.runs.run import open_run
-from mfd_bayes.store.files import write_bytes, write_text
+from mfd_bayes.store.files import write_text
 from mfd_bayes.units import parse_actuation
 
 
@@ -43,6 +52,8 @@ class Question:
         Id of the calibrated test, for the kind `this_test`.
     whole, recalibrate, explain : bool
         As in `Run.predict`.
+    force : bool
+        Whether files of other programs are replaced.
     """
 
     motion: Path
@@ -55,6 +66,12 @@ class Question:
     whole: bool = False
     recalibrate: bool = False
     explain: bool = False
+    force: bool = False
+
+    @property
+    def picture(self) -> Path:
+        """PNG of the band."""
+        return self.bands.with_suffix(".png")
 
     @property
     def derived(self) -> Path:
@@ -74,6 +91,7 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"
         )
+    _check_outputs(question)
     run = open_run(out)
     level, unit = parse_actuation(question.actuation, of="--actuation")
     if unit != run.actuation_unit:
@@ -106,5 +124,15 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     fan = Fan(band.kind, band.median, tuple(intervals))
     title = f"Predicted force at {question.actuation}"
     png = to_png(draw_loops(title, drawn, [fan]))
-    write_bytes(question.bands.with_suffix(".png"), png)
+    write_picture(question.picture, png)
     return band, rows
+
+
+def _check_outputs(question: Question) -> None:
+    """Refuse to write over anything but what an earlier prediction wrote there."""
+    bands = Output(question.bands, table_with("time_s", "displacement_in", "lower_kip"))
+    check_outputs([bands], [question.motion], force=question.force)
+    again = known(bands)
+    picture = Output(question.picture, is_picture if again else is_marked)
+    derived = Output(question.derived, table_with("quantity", "unit", "mean"))
+    check_outputs([picture, derived], [question.motion], force=question.force)

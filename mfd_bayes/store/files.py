@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -25,8 +26,9 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     Raises
     ------
     StoreError
-        When the folder cannot be written to.
+        When the folder cannot be written to, or the place is no place for a file.
     """
+    check_place(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=PART)
@@ -45,6 +47,28 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     finally:
         with suppress(OSError):  # the folder became read-only; the next run removes it
             part.unlink(missing_ok=True)
+
+
+def check_place(path: Path) -> None:
+    """Refuse a place in which a file would replace something that is no file of its folder.
+
+    Raises
+    ------
+    StoreError
+        When it is a device, a pipe, a socket, or a link out of its folder.
+    """
+    try:
+        if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
+            raise StoreError(f"cannot write {path}: it is a link out of its folder")
+        mode = path.stat().st_mode if path.exists() else stat.S_IFREG
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, too long a name
+        raise StoreError(f"cannot write {path}: {_reason(error)}") from error
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a folder is refused by the system
+        raise StoreError(f"cannot write {path}: it is a device or a pipe, and would be replaced")
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def is_part(path: Path, name: str) -> bool:
