@@ -28,6 +28,7 @@ from mfd_bayes.reporting.tables import (
     bands_csv,
     predicted_csv,
 )
+from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import write_text
 from mfd_bayes.units import parse_actuation
@@ -102,17 +103,18 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     record = read_record(question.motion)
     motion = record.trace(gap=run.priors.gap)
     trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
-    band = run.predict(
-        trace,
-        question.kind,
-        question.probability,
-        test=question.test,
-        whole=question.whole,
-        recalibrate=question.recalibrate,
-        explain=question.explain,
-    )
     drawn = replace(trace, force=motion.force if question.compare else None)
-    rows = predicted_rows(run, drawn, band)
+    with reading(run.folder, run.manifest):
+        band = run.predict(
+            trace,
+            question.kind,
+            question.probability,
+            test=question.test,
+            whole=question.whole,
+            recalibrate=question.recalibrate,
+            explain=question.explain,
+        )
+        rows = predicted_rows(run, drawn, band)
     write_text(question.bands, bands_csv(trace, band, question.actuation))
     write_text(question.derived, predicted_csv(rows, question.actuation, question.probability))
     from mfd_bayes.reporting.figures import draw_loops, to_png
