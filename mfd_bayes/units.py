@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 ActuationUnit = Literal["ksi", "kip"]
 
+SMALLEST, LARGEST = 1e-9, 1e10
+"""Range of the sizes of a force or a pressure, kip or ksi, other than 0."""
+
 
 class Dimension(NamedTuple):
     """A dimension: its internal unit, its name in messages, and units to suggest."""
@@ -177,7 +180,13 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     if value < 0:
         raise UnitError(f"actuation must not be negative, got {text!r}")
     scale, internal = actuation_factor(unit, of=of or f"{text!r}")
-    return value * scale, internal
+    level = value * scale
+    if (level != 0.0 and not SMALLEST <= level <= LARGEST) or (value > 0.0) != (level > 0.0):
+        raise UnitError(
+            f"{f'{of}: ' if of else ''}expected an actuation of 0, or of {SMALLEST:g} to "
+            f"{LARGEST:g} {internal}, got {text!r}"
+        )
+    return level, internal
 
 
 def parse_window(text: str) -> tuple[float, float]:

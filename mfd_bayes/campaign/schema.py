@@ -90,6 +90,9 @@ def _checked(parse: Callable[[str], object]) -> Callable[[str], str]:
 _rate = BeforeValidator(_parsed(lambda text: parse_quantity(text, "rate")))
 _area = BeforeValidator(_parsed(lambda text: parse_quantity(text, "area")))
 
+Area = Annotated[float, Field(ge=1e-10, le=1e10)]
+"""Area of an actuator, in²: of a campaign file, and of the manifest that is written of it."""
+
 
 class Part(BaseModel):
     """A table of a campaign file; unknown keys, NaN and infinity are errors."""
@@ -131,7 +134,7 @@ class Settings(Part):
     noise: NoiseName = "ou"
     rate: Annotated[float, Field(gt=0, strict=True), _rate] | None = None
     start: Literal["sample", "mask"] = "sample"
-    area: Annotated[float, Field(gt=0, strict=True), _area] | None = None
+    area: Annotated[Area, Field(strict=True), _area] | None = None
 
 
 class Entry(Part):

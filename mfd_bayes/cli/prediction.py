@@ -113,6 +113,8 @@ def crossvalidate(
             view = pipeline.crossvalidate(campaign, out, options, observe)
         console.print_left_out(view.left_out, quiet=quiet)
         console.print_end(view, out, quiet=quiet)
+    if not pipeline.is_whole(view):
+        raise typer.Exit(1)
 
 
 def compare(

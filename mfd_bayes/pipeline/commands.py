@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.assessment import fails
+from mfd_bayes.assessment import fails, is_whole
 from mfd_bayes.assessment.views import (
     CampaignView,
 )
@@ -42,6 +42,7 @@ __all__ = [
     "gaps",
     "init",
     "inspect",
+    "is_whole",
     "plan_campaign",
     "predict",
     "prior_check",

@@ -201,6 +201,7 @@ class Predictor:
         source = "posterior draws of this test"
         return self._band(trace, forecast, parts, index, rng, source)
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _band(
         self,
         trace: Trace,
@@ -210,18 +211,17 @@ class Predictor:
         rng: np.random.Generator,
         source: str,
     ) -> Band:
-        """Band of drawn tests (n, d)."""
+        """Band of drawn tests (n, d); parameters and forces that are no numbers are refused."""
         unknown = _unknown(self.population, forecast.draws, rng)
         scales = _scales(self.population, trace, index) if trace.varying else {}
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, forecast.draws)
         drawn = Drawn(parts, unknown, scales, discrepancy=learned)
         values = self._values(drawn)
-        with np.errstate(over="ignore", invalid="ignore"):  # refused right below
-            damper = self._force(trace, drawn)
-            if forecast.kind == "observation":
-                drawn = replace(drawn, noise=self._noise(rng, trace, values))
-            force, _ = self._total(trace, drawn, damper)
+        damper = self._force(trace, drawn)
+        if forecast.kind == "observation":
+            drawn = replace(drawn, noise=self._noise(rng, trace, values))
+        force, _ = self._total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
         band = band_of(trace.time, force, forecast, source, values)
         return replace(band, shares=self._shares(trace, drawn, forecast))

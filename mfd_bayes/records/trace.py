@@ -18,6 +18,7 @@ from mfd_bayes.records.motion import (
     turning_points,
 )
 
+SMALLEST = 1e-9  # the largest force of a record is above it, kip, or the record has none
 LARGEST = 1e10  # largest number of a trace, in internal units; times since 1970 in s are below it
 
 
@@ -161,6 +162,23 @@ def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
     if not np.all(np.abs(values) <= most):
         raise RecordError(
             f"{name} holds numbers too large to use, beyond {most:g} in s, in, kip or ksi"
+        )
+
+
+def check_size(name: str, role: str, values: Array) -> None:
+    """Refuse numbers that are too large, and a force that is too small but not zero.
+
+    Raises
+    ------
+    RecordError
+        When the size of one is above `LARGEST`, or every force is below `SMALLEST`.
+    """
+    check_magnitude(name, values)
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if role == "force" and 0.0 < largest < SMALLEST:
+        raise RecordError(
+            f"{name} holds numbers too small to use: the largest is {largest:.3g} kip, and at "
+            f"least {SMALLEST:g} kip is expected; check its unit"
         )
 
 
