@@ -15,6 +15,7 @@ import typer
 from mfd_bayes.cli.calibration import calibrate, check, demo, report
 from mfd_bayes.cli.prediction import compare, crossvalidate, predict
 from mfd_bayes.cli.preparation import init, inspect, prior_check
+from mfd_bayes.cli.streams import checked_streams
 from mfd_bayes.jobs.signals import end_on_signals
 
 app = typer.Typer(
@@ -76,5 +77,5 @@ def main() -> None:
     """Run the command line."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before numpy is imported; the matrices here are small
-    with end_on_signals():
+    with end_on_signals(), checked_streams():
         app()

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import NoReturn
 
 import typer
 
 from mfd_bayes.cli.console import clean, say
+from mfd_bayes.cli.streams import CannotPrintError
 from mfd_bayes.errors import MfdError
 from mfd_bayes.jobs.signals import hinting
 
@@ -31,20 +30,18 @@ def mistakes(resume: str = "") -> Iterator[None]:
             yield
     except MfdError as error:
         _fail(str(error))
+    except CannotPrintError:
+        raise
     except OSError as error:
-        if error.errno == errno.EPIPE:  # the reader of the output has closed it, as `head` does
-            raise
         _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
 
 
 def _fail(sentence: str) -> NoReturn:
-    with suppress(OSError):
+    try:
         say(f"mfd-bayes: {sentence}", err=True)
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError:  # a full disk; Python would report it once more at its end
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        sys.stderr.flush()
+    except CannotPrintError:  # there may still be the output
+        say(f"mfd-bayes: {sentence}")
     raise typer.Exit(2)
 
 
