@@ -27,7 +27,8 @@ class _Stream:
 
     def __init__(self, stream: TextIO | None, number: int) -> None:
         self._closed = stream is None
-        self._stream = stream or Path(os.devnull).open("w", encoding="utf-8")
+        nowhere = Path(os.devnull)
+        self._stream = stream or nowhere.open("w", encoding="utf-8")
         self._number = number
 
     def write(self, text: str) -> int:
