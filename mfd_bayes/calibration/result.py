@@ -10,7 +10,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.stored import check_draws, check_facts
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.records.record import hash_file
+from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import StoredTest, load_test
 

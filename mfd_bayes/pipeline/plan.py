@@ -26,7 +26,8 @@ from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.layout import Layout, lay_out
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.storage import check_storable
-from mfd_bayes.records.record import Record, hash_file
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
 from mfd_bayes.runs.manifest import (

@@ -19,6 +19,7 @@ from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
 from mfd_bayes.population.whole import whole_band
+from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
@@ -67,8 +68,10 @@ class Forecast:
             raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
         if not 0.0 < self.probability < 1.0:
             raise FitError(f"probability must lie between 0 and 1, got {self.probability}")
-        if self.draws < 10:
+        if whole_number("draws", self.draws, 0, FitError) < 10:
             raise FitError(f"a band needs at least 10 draws, got {self.draws}")
+        whole_number("seed", self.seed, 0, FitError)
+        whole_number("permutations", self.permutations, 0, FitError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +255,9 @@ class Predictor:
         values = self._values(drawn)
         theta = self.model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
-        force = self.model.force(theta, trace, values.get("start"), scales=drawn.scales or None)
+        force = self.model.force_unbounded(
+            theta, trace, values.get("start"), scales=drawn.scales or None
+        )
         residual = self.population.residual
         if residual is None or drawn.discrepancy is None:
             return force

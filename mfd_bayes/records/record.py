@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
 from mfd_bayes.records.readers import Table, read_table
+from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.roles import ROLES, roles_of, unit_of
 from mfd_bayes.records.trace import Trace, check_size
@@ -290,9 +290,3 @@ def _slice(record: Record, window: Window | None) -> slice:
 
 def _turns(displacement: Array) -> NDArray[np.intp]:
     return turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.records.record import hash_file
+from mfd_bayes.records.regular import hash_file
 from mfd_bayes.store.files import PART, check_place
 
 MANIFEST = "manifest.json"

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import StoreError
+from mfd_bayes.records.regular import why_no_file
 
 PART = ".part"
 _LARGEST_JSON = 64 * 2**20
@@ -105,6 +106,8 @@ def read_json(path: Path) -> dict[str, Any]:
         When the file is missing, too large, or holds no JSON object.
     """
     try:
+        if reason := why_no_file(path):
+            raise StoreError(f"{path} {reason}")
         if path.stat().st_size > _LARGEST_JSON:
             raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: not of this program")
         content = json.loads(path.read_text(encoding="utf-8"))

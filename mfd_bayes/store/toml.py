@@ -6,6 +6,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from mfd_bayes.records.regular import why_no_file
+
 LARGEST = 2**20  # largest file, bytes: ten times a campaign of 500 tests
 DOTS = 200  # most dots of a line: parsing takes the square of the number of a key's parts
 
@@ -24,6 +26,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     TomlError
         When it is too large, or not TOML.
     """
+    if reason := why_no_file(path):
+        raise TomlError(reason)
     with path.open("rb") as file:
         content = file.read(LARGEST + 1)
     if len(content) > LARGEST:
