@@ -116,13 +116,23 @@ class Columns(Part):
     velocity: Column | None = None
 
 
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ValueError(f"each of them may be there once, and {twice[0]!r} is there twice")
+    return names
+
+
+Covariates = Annotated[tuple[Covariate, ...], AfterValidator(_once)]
+
+
 class Dependence(Part):
     """The covariates besides the actuation that each parameter depends on; default none."""
 
-    Fc_fwd: tuple[Covariate, ...] = ()
-    Fc_bwd: tuple[Covariate, ...] = ()
-    sigma0: tuple[Covariate, ...] = ()
-    d2: tuple[Covariate, ...] = ()
+    Fc_fwd: Covariates = ()
+    Fc_bwd: Covariates = ()
+    sigma0: Covariates = ()
+    d2: Covariates = ()
 
 
 class Settings(Part):

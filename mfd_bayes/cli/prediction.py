@@ -65,7 +65,7 @@ def predict(
     for remark in band.remarks:
         console.say(f"warning: {remark}", err=True)
     console.say(
-        f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
+        f"{band.interval} {console.in_percent(band.probability)} % band of kind {band.kind}, from "
         f"{band.source}: {bands} and {bands.with_suffix('.png')}"
     )
     if band.shares:

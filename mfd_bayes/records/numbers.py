@@ -51,3 +51,11 @@ def whole_number(name: str, value: Any, least: int, error: type[MfdError]) -> in
     if found < least or isinstance(value, bool):
         raise error(f"{name} must be a whole number, {least} or more, got {value!r}")
     return found
+
+
+def why_invalid(error: Exception) -> str:
+    """Why a parser refused a text, briefly and without the interpreter's names."""
+    text = str(error)
+    if "set_int_max_str_digits" in text:
+        return "it holds a number of thousands of digits"
+    return text[:200]

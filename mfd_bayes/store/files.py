@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import StoreError
+from mfd_bayes.records.numbers import why_invalid
 from mfd_bayes.records.regular import why_no_file
 
 PART = ".part"
@@ -115,7 +116,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise StoreError(f"{path} is not valid JSON: {error}") from error
+        raise StoreError(f"{path} is not valid JSON: {why_invalid(error)}") from error
     if not isinstance(content, dict):
         raise StoreError(f"{path} must hold a JSON object")
     return content

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from mfd_bayes.records.numbers import why_invalid
 from mfd_bayes.records.regular import why_no_file
 
 LARGEST = 2**20  # largest file, bytes: ten times a campaign of 500 tests
@@ -36,6 +37,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         if line.count(b".") > DOTS:
             raise TomlError(f"has more than {DOTS} dots in line {number}, the most that is read")
     try:
-        return tomllib.loads(content.decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # also thousands of digits
-        raise TomlError(f"is not valid TOML: {str(error)[:200]}") from error
+        raise TomlError(f"is not valid TOML: {why_invalid(error)}") from error
