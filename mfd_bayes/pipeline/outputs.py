@@ -97,8 +97,10 @@ def check_outputs(outputs: Sequence[Output], inputs: Iterable[Path], *, force: b
             raise StoreError(f"cannot write {path}: give the name of a file")
         check_place(path)
         try:
+            if path.is_dir():
+                raise StoreError(f"cannot write {path}: it is a folder; give the name of a file")
             _check_free(output, read, force=force)
-        except (OSError, RuntimeError) as error:
+        except (OSError, RuntimeError, ValueError) as error:
             raise StoreError(f"cannot write {path}: {error}") from error
 
 

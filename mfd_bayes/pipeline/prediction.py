@@ -92,7 +92,7 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"
         )
-    _check_outputs(question)
+    check_question(question)
     run = open_run(out)
     level, unit = parse_actuation(question.actuation, of="--actuation")
     if unit != run.actuation_unit:
@@ -130,7 +130,7 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     return band, rows
 
 
-def _check_outputs(question: Question) -> None:
+def check_question(question: Question) -> None:
     """Refuse to write over anything but what an earlier prediction wrote there."""
     bands = Output(question.bands, table_with("time_s", "displacement_in", "lower_kip"))
     check_outputs([bands], [question.motion], force=question.force)
