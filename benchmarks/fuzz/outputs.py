@@ -58,10 +58,11 @@ def mutate_question(_: bytes, rng: Rng) -> bytes:
     return json.dumps(said).encode()
 
 
-def files_of_question(run: dict[str, bytes]) -> dict[str, bytes]:
-    """A folder with a run, two motions and a question."""
+def files_of_question() -> dict[str, bytes]:
+    """A folder with the files of a run, two motions and a question."""
     motion = b"time_s,displacement_in\n0,0\n1,1\n"
-    named = {f"out/{name}": content for name, content in run.items()}
+    names = ("manifest.json", "population.nc", "priors.toml", "tests/a/posterior.nc")
+    named = {f"out/{name}": name.encode() for name in names}
     return named | {"m.csv": motion, "x_derived.csv": motion, "question.json": seed()}
 
 
@@ -117,10 +118,9 @@ def _checked(path: Path, act: Callable[[Path, dict[str, Any]], None]) -> object:
 def _replaceable(home: Path, said: dict[str, Any]) -> set[str]:
     """Names that may be replaced: this command's own files, and by force those of others."""
     named = [place for place, thing in said["things"].items() if said["force"] or thing == "ours"]
-    parents = {
-        (home / name).parent.resolve() / Path(name).name for name in named if "\0" not in name
-    }
-    found = {str(path.relative_to(home)) for path in parents if path.is_relative_to(home)}
+    paths = [home / name for name in named if "\0" not in name]
+    places = {path.parent.resolve() / path.name for path in paths}
+    found = {str(place.relative_to(home)) for place in places if place.is_relative_to(home)}
     return found - {said["motion"].removeprefix("here/"), *said["run"]}
 
 

@@ -125,10 +125,10 @@ def few() -> tuple[Target, ...]:
 def commands() -> tuple[Target, ...]:
     """Commands with other options, and with something in the place of their outputs."""
     run = run_files(small=True)
-    asked, question = (files_of_command(run),), (files_of_question(run),)
+    asked, question = (files_of_command(run),), (files_of_question(),)
     said = (question, "question.json", mutate_question)
     return (
-        Target("options", asked, "command.json", mutate_command, read_command, 0.03, writes=True),
+        Target("options", asked, "command.json", mutate_command, read_command, 0.006, writes=True),
         Target("outputs: predict", *said, read_predicted, 0.05, writes=True),
         Target("outputs: inspect", *said, read_looked, 0.02, writes=True),
     )
