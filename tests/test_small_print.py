@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, RecordError, StoreError, UnitError
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.inspection import inspect_record
@@ -133,3 +135,11 @@ def test_a_covariate_is_there_once(home):
 )
 def test_a_probability_below_one_is_never_all(probability, text):
     assert percent(probability) == text
+
+
+def test_a_word_of_thousands_of_letters_is_not_repeated_whole(home):
+    words = ["check", "9" * 5000]
+    outcome = CliRunner().invoke(app, words)
+    assert outcome.exit_code == 2
+    assert len(outcome.stderr) < 500
+    assert "9" * 60 + "…" in outcome.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from collections.abc import Iterator
@@ -36,7 +37,12 @@ def mistakes(resume: str = "") -> Iterator[None]:
         _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
 
 
+_LONG = re.compile(r"\S{500,}")
+"""A word that no one reads to its end, such as a number of thousands of digits."""
+
+
 def _fail(sentence: str) -> NoReturn:
+    sentence = _LONG.sub(lambda word: f"{word[0][:60]}…", sentence)
     try:
         say(f"mfd-bayes: {sentence}", err=True)
         sys.stderr.flush()
