@@ -50,7 +50,7 @@ def calibrate(
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.calibrate_campaign(campaign, out, options, observe)
         console.print_end(view, out, quiet=quiet)
-    if strict and pipeline.fails(view):
+    if not pipeline.is_whole(view) or (strict and pipeline.fails(view)):
         raise typer.Exit(1)
 
 
@@ -100,6 +100,8 @@ def report(
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.report(out, observe, pdf=pdf)
         console.print_end(view, out, quiet=quiet)
+    if not pipeline.is_whole(view):
+        raise typer.Exit(1)
 
 
 def demo(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.assessment import fails
+from mfd_bayes.assessment import fails, is_whole
 from mfd_bayes.assessment.views import (
     CampaignView,
 )
@@ -15,7 +15,7 @@ from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.dispatch import check_workers
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
@@ -23,6 +23,7 @@ from mfd_bayes.pipeline.prediction import Question, predict
 from mfd_bayes.pipeline.preparation import find_warnings, init, inspect, prior_check
 from mfd_bayes.pipeline.report import check, report, write_report
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
+from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Truth, read_begun
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "gaps",
     "init",
     "inspect",
+    "is_whole",
     "plan_campaign",
     "predict",
     "prior_check",
@@ -60,8 +62,10 @@ def calibrate_campaign(
     MfdError
         When an input cannot be used; nothing is written then.
     """
-    run = calibrate(plan_campaign(campaign, options), out, observe)
-    return write_report(run, observe, jobs=options.jobs)
+    plan = plan_campaign(campaign, options)
+    with working_in(plan, out):
+        run = calibrate_locked(plan, out, observe)
+        return write_report(run, observe, jobs=options.jobs)
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
@@ -74,16 +78,18 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     """
     check_workers(options)
     check_links(out, ["campaign"])
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        if not options.force:
-            raise StoreError(f"{out} exists: give --force to replace it")
-        discard(out)
-    truth = write_campaign(out / "campaign", options.seed)
-    options = replace(options, force=False, resume=False)
-    plan = plan_campaign(out / "campaign" / "campaign.toml", options)
-    manifest = plan.manifest.changed(truth=Truth(**truth))
-    run = calibrate(replace(plan, manifest=manifest), out, observe)
-    return write_report(run, observe, jobs=options.jobs)
+    used = out.exists() and (not out.is_dir() or any(out.iterdir()))
+    if used and not options.force:
+        raise StoreError(f"{out} exists: give --force to replace it")
+    with alone_in(out):
+        if used:
+            discard(out)
+        truth = write_campaign(out / "campaign", options.seed)
+        options = replace(options, force=False, resume=False)
+        plan = plan_campaign(out / "campaign" / "campaign.toml", options)
+        manifest = plan.manifest.changed(truth=Truth(**truth))
+        run = calibrate_locked(replace(plan, manifest=manifest), out, observe)
+        return write_report(run, observe, jobs=options.jobs)
 
 
 def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:
