@@ -35,15 +35,19 @@ def predict(
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what makes the band wide.")
     ] = False,
+    extrapolate: Annotated[
+        bool, typer.Option("--extrapolate", help="Predict far outside of what was tested too.")
+    ] = False,
     quiet: arguments.Quiet = False,
 ) -> None:
     """Predict the force of a motion at an actuation, tested or not.
 
     Writes the band as CSV where -o says, a PNG beside it, and what derives from
-    the force, such as energy and peaks, as ..._derived.csv. Where the actuation
-    was never tested, or the run did not pass its checks, it warns. --recalibrate
-    is for --kind observation and needs a run of crossvalidate; --explain takes
-    some seconds.
+    the force, such as energy and peaks, as ..._derived.csv. It warns where stroke,
+    speed, frequency or actuation leave what was tested, or the run did not pass
+    its checks; far outside it refuses unless --extrapolate is given.
+    --recalibrate is for --kind observation and needs a run of crossvalidate;
+    --explain takes some seconds.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
@@ -52,7 +56,8 @@ def predict(
     from mfd_bayes.pipeline import commands as pipeline
 
     asked = (motion, actuation, kind, probability, bands)
-    question = pipeline.Question(*asked, compare, test, whole, recalibrate, explain)
+    more = (compare, test, whole, recalibrate, explain, extrapolate)
+    question = pipeline.Question(*asked, *more)
     with mistakes():
         band, derived = pipeline.predict(out, question)
     for remark in band.remarks:

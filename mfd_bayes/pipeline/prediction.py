@@ -19,7 +19,8 @@ from mfd_bayes.reporting.tables import (
     bands_csv,
     predicted_csv,
 )
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.tested import far_sentences
 from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import parse_actuation
 
@@ -43,6 +44,8 @@ class Question:
         Id of the calibrated test, for the kind `this_test`.
     whole, recalibrate, explain : bool
         As in `Run.predict`.
+    extrapolate : bool
+        Whether to predict far outside of what was tested too.
     """
 
     motion: Path
@@ -55,6 +58,7 @@ class Question:
     whole: bool = False
     recalibrate: bool = False
     explain: bool = False
+    extrapolate: bool = False
 
     @property
     def derived(self) -> Path:
@@ -84,6 +88,7 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     record = read_record(question.motion)
     motion = record.trace(gap=run.priors.gap)
     trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
+    _check_reach(run, trace, question)
     band = run.predict(
         trace,
         question.kind,
@@ -108,3 +113,11 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     png = to_png(draw_loops(title, drawn, [fan]))
     write_bytes(question.bands.with_suffix(".png"), png)
     return band, rows
+
+
+def _check_reach(run: Run, trace: Trace, question: Question) -> None:
+    """Refuse what lies far outside of the tested range, unless it is asked for expressly."""
+    own = question.test if question.test in run.tests else ""
+    far = far_sentences(run.departures(trace, own), run.system)
+    if far and not question.extrapolate:
+        raise CampaignError(f"{far}; give --extrapolate to predict it all the same")

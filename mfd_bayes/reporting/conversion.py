@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from mfd_bayes.assessment.systems import SI, US, System
 from mfd_bayes.assessment.views import (
     CampaignView,
     DerivedRow,
@@ -18,6 +17,7 @@ from mfd_bayes.assessment.views import (
     TruthRow,
 )
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.systems import SI, US, System
 
 _FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth")
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
 from mfd_bayes.reporting.tables import csv_text
+from mfd_bayes.runs.tested import conditions
 
 DRAWS = 2000
 """Most draws in the table of a joint posterior."""
@@ -40,6 +41,8 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     """Path and text of the tables behind the figures of all tests together."""
     if view.tests:
         yield table_of("overview"), _overview(view.tests)
+    if view.tested:
+        yield table_of("tested"), _tested(view)
     if view.laws:
         yield table_of("laws"), _laws(view)
     if view.truth:
@@ -106,6 +109,21 @@ def _overview(tests: Iterable[TestView]) -> str:
         head = ("test", "role", *columns)
         rows = zip(*(column[::step] for column in columns.values()), strict=True)
         lines += [(test.id, test.role, *row) for row in rows]
+    return csv_text(head, lines)
+
+
+def _tested(view: CampaignView) -> str:
+    """Stroke, peak speed, frequency and actuation of every test."""
+    units = {span.name: span.unit for span in view.tested}
+    head = (
+        "test",
+        "role",
+        *(f"{name}_{unit.replace('/', '_per_')}" for name, unit in units.items()),
+    )
+    lines = []
+    for test in view.tests:
+        found = {s.name: s.highest for s in conditions(test.trace, view.actuation_unit)}
+        lines.append((test.id, test.role, *(found.get(name, np.nan) for name in units)))
     return csv_text(head, lines)
 
 

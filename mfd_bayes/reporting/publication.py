@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.assessment.systems import System
 from mfd_bayes.assessment.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.workers import run_in_processes
@@ -19,6 +18,7 @@ from mfd_bayes.reporting.figures import OF_TEST, draw_shared, draw_test
 from mfd_bayes.reporting.html import ONE_PAGE, needed, render
 from mfd_bayes.reporting.pdf import print_page
 from mfd_bayes.reporting.tables import report_tables
+from mfd_bayes.runs.systems import System
 from mfd_bayes.store.files import write_bytes, write_text
 
 

@@ -21,6 +21,7 @@ from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow
+from mfd_bayes.runs.tested import Span
 
 _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
@@ -43,6 +44,7 @@ def report_tables(view: CampaignView) -> dict[str, str]:
         "law_scores.csv": law_scores_csv(view.law_choices),
         "checks.csv": checks_csv(view.checks),
         "scores.csv": scores_csv(view.scores),
+        "tested_range.csv": tested_csv(view.tested),
     }
     if view.left_out is not None:
         found[CROSSVALIDATION] = crossvalidation_csv(view.left_out)
@@ -72,6 +74,11 @@ def checks_csv(checks: Iterable[Check]) -> str:
 def scores_csv(scores: Iterable[ScoreRow]) -> str:
     """Scores of each record's observation bands against its force."""
     return csv_text(("test", "role", *_SCORES), map(dataclasses.astuple, scores))
+
+
+def tested_csv(spans: Iterable[Span]) -> str:
+    """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
+    return csv_text(("condition", "unit", "smallest", "largest"), map(dataclasses.astuple, spans))
 
 
 def crossvalidation_csv(found: LeftOutView) -> str:
