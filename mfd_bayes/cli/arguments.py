@@ -37,6 +37,10 @@ Kind = Annotated[
     Literal["device", "new_test", "observation", "this_test"],
     typer.Option(help="What the band is about."),
 ]
+Units = Annotated[
+    Literal["us", "si"] | None,
+    typer.Option(help="Units of what is written.", show_default="the campaign's own"),
+]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print only warnings and the verdict.")]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,16 @@ THIS_TEST = "this_test"
 """One calibrated test by itself: what is known of its own parameters."""
 
 KINDS = (*NESTED, THIS_TEST)
+
+KIND_NAMES: Mapping[str, str] = MappingProxyType(
+    {
+        "device": "mean property",
+        "new_test": "this device tested again",
+        "observation": "a measurement of it",
+        THIS_TEST: "this very test",
+    }
+)
+"""What each kind is about, in the words of design; the same everywhere."""
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,11 @@ from mfd_bayes.assessment.views import (
     Row,
     ScoreRow,
 )
-from mfd_bayes.population.predict import Band
+from mfd_bayes.population.predict import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow
+from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Span
 
 _DIGITS = 6
@@ -123,21 +124,38 @@ def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float
     return about + csv_text(head, map(_derived_cells, shown))
 
 
-def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
-    """Band of a prediction at every sample, in s, in and kip, and of the whole history if any."""
-    whole = [bound for bound in (band.whole_lower, band.whole_upper) if bound is not None]
-    more = ",whole_lower_kip,whole_upper_kip" if whole else ""
-    about = (
-        f"# {band.interval} {100 * band.probability:g} % band of kind {band.kind}, for each "
-        f"sample by itself; from {band.source}\n"
-        + ("# whole: band of the whole history, of the same probability\n" if whole else "")
-        + "".join(f"# warning: {' '.join(remark.split())}\n" for remark in band.remarks)
-        + f"# actuation {actuation}\n"
-        f"time_s,displacement_in,lower_kip,median_kip,upper_kip{more}\n"
+def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
+    """Band of a prediction at every sample, with the measured force of the trace if it has one.
+
+    Parameters
+    ----------
+    trace : Trace
+    band : Band
+    about : sequence of str
+        Lines of its head, besides what the band is.
+    system : System
+        Of the units in the columns' names.
+    """
+    length, force = system.length, system.force
+    columns = {"time_s": trace.time}
+    columns[f"displacement_{length}"] = trace.displacement * system.factor("in")
+    forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
+    forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
+    by = system.factor("kip")
+    columns |= {f"{name}_{force}": v * by for name, v in forces.items() if v is not None}
+    head = (
+        f"{band.interval} {100 * band.probability:g} % band of kind {band.kind} "
+        f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}",
+        *(
+            ["whole: band of the whole history, of the same probability"]
+            * (forces["whole_lower"] is not None)
+        ),
+        *(f"warning: {remark}" for remark in band.remarks),
+        *about,
     )
-    columns = (trace.time, trace.displacement, band.lower, band.median, band.upper, *whole)
-    rows = zip(*columns, strict=True)
-    return about + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
+    lines = "".join(f"# {' '.join(line.split())}\n" for line in head) + ",".join(columns) + "\n"
+    rows = zip(*columns.values(), strict=True)
+    return lines + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
 
 
 def _derived_cells(row: DerivedRow) -> tuple[str | float, ...]:

@@ -64,6 +64,22 @@ SI = System("si", "kN and mm", "mm", "kN", "MPa")
 SYSTEMS = (US, SI)
 
 
+def named_system(name: str, own: System) -> System:
+    """System of units of a name, "us" or "si"; `own` where the name is empty.
+
+    Raises
+    ------
+    UnitError
+        When the name is unknown.
+    """
+    for system in SYSTEMS:
+        if system.name == name:
+            return system
+    if name:
+        raise UnitError(f"--units must be us (kip, in, ksi) or si (kN, mm, MPa), got {name!r}")
+    return own
+
+
 def system_of(units: Iterable[str]) -> System:
     """System of units that most records were measured in, by their units of length."""
     metric = sum(1 if _is_metric(unit) else -1 for unit in units)

@@ -87,3 +87,87 @@ def test_the_tested_range_is_in_the_report_with_its_picture(out, tested):
     assert each.loc["p1200_f0.5", "role"] == "validate"
     fitted = each[each["role"] == "calibrate"]
     assert fitted["stroke_in"].max() == pytest.approx(tested["stroke"].highest, rel=1e-5)
+
+
+def test_a_harmonic_motion_needs_no_file(ask, tmp_path, tested):
+    amplitude = 0.5 * tested["stroke"].highest
+    outcome = ask("--sine", f"{amplitude:g} in, 0.5 Hz, 3 cycles")
+    assert outcome.exit_code == 0, outcome.output
+    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    assert table["displacement_in"].max() == pytest.approx(amplitude, rel=1e-4)
+    assert table["time_s"].iloc[-1] == pytest.approx(6.0)
+    derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
+    assert derived.loc["energy_per_cycle", "note"] == "over 2 full cycles"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "give one motion"),
+        (("--sine", "1 in, 0.5 Hz, 3 cycles", "--motion", "a.csv"), "give one motion"),
+        (("--sine", "1 in, 0.5 Hz"), "reads '1 in, 0.5 Hz, 3 cycles'"),
+        (("--sine", "1 in, 0.5 Hz, many cycles"), "reads '1 in, 0.5 Hz, 3 cycles'"),
+        (("--sine", "1 kip, 0.5 Hz, 3 cycles"), "the amplitude"),
+        (("--sine", "1 in, 0 Hz, 3 cycles"), "above zero"),
+        (("--sine", "1 in, 0.5 Hz, 1000 cycles"), "1 to 100 cycles"),
+        (("--sine", "1 in, 0.5 Hz, 3 cycles", "--compare"), "need a --motion file"),
+    ],
+)
+def test_a_motion_that_cannot_be_meant_is_refused(ask, options, words, tmp_path):
+    outcome = ask(*options)
+    assert outcome.exit_code == 2
+    assert words in outcome.stderr
+    assert not (tmp_path / "bands.csv").exists()
+
+
+def test_compare_prints_coverage_and_error_and_keeps_every_measured_sample(ask, tmp_path, tested):
+    motion = tmp_path / "motion.csv"
+    force = np.sign(np.cos(np.pi * TIME))
+    written(motion, 0.5 * tested["stroke"].highest, 0.5, force)
+    outcome = ask("--motion", motion, "--compare", "--kind", "observation")
+    assert outcome.exit_code == 0, outcome.output
+    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    np.testing.assert_allclose(table["force_kip"], force)  # not thinned: TIME has 401 samples
+    inside = (force >= table["lower_kip"]) & (force <= table["upper_kip"])
+    said = f"holds {100 * inside.mean():.1f} % of the 401 measured samples"
+    assert said in outcome.stdout
+    assert "RRSE" in outcome.stdout
+    assert (
+        f"# compared: the 95 % band of kind observation {said}"
+        in (tmp_path / "bands.csv").read_text()
+    )
+    assert (tmp_path / "bands_history.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_band_without_noise_is_compared_with_a_warning(ask, tmp_path, tested):
+    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5, 0.0 * TIME)
+    assert "need --kind observation" in ask("--motion", motion, "--compare").stdout
+
+
+def test_compare_needs_a_force(ask, tmp_path, tested):
+    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
+    outcome = ask("--motion", motion, "--compare")
+    assert outcome.exit_code == 2
+    assert "column of the force" in outcome.stderr
+
+
+def test_a_motion_is_thinned_where_it_is_asked_for(ask, tmp_path, tested):
+    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
+    assert ask("--motion", motion, "--rate", "50 Hz").exit_code == 0
+    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    np.testing.assert_allclose(np.diff(table["time_s"]), 0.02, rtol=1e-6)
+
+
+def test_a_prediction_is_given_in_the_other_system_of_units(ask, tmp_path):
+    tables = {}
+    for units in ("us", "si"):
+        outcome = ask("--sine", "1 in, 0.5 Hz, 2 cycles", "--units", units)
+        assert outcome.exit_code == 0, outcome.output
+        derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
+        tables[units] = pd.read_csv(tmp_path / "bands.csv", comment="#"), derived
+    (us, us_derived), (si, si_derived) = tables.values()
+    np.testing.assert_allclose(si["displacement_mm"], 25.4 * us["displacement_in"], atol=1e-6)
+    np.testing.assert_allclose(si["median_kN"], 4.4482216 * us["median_kip"], rtol=1e-6)
+    assert si_derived.loc["energy_per_cycle", "unit"] == "kN*mm"
+    ratio = si_derived.loc["peak_fwd", "upper"] / us_derived.loc["peak_fwd", "upper"]
+    assert ratio == pytest.approx(4.4482216, rel=1e-5)

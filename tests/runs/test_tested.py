@@ -5,7 +5,7 @@ import pytest
 
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SI, US
-from mfd_bayes.runs.tested import departures, far_sentences, reach_of, range_of
+from mfd_bayes.runs.tested import departures, far_sentences, range_of, reach_of
 
 
 def sine(amplitude=1.0, frequency=0.5, actuation=1.0, noise=0.0, cycles=4):
