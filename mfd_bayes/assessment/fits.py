@@ -57,7 +57,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         actuation=US.actuation(test.trace, run.actuation_unit),
         trace=test.trace,
         first=posterior.first,
-        device=fan_of("device", replicas.force),
+        device=fan_of("this_test", replicas.force),
         observation=fan_of("observation", replicas.observed),
         rows=tuple(rows),
         marginals=_marginals(test, values, prior, rows),

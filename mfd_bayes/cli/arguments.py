@@ -35,7 +35,10 @@ Effort = Annotated[
 ]
 Kind = Annotated[
     Literal["device", "new_test", "observation", "this_test"],
-    typer.Option(help="What the band is about."),
+    typer.Option(
+        help="What the band is about: the mean property, this device tested again, a measurement "
+        "of it, or one calibrated test."
+    ),
 ]
 Units = Annotated[
     Literal["us", "si"] | None,

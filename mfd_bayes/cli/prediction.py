@@ -40,6 +40,9 @@ def predict(
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what makes the band wide.")
     ] = False,
+    design: Annotated[
+        bool, typer.Option("--design", help="Print mean and bounding properties with λ factors.")
+    ] = False,
     extrapolate: Annotated[
         bool, typer.Option("--extrapolate", help="Predict far outside of what was tested too.")
     ] = False,
@@ -56,18 +59,31 @@ def predict(
     peaks (..._derived.csv). It warns where stroke, speed, frequency or actuation
     leave what was tested, or the run did not pass its checks; far outside it
     refuses unless --extrapolate is given. --compare prints the share of the
-    measured force inside the band, and keeps it in the CSV. --recalibrate is for
-    --kind observation and needs a run of crossvalidate; --explain takes some
-    seconds.
+    measured force inside the band, and keeps it in the CSV. --design prints mean
+    and bounding properties (slip force, energy, peaks), for the mean property,
+    this device tested again, another device and a measurement, and writes
+    ..._design.csv. --recalibrate is for --kind observation and needs a run of
+    crossvalidate; --explain takes some seconds.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
-      mfd-bayes predict out --sine "1 in, 1 Hz, 3 cycles" --actuation "1 ksi" -o b.csv
+      mfd-bayes predict out --sine "1in, 1Hz, 3 cycles" --actuation 1ksi -o b.csv
     """
     from mfd_bayes.pipeline import commands as pipeline
 
     asked = (motion, actuation, kind, probability, bands)
-    more = (compare, test, whole, recalibrate, explain, extrapolate, sine, rate, units or "")
+    more = (
+        compare,
+        test,
+        whole,
+        recalibrate,
+        explain,
+        extrapolate,
+        sine,
+        rate,
+        units or "",
+        design,
+    )
     question = pipeline.Question(*asked, *more)
     with mistakes():
         answer = pipeline.predict(out, question)
@@ -83,6 +99,8 @@ def predict(
         console.say(answer.compared.sentence(answer.system))
     if band.shares:
         console.print_shares(band.shares, quiet=quiet)
+    if answer.design:
+        console.print_design(answer.design)
     if not quiet:
         console.print_derived(answer.derived, band.probability)
         console.say(f"look next at {question.beside('derived.csv')}")

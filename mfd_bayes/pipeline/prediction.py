@@ -9,6 +9,7 @@ import numpy as np
 
 from mfd_bayes.assessment.bands import Compared, compare
 from mfd_bayes.assessment.derived_rows import predicted_rows
+from mfd_bayes.assessment.design import DesignRow, design_rows
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.population.predict import KIND_NAMES, Band
@@ -16,7 +17,7 @@ from mfd_bayes.records.harmonic import parse_sine
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
-from mfd_bayes.reporting.tables import bands_csv, predicted_csv
+from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.systems import System, named_system
 from mfd_bayes.runs.tested import far_sentences
@@ -54,6 +55,8 @@ class Question:
         Rate to which the motion is thinned, "64 Hz"; every sample is kept by default.
     units : {"", "us", "si"}
         Units of all that is written; by default those of the campaign.
+    design : bool
+        Whether mean and bounding properties are computed too.
     """
 
     motion: Path | None
@@ -70,6 +73,7 @@ class Question:
     sine: str = ""
     rate: str = ""
     units: str = ""
+    design: bool = False
 
     def beside(self, name: str) -> Path:
         """File beside the table, such as "bands_derived.csv" for "derived.csv"."""
@@ -80,13 +84,15 @@ class Question:
 class Answer:
     """A prediction: its band, kip; its derived quantities in the units of `system`.
 
-    `compared` is None where no measured force was to be compared.
+    `compared` is None where no measured force was to be compared, `design` empty where mean and
+    bounding properties were not asked for.
     """
 
     band: Band
     derived: tuple[DerivedRow, ...]
     system: System
     compared: Compared | None = None
+    design: tuple[DesignRow, ...] = ()
 
     @property
     def name(self) -> str:
@@ -125,7 +131,9 @@ def predict(out: Path, question: Question) -> Answer:
     drawn = replace(trace, force=motion.force if question.compare else None)
     compared = None if drawn.force is None else compare(band, drawn.force)
     rows = tuple(convert_row(row, system) for row in predicted_rows(run, drawn, band))
-    answer = Answer(band, rows, system, compared)
+    bounds = design_rows(run, trace, question.probability) if question.design else ()
+    design = tuple(convert_row(row, system) for row in bounds)
+    answer = Answer(band, rows, system, compared, design)
     _write(question, drawn, answer)
     return answer
 
@@ -194,6 +202,9 @@ def _write(question: Question, drawn: Trace, answer: Answer) -> None:
     write_text(question.bands, bands_csv(drawn, band, about, system))
     derived = predicted_csv(answer.derived, question.actuation, question.probability)
     write_text(question.beside("derived.csv"), derived)
+    if answer.design:
+        table = design_csv(answer.design, question.actuation)
+        write_text(question.beside("design.csv"), table)
     title = f"Predicted force at {question.actuation}"
     shown = convert_trace(drawn, system), [convert_fan(_fan(band), system.factor("kip"))]
     write_bytes(question.bands.with_suffix(".png"), to_png(draw_loops(title, *shown, system)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
+from mfd_bayes.assessment.design import DesignRow
 from mfd_bayes.assessment.views import (
     CampaignView,
     DerivedRow,
@@ -18,9 +19,9 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SI, US, System
 
-_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth")
+_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal")
 
-AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow)
+AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow, DesignRow)
 
 
 def shown_in(view: CampaignView) -> System:

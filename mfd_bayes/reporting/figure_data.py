@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
+from mfd_bayes.population.predict import KIND_NAMES
 from mfd_bayes.reporting.tables import csv_text
 from mfd_bayes.runs.tested import conditions
 
@@ -133,7 +134,10 @@ def _laws(view: CampaignView) -> str:
     head = ("quantity", "unit", "law", "what", f"actuation_{unit}", "lower", "median", "upper")
     lines: list[tuple[str | float, ...]] = []
     for law in view.laws:
-        for what, fan in (("median over tests", law.median), ("another test", law.new_test)):
+        for what, fan in (
+            (KIND_NAMES["device"], law.median),
+            (KIND_NAMES["new_test"], law.new_test),
+        ):
             widest = max(fan.intervals, key=lambda interval: interval.probability)
             curve = zip(law.actuation, widest.lower, fan.median, widest.upper, strict=True)
             about = f"{what}, {100 * widest.probability:g} %"

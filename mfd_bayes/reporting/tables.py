@@ -8,6 +8,7 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 
+from mfd_bayes.assessment.design import BASES, DesignRow
 from mfd_bayes.assessment.views import (
     CampaignView,
     Check,
@@ -122,6 +123,26 @@ def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float
         f"# actuation {actuation}; measured: of the force in the motion's file, as it is\n"
     )
     return about + csv_text(head, map(_derived_cells, shown))
+
+
+def design_csv(rows: Iterable[DesignRow], actuation: str) -> str:
+    """Mean and bounding properties with their factors, by property, then by basis."""
+    shown = tuple(rows)
+    tail = 50.0 * (1.0 - shown[0].probability)
+    head = ("property", "unit", "basis", "name", "nominal", "lower", "upper")
+    lines = (
+        (
+            *(r.name, r.unit, r.basis, BASES[r.basis], r.nominal, r.lower, r.upper),
+            *(r.lambda_min, r.lambda_max, r.note),
+        )
+        for r in shown
+    )
+    about = (
+        f"# mean and bounding properties; each bound is passed with a probability of {tail:g} %\n"
+        "# lambda: bound over the nominal value, which is the mean of the mean property\n"
+        f"# actuation {actuation}\n"
+    )
+    return about + csv_text((*head, "lambda_min", "lambda_max", "note"), lines)
 
 
 def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:

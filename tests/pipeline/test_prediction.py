@@ -171,3 +171,19 @@ def test_a_prediction_is_given_in_the_other_system_of_units(ask, tmp_path):
     assert si_derived.loc["energy_per_cycle", "unit"] == "kN*mm"
     ratio = si_derived.loc["peak_fwd", "upper"] / us_derived.loc["peak_fwd", "upper"]
     assert ratio == pytest.approx(4.4482216, rel=1e-5)
+
+
+def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
+    outcome = ask("--sine", "1 in, 0.5 Hz, 3 cycles", "--design", "--probability", 0.8)
+    assert outcome.exit_code == 0, outcome.output
+    assert "Mean and bounding properties" in outcome.stdout
+    assert "passed with a probability of 10 %" in outcome.stdout
+    table = pd.read_csv(tmp_path / "bands_design.csv", comment="#")
+    rows = table.set_index(["property", "basis"])
+    for what in ("slip_fwd", "slip_bwd", "energy_per_cycle", "peak_fwd"):
+        mean, again = rows.loc[what, "device"], rows.loc[what, "new_test"]
+        assert mean["lambda_min"] < 1.0 < mean["lambda_max"]
+        assert again["lambda_min"] < mean["lambda_min"]  # scatter comes on top
+        assert again["lambda_max"] > mean["lambda_max"]
+        assert again["upper"] == pytest.approx(again["lambda_max"] * again["nominal"], rel=1e-4)
+        assert "not known" in rows.loc[(what, "another_device"), "note"]
