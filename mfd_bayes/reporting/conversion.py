@@ -11,16 +11,22 @@ from mfd_bayes.assessment.views import (
     DerivedRow,
     Fan,
     LawView,
+    LeftOutRow,
+    LeftOutView,
     Marginal,
     Row,
+    ScoreRow,
     TestView,
     TruthRow,
 )
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SI, US, System
+from mfd_bayes.runs.tested import Span
 
 _FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal")
+_SCORES = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
 
+AnyScores = TypeVar("AnyScores", ScoreRow, LeftOutRow)
 AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow, DesignRow)
 
 
@@ -44,6 +50,31 @@ def in_system(view: CampaignView, system: System) -> CampaignView:
         law_rows=tuple(convert_row(row, system) for row in view.law_rows),
         truth=tuple(convert_row(row, system) for row in view.truth),
         actuation_unit=system.unit(unit),
+    )
+
+
+def in_tables(view: CampaignView, system: System) -> CampaignView:
+    """What tables show of a report, in the units of a system: rows, scores, ranges; no traces."""
+    if system is US:
+        return view
+    unit, force = view.actuation_unit, system.factor("kip")
+    tests = tuple(
+        replace(
+            test,
+            actuation=system.actuation(test.trace, unit),
+            rows=tuple(convert_row(row, system) for row in test.rows),
+            derived=tuple(convert_row(row, system) for row in test.derived),
+        )
+        for test in view.tests
+    )
+    return replace(
+        view,
+        tests=tests,
+        law_rows=tuple(convert_row(row, system) for row in view.law_rows),
+        truth=tuple(convert_row(row, system) for row in view.truth),
+        scores=tuple(_scores(row, force) for row in view.scores),
+        left_out=_left_out(view.left_out, force),
+        tested=tuple(_span(span, system) for span in view.tested),
     )
 
 
@@ -104,6 +135,25 @@ def convert_row(row: AnyRow, system: System) -> AnyRow:
     by = system.factor(row.unit)
     figures = {name: getattr(row, name) * by for name in _FIGURES if hasattr(row, name)}
     return replace(row, unit=system.unit(row.unit), **figures)
+
+
+def _scores(row: AnyScores, by: float) -> AnyScores:
+    """A row of scores times a factor: those of a length of force; shares stay."""
+    return replace(row, **{name: getattr(row, name) * by for name in _SCORES if hasattr(row, name)})
+
+
+def _left_out(found: LeftOutView | None, by: float) -> LeftOutView | None:
+    if found is None:
+        return None
+    rows = tuple(_scores(row, by) for row in found.rows)
+    return replace(found, rows=rows, mean=_scores(found.mean, by))
+
+
+def _span(span: Span, system: System) -> Span:
+    by = system.factor(span.unit)
+    return replace(
+        span, unit=system.unit(span.unit), lowest=span.lowest * by, highest=span.highest * by
+    )
 
 
 def _marginal(marginal: Marginal, system: System) -> Marginal:

@@ -22,34 +22,30 @@ from mfd_bayes.population.predict import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.systems import US, System
 from mfd_bayes.runs.tested import Span
 
 _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 
 _QUANTILES = ("mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat", "contraction")
-_SCORES = (
-    *("coverage_50", "coverage_90", "coverage_95", "width_95_kip"),
-    *("interval_score_95_kip", "crps_kip", "rrse"),
-)
 
 CROSSVALIDATION = "crossvalidation.csv"
 
 
-def report_tables(view: CampaignView) -> dict[str, str]:
-    """CSV tables of the report, by the name of the file."""
+def report_tables(view: CampaignView, system: System = US) -> dict[str, str]:
+    """CSV tables of a report in the units of a system, by the name of the file."""
     found = {
         "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
         "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
         "laws.csv": laws_csv(view.law_rows),
         "law_scores.csv": law_scores_csv(view.law_choices),
         "checks.csv": checks_csv(view.checks),
-        "scores.csv": scores_csv(view.scores),
+        "scores.csv": scores_csv(view.scores, system),
         "tested_range.csv": tested_csv(view.tested),
     }
     if view.left_out is not None:
-        found[CROSSVALIDATION] = crossvalidation_csv(view.left_out)
+        found[CROSSVALIDATION] = crossvalidation_csv(view.left_out, system)
     return found
 
 
@@ -73,9 +69,16 @@ def checks_csv(checks: Iterable[Check]) -> str:
     return csv_text(head, map(dataclasses.astuple, checks))
 
 
-def scores_csv(scores: Iterable[ScoreRow]) -> str:
+def _scores(system: System) -> tuple[str, ...]:
+    """Columns of scores, with their unit of force."""
+    force = system.force
+    width = ("coverage_50", "coverage_90", "coverage_95", f"width_95_{force}")
+    return (*width, f"interval_score_95_{force}", f"crps_{force}", "rrse")
+
+
+def scores_csv(scores: Iterable[ScoreRow], system: System = US) -> str:
     """Scores of each record's observation bands against its force."""
-    return csv_text(("test", "role", *_SCORES), map(dataclasses.astuple, scores))
+    return csv_text(("test", "role", *_scores(system)), map(dataclasses.astuple, scores))
 
 
 def tested_csv(spans: Iterable[Span]) -> str:
@@ -83,10 +86,10 @@ def tested_csv(spans: Iterable[Span]) -> str:
     return csv_text(("condition", "unit", "smallest", "largest"), map(dataclasses.astuple, spans))
 
 
-def crossvalidation_csv(found: LeftOutView) -> str:
+def crossvalidation_csv(found: LeftOutView, system: System = US) -> str:
     """Scores of each test, predicted without its part of the campaign, and their mean."""
-    ratios = ("fitted_width_95_kip", "fitted_crps_kip", "width_ratio", "crps_ratio")
-    head = ("part", "test", *_SCORES, *ratios, "whole_95")
+    fitted = (f"fitted_width_95_{system.force}", f"fitted_crps_{system.force}")
+    head = ("part", "test", *_scores(system), *fitted, "width_ratio", "crps_ratio", "whole_95")
     return csv_text(head, map(dataclasses.astuple, (*found.rows, found.mean)))
 
 

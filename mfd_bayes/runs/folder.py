@@ -105,7 +105,7 @@ def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
 _TABLES = (
     *("parameters.csv", "derived.csv", "laws.csv", "law_scores.csv", "checks.csv", "scores.csv"),
     *("parameters.json", "laws.json", "parameters.tex", "laws.tex"),
-    *("crossvalidation.csv", "tested_range.csv"),
+    *("crossvalidation.csv", "tested_range.csv", "tables.docx", "tables.xlsx"),
 )
 
 

@@ -187,3 +187,18 @@ def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
         assert again["lambda_max"] > mean["lambda_max"]
         assert again["upper"] == pytest.approx(again["lambda_max"] * again["nominal"], rel=1e-4)
         assert "not known" in rows.loc[(what, "another_device"), "note"]
+
+
+def test_a_report_is_asked_for_in_other_units_and_forms(out, monkeypatch):
+    from mfd_bayes.pipeline import report
+
+    seen = []
+    monkeypatch.setattr(report, "publish", lambda view, *more: seen.append((view, more[-1])))
+    command = ("report", str(out), "--units", "si", "--excel")
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert CliRunner().invoke(app, command[:2]).exit_code == 0
+    (metric, forms), (own, plain) = seen
+    assert metric.metric
+    assert forms == report.Forms(excel=True)
+    assert not own.metric
+    assert plain == report.Forms()
