@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.derived import UNITS, derive_from_force, derive_from_parameters
 from mfd_bayes.friction.model import Model
+from mfd_bayes.population.effects import LEVELS
 from mfd_bayes.population.predict import KIND_NAMES, NESTED, Band
+from mfd_bayes.population.setting import levels_of, setting_of
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
@@ -99,6 +101,19 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[Desi
         for basis, band in _bands(run, trace, probability).items()
     }
     return bounds_of(drawn, probability)
+
+
+def design_warnings(run: Run) -> tuple[str, ...]:
+    """Why bounds may be too narrow, in sentences."""
+    settings = [setting_of(test.trace) for test in run.tests.values()]
+    count = len(levels_of(settings))
+    if count >= LEVELS:
+        return ()
+    return (
+        f"the calibrated tests have {count} level{'' if count == 1 else 's'} of actuation, and "
+        f"fewer than {LEVELS} do not tell how far levels lie from a law: bounds at an actuation "
+        "that was not tested are too narrow",
+    )
 
 
 def bounds_of(

@@ -61,7 +61,12 @@ def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
     check_workers(options)
     with alone_in(out):
         manifest, before = prepare_folder(
-            plan.manifest, plan.campaign.folder, out, resume=options.resume, force=options.force
+            plan.manifest,
+            plan.campaign.folder,
+            out,
+            resume=options.resume,
+            force=options.force,
+            priors=plan.priors,
         )
         try:
             manifest, anew = _calibrate_tests(plan, manifest, out, observe)

@@ -9,7 +9,7 @@ import numpy as np
 
 from mfd_bayes.assessment.bands import Compared, compare
 from mfd_bayes.assessment.derived_rows import predicted_rows
-from mfd_bayes.assessment.design import DesignRow, design_rows
+from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.population.predict import KIND_NAMES, Band
@@ -127,7 +127,8 @@ def predict(out: Path, question: Question) -> Answer:
         recalibrate=question.recalibrate,
         explain=question.explain,
     )
-    band = replace(band, remarks=(*band.remarks, *thinned))
+    narrow = design_warnings(run) if question.design else ()
+    band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
     drawn = replace(trace, force=motion.force if question.compare else None)
     compared = None if drawn.force is None else compare(band, drawn.force)
     rows = tuple(convert_row(row, system) for row in predicted_rows(run, drawn, band))

@@ -17,7 +17,8 @@ MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"
 PRIORS = "priors.toml"
 POPULATION = "population.nc"
-FOLDERS = ("tests", "figures", "crossvalidation")
+CROSSVALIDATED = "crossvalidation"
+FOLDERS = ("tests", "figures", CROSSVALIDATED)
 """Folders in a run folder."""
 
 

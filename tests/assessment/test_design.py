@@ -1,10 +1,13 @@
 """Mean and bounding properties, from draws whose quantiles are known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from mfd_bayes.assessment.design import ANOTHER, BASES, NOT_KNOWN, bounds_of
+from mfd_bayes.assessment.design import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
 from mfd_bayes.population.predict import KIND_NAMES, KINDS
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BAND_NAMES, BANDS
 from mfd_bayes.reporting.conversion import convert_row
 from mfd_bayes.reporting.tables import design_csv
@@ -76,3 +79,14 @@ def test_every_kind_has_one_name():
     assert set(BAND_NAMES) == set(BANDS) == {*KINDS, "prior"}
     assert all(BAND_NAMES[kind] == name for kind, name in KIND_NAMES.items())
     assert all(BASES[kind] == KIND_NAMES[kind] for kind in BASES if kind in KIND_NAMES)
+
+
+def test_bounds_from_two_levels_come_with_a_warning():
+    time = np.linspace(0.0, 4.0, 401)
+    traces = [Trace.from_arrays(time, np.sin(np.pi * time), p) for p in (0.5, 0.5, 1.0, 1.5)]
+    tests = {str(i): SimpleNamespace(trace=trace) for i, trace in enumerate(traces)}
+    few = dict(list(tests.items())[:3])
+    (warning,) = design_warnings(SimpleNamespace(tests=few))
+    assert "have 2 levels" in warning
+    assert "too narrow" in warning
+    assert design_warnings(SimpleNamespace(tests=tests)) == ()
