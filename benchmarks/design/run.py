@@ -11,7 +11,8 @@ from 85 %: the table gives the range that chance alone allows.
 
 The calibrated run stays in out_design/, so that a second run does not sample it again; delete the
 folder when records or code have changed. --smallest takes three tests and little effort
-(benchmarks/design/smallest.txt): two levels are too few for bounds. The real records come from --data (MFD_BAYES_DATA, ../shared/data).
+(benchmarks/design/smallest.txt): two levels are too few for bounds. The real records come from
+--data (MFD_BAYES_DATA, ../shared/data).
 """
 
 from __future__ import annotations

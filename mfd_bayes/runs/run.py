@@ -127,13 +127,15 @@ class Run:
         ----------
         trace : Trace
             With its actuation, in `actuation_unit`.
-        kind : {"device", "new_test", "observation", "this_test"}
-            What the band includes: the uncertainty of the laws and of the level's effect; also
-            test-to-test scatter; also the record's offset and noise. Or, instead of these, what
-            is known of one calibrated test.
+        kind : {"new_test", "device", "observation", "this_test"}
+            What the band is about. "device": the mean property, with the uncertainty of the laws
+            and of the level's effect. "new_test": this device tested again, also with test-to-test
+            scatter. "observation": a measurement of it, also with the record's offset and noise.
+            "this_test", instead of these: what is known of one calibrated test.
         probability : float
             Probability of the equal-tailed band at each sample.
-        draws, seed : int
+        draws : int
+        seed : int
         session : str
             Session of the test, where the campaign declares sessions.
         test : str
