@@ -71,20 +71,23 @@ def predict(
     """
     from mfd_bayes.pipeline import commands as pipeline
 
-    asked = (motion, actuation, kind, probability, bands)
-    more = (
-        compare,
-        test,
-        whole,
-        recalibrate,
-        explain,
-        extrapolate,
-        sine,
-        rate,
-        units or "",
-        design,
+    question = pipeline.Question(
+        motion,
+        actuation,
+        kind,
+        probability,
+        bands,
+        compare=compare,
+        test=test,
+        whole=whole,
+        recalibrate=recalibrate,
+        explain=explain,
+        extrapolate=extrapolate,
+        sine=sine,
+        rate=rate,
+        units=units or "",
+        design=design,
     )
-    question = pipeline.Question(*asked, *more)
     with mistakes():
         answer = pipeline.predict(out, question)
     band = answer.band

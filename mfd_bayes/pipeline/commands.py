@@ -21,7 +21,8 @@ from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.pipeline.prediction import Question, predict
 from mfd_bayes.pipeline.preparation import find_warnings, init, inspect, prior_check
-from mfd_bayes.pipeline.report import Forms, check, report, write_report
+from mfd_bayes.pipeline.report import check, report, write_report
+from mfd_bayes.reporting.publication import Forms
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
 from mfd_bayes.runs.manifest import Truth, read_begun
 

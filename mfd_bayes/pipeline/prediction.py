@@ -12,7 +12,8 @@ from mfd_bayes.assessment.derived_rows import predicted_rows
 from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.population.predict import KIND_NAMES, Band
+from mfd_bayes.population.kinds import KIND_NAMES
+from mfd_bayes.population.predict import Band
 from mfd_bayes.records.harmonic import parse_sine
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace

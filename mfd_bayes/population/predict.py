@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.drawn import Drawn
+from mfd_bayes.population.kinds import KINDS
 from mfd_bayes.population.population import Parts, Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
@@ -23,24 +23,6 @@ from mfd_bayes.population.whole import whole_band
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
-
-NESTED = ("device", "new_test", "observation")
-"""The law with its level's effect; plus test-to-test scatter; plus a record's offset and noise."""
-
-THIS_TEST = "this_test"
-"""One calibrated test by itself: what is known of its own parameters."""
-
-KINDS = (*NESTED, THIS_TEST)
-
-KIND_NAMES: Mapping[str, str] = MappingProxyType(
-    {
-        "device": "mean property",
-        "new_test": "this device tested again",
-        "observation": "a measurement of it",
-        THIS_TEST: "this very test",
-    }
-)
-"""What each kind is about, in the words of design; the same everywhere."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
-from mfd_bayes.population.predict import KIND_NAMES
+from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.tables import csv_text
 from mfd_bayes.runs.systems import US, System
@@ -124,7 +124,7 @@ def _tested(view: CampaignView, system: System) -> str:
     by = {span.name: system.factor(span.unit) for span in view.tested}
     units = (system.unit(span.unit).replace("/", "_per_") for span in view.tested)
     head = ("test", "role", *(f"{name}_{unit}" for name, unit in zip(by, units, strict=True)))
-    lines = []
+    lines: list[tuple[str | float, ...]] = []
     for test in view.tests:
         found = {s.name: s.highest for s in conditions(test.trace, view.actuation_unit)}
         values = (found.get(name, np.nan) * factor for name, factor in by.items())

@@ -18,7 +18,8 @@ from mfd_bayes.assessment.views import (
     Row,
     ScoreRow,
 )
-from mfd_bayes.population.predict import KIND_NAMES, Band
+from mfd_bayes.population.kinds import KIND_NAMES
+from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow

@@ -15,8 +15,9 @@ from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import State
+from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import THIS_TEST, Band, Forecast, Predictor
+from mfd_bayes.population.predict import Band, Forecast, Predictor
 from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
 from mfd_bayes.population.setting import same_level
 from mfd_bayes.population.shares import PERMUTATIONS

@@ -51,8 +51,8 @@ def _draw(axes: Axes, view: CampaignView, spans: tuple[Span, Span], system: Syst
         if points:
             by = [system.factor(span.unit) for span in spans]
             across, up = ([by[i] * point[i] for point in points] for i in (0, 1))
-            style = {"edgecolors": colours.DATA, "s": 22, "zorder": 3, "label": name}
-            axes.scatter(across, up, facecolors=face, **style)
+            edge = colours.DATA
+            axes.scatter(across, up, s=22, facecolors=face, edgecolors=edge, zorder=3, label=name)
     axes.set_xlabel(f"actuation, {system.unit(spans[0].unit)}")
     axes.set_ylabel(f"{spans[1].name}, {system.unit(spans[1].unit)}")
     axes.set_xlim(0.0, 1.12 * max(right, *axes.get_xlim()))
