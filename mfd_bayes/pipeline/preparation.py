@@ -16,6 +16,8 @@ from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.conversion import convert_fan, convert_trace
+from mfd_bayes.runs.systems import system_of
 from mfd_bayes.store.files import write_bytes, write_text
 
 
@@ -103,12 +105,15 @@ def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:
 
     found = []
     for test in campaign.tests:
-        trace = test.read().trace(campaign.rate, gap=priors.gap)
+        record = test.read()
+        trace = record.trace(campaign.rate, gap=priors.gap)
         if trace.force is None:
             raise RecordError(f"test {test.id!r} of {path} has no force to compare with")
         fan = prior_fan(campaign, priors, trace)
         picture = folder / f"{path.stem}_{test.id}_prior.png"
-        figure = draw_loops(f"{test.id}: data over what the priors allow", trace, [fan])
+        system = system_of([record.columns["displacement"][1]])
+        shown = convert_trace(trace, system), [convert_fan(fan, system.factor("kip"))]
+        figure = draw_loops(f"{test.id}: data over what the priors allow", *shown, system)
         write_bytes(picture, to_png(figure))
         found.append((test.id, share_inside(fan, trace), picture))
     return found
