@@ -228,7 +228,8 @@ def test_the_targets_of_sampling_are_the_efforts(target):
 
 def test_every_public_name_is_in_the_reference():
     text = PAGES["python.md"].read_text(encoding="utf-8")
-    assert sorted(re.findall(r"^::: .*\.(\w+)$", text, re.MULTILINE)) == sorted(mb.__all__)
+    shown = set(re.findall(r"^::: .*\.(\w+)$", text, re.MULTILINE))
+    assert shown - {"TestResult"} == set(mb.__all__)  # TestResult: what run.tests holds
 
 
 def test_the_citation_is_that_of_the_package():

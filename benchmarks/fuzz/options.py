@@ -171,7 +171,7 @@ def read_command(path: Path) -> object:
         patch("mfd_bayes.pipeline.report.write_report", _stop),
         patch("mfd_bayes.pipeline.report.assess", _stop),
         patch("mfd_bayes.pipeline.calibration.check_workers", _no_cluster),
-        *(patch(f"mfd_bayes.reporting.figures.{name}", lambda *_: PNG) for name in _FIGURES),
+        *(patch(f"mfd_bayes.reporting.figures.{name}", lambda *_, **__: PNG) for name in _FIGURES),
     )
     with chdir(path.parent):
         for each in stand_ins:
@@ -191,7 +191,7 @@ def _no_cluster(options: Workplace) -> None:
 
 
 _CALIBRATE = ("commands", "crossvalidation", "comparison")
-_FIGURES = ("to_png", "draw_loops", "draw_inspection")
+_FIGURES = ("to_png", "draw_loops", "draw_history", "draw_inspection")
 
 
 _BOXES = ("Usage", "╭─ Error")

@@ -12,12 +12,13 @@ from typing import Any
 from benchmarks.fuzz.mutations import Rng
 from mfd_bayes.errors import MfdError
 from mfd_bayes.pipeline.outputs import Output, check_outputs, is_picture, table_with, write_picture
-from mfd_bayes.pipeline.prediction import Question, check_question
+from mfd_bayes.pipeline.question import Question, check_question
 from mfd_bayes.store.files import write_text
 
 PNG = b"\x89PNG\r\n\x1a\n" + b"\0\0\0\rIHDR" + bytes(17) + b"\0\0\0\0IEND" + bytes(4)
 BANDS = "# band\ntime_s,displacement_in,lower_kip,median_kip,upper_kip\n0,0,0,0,0\n"
 DERIVED = "# derived\nquantity,unit,mean\n"
+DESIGN = "# design\nproperty,unit,basis\n"
 
 NAMES = (
     *("b.csv", "b", "new/b.csv", "m.csv", "./m.csv", "sub/../m.csv", "here/m.csv", "m", "m.png"),
@@ -47,11 +48,8 @@ def seed() -> bytes:
 def mutate_question(_: bytes, rng: Rng) -> bytes:
     """Where to write, what is read, and what lies there already."""
     bands = NAMES[rng.integers(len(NAMES))]
-    places = [
-        bands,
-        f"{bands.removesuffix('.csv')}.png",
-        f"{bands.removesuffix('.csv')}_derived.csv",
-    ]
+    ends = (".png", "_history.png", "_derived.csv", "_design.csv")
+    places = [bands, *(bands.removesuffix(".csv") + end for end in ends)]
     things = {place: THINGS[rng.integers(len(THINGS))] for place in places}
     motion = ("m.csv", "x_derived.csv", "here/m.csv")[rng.integers(3)]
     said = {"bands": bands, "motion": motion, "force": bool(rng.random() < 0.4), "things": things}
@@ -78,11 +76,14 @@ def read_looked(path: Path) -> object:
 
 def _predict(home: Path, said: dict[str, Any]) -> None:
     bands, motion = home / str(said["bands"]), home / str(said["motion"])
-    question = Question(motion, "1 ksi", "new_test", 0.95, bands, force=bool(said["force"]))
+    force = bool(said["force"])
+    question = Question(motion, "1 ksi", "new_test", 0.95, bands, design=True, force=force)
     check_question(question)
     write_text(bands, BANDS)
-    write_text(question.derived, DERIVED)
+    write_text(question.beside("derived.csv"), DERIVED)
+    write_text(question.beside("design.csv"), DESIGN)
     write_picture(question.picture, PNG)
+    write_picture(question.beside("history.png"), PNG)
 
 
 def _look(home: Path, said: dict[str, Any]) -> None:
@@ -142,6 +143,7 @@ def _put(home: Path, place: str, thing: str) -> None:
         else:
             text = {".png": PNG.decode("latin-1")}.get(path.suffix, BANDS)
             text = DERIVED if "_derived" in path.name else text
+            text = DESIGN if "_design" in path.name else text
             path.write_bytes(text.encode("latin-1") if thing == "ours" else b"mine")
     except (OSError, ValueError):
         return

@@ -193,6 +193,7 @@ def bad_places(stored: Path, home: Path) -> Iterator[Case]:
             (PREDICT, "b.csv"),
             (PREDICT, "b.png"),
             (PREDICT, "b_derived.csv"),
+            (PREDICT, "b_history.png"),
             (("inspect", "m.csv"), "m_inspect.png"),
             (("prior-check", "campaign.toml"), "campaign_a_prior.png"),
         ):

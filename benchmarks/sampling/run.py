@@ -132,7 +132,9 @@ def check_densities(posterior, reference):
     if not abs(at_mean) <= 1e-3:
         failed.append(f"reference.json is of another density: {COMMAND}")
     if not reached(reference, ESS):
-        failed.append("its reference fell short of its own limits and proves nothing")
+        failed.append(
+            "the reference itself has not converged, so the record shows nothing about ours"
+        )
     return failed
 
 

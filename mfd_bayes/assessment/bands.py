@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.assessment.views import Fan, Interval, ScoreRow
+from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.results import Score
-from mfd_bayes.validation.scores import score
+from mfd_bayes.runs.systems import System
+from mfd_bayes.units import percent
+from mfd_bayes.validation.scores import crps, rrse, score
 
 Array = NDArray[np.float64]
 
@@ -24,6 +29,53 @@ def fan_of(kind: str, draws: Array) -> Fan:
     n = len(tails)
     intervals = (Interval(p, bounds[i], bounds[n + i]) for i, p in enumerate(PROBABILITIES))
     return Fan(kind, median, tuple(intervals))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A predicted band beside the force that was measured in the same motion.
+
+    Attributes
+    ----------
+    coverage : float
+        Share of the measured samples inside the band.
+    samples : int
+    rrse : float
+        Error of the median: 0 for a perfect prediction; 1 where the mean force would be as good.
+    crps : float, kip
+        Mean distance between the draws and the force.
+    kind : str
+        Of the band.
+    probability : float
+    """
+
+    coverage: float
+    samples: int
+    rrse: float
+    crps: float
+    kind: str
+    probability: float
+
+    def sentence(self, system: System) -> str:
+        """Coverage and error in words; whether the band holds what a load cell adds."""
+        text = (
+            f"the {percent(self.probability)} % band of kind {self.kind} holds "
+            f"{100 * self.coverage:.1f} % of the {self.samples} measured samples; error of the "
+            f"median (RRSE) {self.rrse:.3g}, mean distance (CRPS) "
+            f"{system.words([self.crps], 'kip', 3)}"
+        )
+        if self.kind == "observation":
+            return text
+        return f"{text}; this kind holds no offset and noise: measured data need --kind observation"
+
+
+def compare(band: Band, force: Array) -> Compared:
+    """A band beside a measured force, (T,), kip."""
+    inside = (force >= band.lower) & (force <= band.upper)
+    distance = float(np.mean(crps(band.draws, force)))
+    error = rrse(band.median, force)
+    share = float(np.mean(inside))
+    return Compared(share, force.size, error, distance, band.kind, band.probability)
 
 
 def spread_of(draws: Array, tail: float = 0.025) -> dict[str, float]:

@@ -15,7 +15,6 @@ from mfd_bayes.assessment.checks import (
     checks_of_test,
 )
 from mfd_bayes.assessment.derived_rows import calibrated_rows, held_out_rows
-from mfd_bayes.assessment.systems import US
 from mfd_bayes.assessment.views import Marginal, Row, TestView
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
@@ -25,6 +24,7 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.systems import US
 from mfd_bayes.store.netcdf import StoredTest
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         actuation=US.actuation(test.trace, run.actuation_unit),
         trace=test.trace,
         first=posterior.first,
-        device=fan_of("device", replicas.force),
+        device=fan_of("this_test", replicas.force),
         observation=fan_of("observation", replicas.observed),
         rows=tuple(rows),
         marginals=_marginals(test, values, prior, rows),

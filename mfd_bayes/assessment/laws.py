@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mfd_bayes.assessment.bands import fan_of, spread_of
 from mfd_bayes.assessment.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.assessment.law_choices import weighed
+from mfd_bayes.assessment.mixed_laws import mixed_rows
 from mfd_bayes.assessment.views import LawView, Row
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.quantities import units
@@ -22,7 +23,10 @@ Array = NDArray[np.float64]
 
 
 def law_rows(run: Run) -> tuple[Row, ...]:
-    """Table II: slopes and intercepts, the laws' shapes, and the scatter of each quantity."""
+    """Table II: slopes and intercepts, the laws' shapes, and the scatter of each quantity.
+
+    Where laws are compared, those of each law with its weight.
+    """
     population = run.population
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
@@ -30,7 +34,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     scales = dict(zip(spreads, population.layout.sd_scale[sampled].tolist(), strict=True))
     found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
-    rows = []
+    rows = mixed_rows(population, run.actuation_unit, run.system)
     for name, draws in found.items():
         converged = measure_draws(draws, population.walkers)
         shrunk = _contraction(draws, scales[name]) if name in scales else float("nan")

@@ -125,7 +125,10 @@ def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
     informed = sorted({f.directions.informed for f in known})
     span = f"{informed[0]} to {informed[-1]}" if len(informed) > 1 else f"{informed[0]}"
     total = len(known[0].directions.names)
-    found = [f"The data of a test inform {span} of {total} directions in parameter space."]
+    found = [
+        f"Each test has {total} parameters, but tells only {span} combinations of them better "
+        "than the prior."
+    ]
     pairs = [f"{pair.first} and {pair.second}" for f in known for pair in f.pairs]
     if pairs:
         found.append(

@@ -10,7 +10,6 @@ from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.left_out import left_out_view
 from mfd_bayes.assessment.sentences import remarks, verdict_sentence
 from mfd_bayes.assessment.shown import unshown, views_of_tests, with_lost
-from mfd_bayes.assessment.systems import SI, system_of
 from mfd_bayes.assessment.views import (
     CampaignView,
     Check,
@@ -21,6 +20,7 @@ from mfd_bayes.assessment.views import (
 )
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.systems import SI
 from mfd_bayes.runs.verdict import Verdict
 
 
@@ -68,7 +68,8 @@ def put_together(
         left_out=left_out_view(manifest.crossvalidation),
         comparison=compared.rows if compared else (),
         comparison_sentence=compared.sentence if compared else "",
-        metric=system_of(entry.unit for entry in manifest.tests.values()) is SI,
+        metric=run.system is SI,
+        tested=run.tested,
     )
 
 

@@ -75,7 +75,7 @@ def sample(
 
     Parameters
     ----------
-    effort : {"quick", "standard", "thorough"} or Effort
+    effort : {"standard", "quick", "thorough"} or Effort
     seed : int or sequence of int
         The same seed gives the same draws.
     report : callable, optional

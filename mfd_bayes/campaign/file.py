@@ -42,7 +42,7 @@ class Test:
     columns: dict[str, tuple[str, str | None]]
     """Role to the column's name and unit, where the campaign file gives them."""
     session: str = ""
-    """Tests of one session share what changes between sessions."""
+    """Tests of one session were made together, with nothing changed in between."""
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""

@@ -46,7 +46,14 @@ Effort = Annotated[
 ]
 Kind = Annotated[
     Literal["device", "new_test", "observation", "this_test"],
-    typer.Option(help="What the band is about."),
+    typer.Option(
+        help="What the band is about: the mean property, this device tested again, a measurement "
+        "of it, or one calibrated test."
+    ),
+]
+Units = Annotated[
+    Literal["us", "si"] | None,
+    typer.Option(help="Units of what is written.", show_default="the campaign's own"),
 ]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print only warnings and the verdict.")]
 

@@ -84,21 +84,31 @@ def report(
     out: arguments.Run,
     quiet: arguments.Quiet = False,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF too; needs a Chromium.")] = False,
+    word: Annotated[
+        bool, typer.Option("--word", help="Write Tables I and II as tables.docx too.")
+    ] = False,
+    excel: Annotated[
+        bool, typer.Option("--excel", help="Write Tables I and II as tables.xlsx too.")
+    ] = False,
+    units: arguments.Units = None,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
 
     Writes OUT/report.html, the tables beside it, OUT/figures and the pictures
-    of every test; with --pdf OUT/report.pdf too.
+    of every test; with --pdf OUT/report.pdf too. All are in the units of the
+    campaign, or in those of --units; the page has a switch for both.
 
     Example:
       mfd-bayes report out
       mfd-bayes report out --pdf
+      mfd-bayes report out --units si --word --excel
     """
     with mistakes(this_command()):
         from mfd_bayes.pipeline import commands as pipeline
 
         with progress.watch(quiet=quiet) as observe:
-            view = pipeline.report(out, observe, pdf=pdf)
+            forms = pipeline.Forms(pdf, word, excel)
+            view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):
         raise typer.Exit(1)

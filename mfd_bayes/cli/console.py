@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from mfd_bayes.assessment.design import DesignRow
     from mfd_bayes.assessment.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.results import Comparison
@@ -120,6 +121,22 @@ def print_derived(rows: Sequence[DerivedRow], probability: float) -> None:
         figures = (r.mean, r.sd, r.lower, r.median, r.upper, r.measured)
         shown = ("–" if math.isnan(value) else f"{value:.4g}" for value in figures)
         _add(table, r.name, r.unit, *shown)
+    open_console().print(table)
+
+
+def print_design(rows: Sequence[DesignRow]) -> None:
+    """Print mean and bounding properties with their factors."""
+    from mfd_bayes.assessment.design import BASES
+
+    tail = 50.0 * (1.0 - rows[0].probability)
+    caption = f"Each bound is passed with a probability of {tail:g} %; λ: bound over nominal value"
+    notes = "; ".join(dict.fromkeys(f"{BASES[r.basis]}, {r.note}" for r in rows if r.note))
+    heads = ("unit", "nominal", "lower", "upper", "λ min", "λ max")
+    table = _table("Mean and bounding properties", ["property", "of"], heads, f"{caption}. {notes}")
+    for r in (r for r in rows if not r.note):
+        figures = (r.nominal, r.lower, r.upper, r.lambda_min, r.lambda_max)
+        shown = ("–" if math.isnan(value) else f"{value:.3g}" for value in figures)
+        _add(table, r.name, BASES[r.basis], r.unit, *shown)
     open_console().print(table)
 
 

@@ -13,21 +13,24 @@ from mfd_bayes.cli.exits import mistakes, resumption
 
 def predict(
     out: arguments.Run,
-    motion: Annotated[
-        Path,
-        typer.Option(parser=arguments.path, help="A file with time_s and displacement_in, …"),
-    ],
     actuation: Annotated[str, typer.Option(help='Such as "1000 psi".')],
     bands: Annotated[
         Path,
-        typer.Option("-o", "--out", parser=arguments.path, help="CSV to write; a PNG beside it."),
+        typer.Option("-o", "--out", parser=arguments.path, help="CSV to write; PNGs beside it."),
     ],
+    motion: Annotated[
+        Path | None,
+        typer.Option(parser=arguments.path, help="A file with time_s and displacement_in, …"),
+    ] = None,
+    sine: Annotated[
+        str, typer.Option(help='A harmonic motion instead: "1 in, 0.5 Hz, 3 cycles".')
+    ] = "",
     kind: arguments.Kind = "new_test",
     probability: Annotated[
         float, typer.Option(help="Probability of the equal-tailed band.")
     ] = 0.95,
     compare: Annotated[
-        bool, typer.Option("--compare", help="Show the force in the motion's file beside it.")
+        bool, typer.Option("--compare", help="Compare with the force in the motion's file.")
     ] = False,
     test: Annotated[
         str, typer.Option(metavar="ID", help="The calibrated test, for --kind this_test.")
@@ -41,38 +44,75 @@ def predict(
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what makes the band wide.")
     ] = False,
+    design: Annotated[
+        bool, typer.Option("--design", help="Print mean and bounding properties with λ factors.")
+    ] = False,
+    extrapolate: Annotated[
+        bool, typer.Option("--extrapolate", help="Predict far outside of what was tested too.")
+    ] = False,
+    rate: Annotated[
+        str, typer.Option(metavar='"64 Hz"', help="Thin the motion; else every sample is kept.")
+    ] = "",
     force: arguments.Replace = False,
+    units: arguments.Units = None,
     quiet: arguments.Quiet = False,
 ) -> None:
     """Predict the force of a motion at an actuation, tested or not.
 
-    Writes the band as CSV where -o says, a PNG beside it, and what derives from
-    the force, such as energy and peaks, as ..._derived.csv. Where the actuation
-    was never tested, or the run did not pass its checks, it warns. --recalibrate
-    is for --kind observation and needs a run of crossvalidate; --explain takes
-    some seconds.
+    Writes the band as CSV where -o says, a PNG of the loops beside it, one of the
+    history (..._history.png), and what derives from the force, such as energy and
+    peaks (..._derived.csv). It warns where stroke, speed, frequency or actuation
+    leave what was tested, or the run did not pass its checks; far outside it
+    refuses unless --extrapolate is given. --compare prints the share of the
+    measured force inside the band, and keeps it in the CSV. --design prints mean
+    and bounding properties (slip force, energy, peaks), for the mean property,
+    this device tested again, another device and a measurement, and writes
+    ..._design.csv. --recalibrate is for --kind observation and needs a run of
+    crossvalidate; --explain takes some seconds.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
-      mfd-bayes predict out --motion quake.csv --actuation "1 ksi" -o b.csv --explain
+      mfd-bayes predict out --sine "1in, 1Hz, 3 cycles" --actuation 1ksi -o b.csv
     """
     from mfd_bayes.pipeline import commands as pipeline
 
-    asked = (motion, actuation, kind, probability, bands)
-    question = pipeline.Question(*asked, compare, test, whole, recalibrate, explain, force)
+    question = pipeline.Question(
+        motion,
+        actuation,
+        kind,
+        probability,
+        bands,
+        compare=compare,
+        test=test,
+        whole=whole,
+        recalibrate=recalibrate,
+        explain=explain,
+        extrapolate=extrapolate,
+        sine=sine,
+        rate=rate,
+        units=units or "",
+        design=design,
+        force=force,
+    )
     with mistakes():
-        band, derived = pipeline.predict(out, question)
+        answer = pipeline.predict(out, question)
+    band = answer.band
     for remark in band.remarks:
         console.say(f"warning: {remark}", err=True)
     console.say(
-        f"{band.interval} {console.in_percent(band.probability)} % band of kind {band.kind}, from "
+        f"{band.interval} {console.in_percent(band.probability)} % band of kind {band.kind} "
+        f"({answer.name}), from "
         f"{band.source}: {bands} and {bands.with_suffix('.png')}"
     )
+    if answer.compared is not None:
+        console.say(answer.compared.sentence(answer.system))
     if band.shares:
         console.print_shares(band.shares, quiet=quiet)
+    if answer.design:
+        console.print_design(answer.design)
     if not quiet:
-        console.print_derived(derived, band.probability)
-        console.say(f"look next at {question.derived}")
+        console.print_derived(answer.derived, band.probability)
+        console.say(f"look next at {question.beside('derived.csv')}")
 
 
 def crossvalidate(

@@ -84,7 +84,12 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
     options = plan.options
     manifest, before = prepare_folder(
-        plan.manifest, plan.campaign.folder, out, resume=options.resume, force=options.force
+        plan.manifest,
+        plan.campaign.folder,
+        out,
+        resume=options.resume,
+        force=options.force,
+        priors=plan.priors,
     )
     try:
         manifest, anew = _calibrate_tests(plan, manifest, out, observe)

@@ -19,14 +19,17 @@ from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.pipeline.prediction import Question, predict
+from mfd_bayes.pipeline.prediction import predict
 from mfd_bayes.pipeline.preparation import find_warnings, init, inspect, prior_check
+from mfd_bayes.pipeline.question import Question
 from mfd_bayes.pipeline.report import check, report, write_report
+from mfd_bayes.reporting.forms import Forms
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Truth, read_begun
 
 __all__ = [
+    "Forms",
     "Options",
     "Question",
     "Step",

@@ -5,88 +5,56 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from mfd_bayes.assessment.bands import Compared, compare
 from mfd_bayes.assessment.derived_rows import predicted_rows
-from mfd_bayes.assessment.views import (
-    DerivedRow,
-    Fan,
-    Interval,
-)
+from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings
+from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.pipeline.outputs import (
-    Output,
-    check_outputs,
-    is_marked,
-    is_picture,
-    known,
-    table_with,
-    write_picture,
-)
+from mfd_bayes.pipeline.outputs import write_picture
+from mfd_bayes.pipeline.question import Question, check_question, motion_of
+from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.population.predict import Band
-from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.tables import (
-    bands_csv,
-    predicted_csv,
-)
+from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
+from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.systems import System, named_system
+from mfd_bayes.runs.tested import far_sentences
 from mfd_bayes.store.files import write_text
 from mfd_bayes.units import parse_actuation
 
 
-@dataclass(frozen=True)
-class Question:
-    """A requested prediction.
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A prediction: its band, kip; its derived quantities in the units of `system`.
 
-    Attributes
-    ----------
-    motion : Path
-        A file with time and displacement.
-    actuation : str
-        Such as "1000 psi".
-    kind : {"device", "new_test", "observation", "this_test"}
-    bands : Path
-        CSV to write; a PNG and the derived quantities are written beside it.
-    compare : bool
-        Whether the force in the motion's file is shown with the prediction.
-    test : str
-        Id of the calibrated test, for the kind `this_test`.
-    whole, recalibrate, explain : bool
-        As in `Run.predict`.
-    force : bool
-        Whether files of other programs are replaced.
+    `compared` is None where no measured force was to be compared, `design` empty where mean and
+    bounding properties were not asked for.
     """
 
-    motion: Path
-    actuation: str
-    kind: str
-    probability: float
-    bands: Path
-    compare: bool = False
-    test: str = ""
-    whole: bool = False
-    recalibrate: bool = False
-    explain: bool = False
-    force: bool = False
+    band: Band
+    derived: tuple[DerivedRow, ...]
+    system: System
+    compared: Compared | None = None
+    design: tuple[DesignRow, ...] = ()
 
     @property
-    def picture(self) -> Path:
-        """PNG of the band."""
-        return self.bands.with_suffix(".png")
-
-    @property
-    def derived(self) -> Path:
-        """CSV of the derived quantities."""
-        return self.bands.with_name(f"{self.bands.stem}_derived.csv")
+    def name(self) -> str:
+        """What the band is about, in the words of design."""
+        return KIND_NAMES[self.band.kind]
 
 
-def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]]:
+def predict(out: Path, question: Question) -> Answer:
     """Force band for a motion and an actuation, and derived quantities; both are written.
 
     Raises
     ------
     MfdError
-        When the run, the motion, the actuation, the kind or the probability cannot be used.
+        When the run, the motion, the actuation, the kind or the probability cannot be used, or
+        the motion lies far outside of what was tested.
     """
     if question.bands.suffix.lower() == ".png":
         raise StoreError(
@@ -94,47 +62,82 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
         )
     check_question(question)
     run = open_run(out)
+    system = named_system(question.units, run.system)
+    motion, thinned = motion_of(question)
+    trace = replace(motion, actuation=_level(run, question), force=None)
+    _check_reach(run, trace, question)
+    drawn = replace(trace, force=motion.force if question.compare else None)
+    with reading(run.folder, run.manifest):
+        band = _band(run, trace, question)
+        rows = predicted_rows(run, drawn, band)
+        narrow = design_warnings(run) if question.design else ()
+        bounds = design_rows(run, trace, question.probability) if question.design else ()
+    band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
+    compared = None if drawn.force is None else compare(band, drawn.force)
+    derived = tuple(convert_row(row, system) for row in rows)
+    design = tuple(convert_row(row, system) for row in bounds)
+    answer = Answer(band, derived, system, compared, design)
+    _write(question, drawn, answer)
+    return answer
+
+
+def _band(run: Run, trace: Trace, question: Question) -> Band:
+    """Band that is asked for."""
+    return run.predict(
+        trace,
+        question.kind,
+        question.probability,
+        test=question.test,
+        whole=question.whole,
+        recalibrate=question.recalibrate,
+        explain=question.explain,
+    )
+
+
+def _level(run: Run, question: Question) -> float:
+    """Actuation that is asked for, ksi or kip."""
     level, unit = parse_actuation(question.actuation, of="--actuation")
     if unit != run.actuation_unit:
         raise CampaignError(
             f"--actuation {question.actuation!r} must be a "
             f"{'pressure' if run.actuation_unit == 'ksi' else 'force'}, as in the campaign"
         )
-    record = read_record(question.motion)
-    motion = record.trace(gap=run.priors.gap)
-    trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
-    drawn = replace(trace, force=motion.force if question.compare else None)
-    with reading(run.folder, run.manifest):
-        band = run.predict(
-            trace,
-            question.kind,
-            question.probability,
-            test=question.test,
-            whole=question.whole,
-            recalibrate=question.recalibrate,
-            explain=question.explain,
-        )
-        rows = predicted_rows(run, drawn, band)
-    write_text(question.bands, bands_csv(trace, band, question.actuation))
-    write_text(question.derived, predicted_csv(rows, question.actuation, question.probability))
-    from mfd_bayes.reporting.figures import draw_loops, to_png
+    return level
 
+
+def _check_reach(run: Run, trace: Trace, question: Question) -> None:
+    """Refuse what lies far outside of the tested range, unless it is asked for expressly."""
+    own = question.test if question.test in run.tests else ""
+    far = far_sentences(run.departures(trace, own), run.system)
+    if far and not question.extrapolate:
+        raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
+
+
+def _write(question: Question, drawn: Trace, answer: Answer) -> None:
+    """Write the tables and the pictures of a prediction."""
+    from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
+
+    band, system = answer.band, answer.system
+    about = [f"actuation {question.actuation}"]
+    if answer.compared is not None:
+        about.append(f"compared: {answer.compared.sentence(system)}")
+    write_text(question.bands, bands_csv(drawn, band, about, system))
+    derived = predicted_csv(answer.derived, question.actuation, question.probability)
+    write_text(question.beside("derived.csv"), derived)
+    if answer.design:
+        table = design_csv(answer.design, question.actuation)
+        write_text(question.beside("design.csv"), table)
+    title = f"Predicted force at {question.actuation}"
+    shown = convert_trace(drawn, system), [convert_fan(_fan(band), system.factor("kip"))]
+    write_picture(question.picture, to_png(draw_loops(title, *shown, system)))
+    history = draw_history(title, *shown, system=system)
+    write_picture(question.beside("history.png"), to_png(history))
+
+
+def _fan(band: Band) -> Fan:
+    """The band, and that of the whole history, as pictures show them."""
     intervals = [Interval(band.probability, band.lower, band.upper)]
     if band.whole_lower is not None and band.whole_upper is not None:
-        bounds = band.whole_lower, band.whole_upper
+        bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
         intervals.append(Interval(band.probability, *bounds, whole=True))
-    fan = Fan(band.kind, band.median, tuple(intervals))
-    title = f"Predicted force at {question.actuation}"
-    png = to_png(draw_loops(title, drawn, [fan]))
-    write_picture(question.picture, png)
-    return band, rows
-
-
-def check_question(question: Question) -> None:
-    """Refuse to write over anything but what an earlier prediction wrote there."""
-    bands = Output(question.bands, table_with("time_s", "displacement_in", "lower_kip"))
-    check_outputs([bands], [question.motion], force=question.force)
-    again = known(bands)
-    picture = Output(question.picture, is_picture if again else is_marked)
-    derived = Output(question.derived, table_with("quantity", "unit", "mean"))
-    check_outputs([picture, derived], [question.motion], force=question.force)
+    return Fan(band.kind, band.median, tuple(intervals))

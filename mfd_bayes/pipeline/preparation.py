@@ -17,6 +17,8 @@ from mfd_bayes.records.faults import find_faults
 from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.conversion import convert_fan, convert_trace
+from mfd_bayes.runs.systems import system_of
 from mfd_bayes.store.files import write_text
 
 
@@ -112,11 +114,14 @@ def prior_check(path: Path, folder: Path, *, force: bool = False) -> list[tuple[
     check_outputs(outputs, [path, *(test.path for test in campaign.tests)], force=force)
     found = []
     for test in campaign.tests:
-        trace = test.read().trace(campaign.rate, gap=priors.gap)
+        record = test.read()
+        trace = record.trace(campaign.rate, gap=priors.gap)
         if trace.force is None:
             raise RecordError(f"test {test.id!r} of {path} has no force to compare with")
         fan = prior_fan(campaign, priors, trace)
-        figure = draw_loops(f"{test.id}: data over what the priors allow", trace, [fan])
+        system = system_of([record.columns["displacement"][1]])
+        shown = convert_trace(trace, system), [convert_fan(fan, system.factor("kip"))]
+        figure = draw_loops(f"{test.id}: data over what the priors allow", *shown, system)
         write_picture(places[test.id], to_png(figure))
         found.append((test.id, share_inside(fan, trace), places[test.id]))
     return found

@@ -13,6 +13,7 @@ from mfd_bayes.assessment.views import (
 )
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.reporting.forms import PLAIN, Forms
 from mfd_bayes.reporting.tables import (
     CROSSVALIDATION,
 )
@@ -21,13 +22,19 @@ from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.systems import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
 
 Observe = Callable[[Step], None]
 
 
 def report(
-    out: Path, observe: Observe = lambda _: None, *, jobs: int = 0, pdf: bool = False
+    out: Path,
+    observe: Observe = lambda _: None,
+    *,
+    jobs: int = 0,
+    forms: Forms = PLAIN,
+    units: str = "",
 ) -> CampaignView:
     """Write the tables, figures and report of a finished run, from its stored results.
 
@@ -39,36 +46,39 @@ def report(
         Called with every step.
     jobs : int
         Processes that draw figures; 0 for as many as there are processors.
-    pdf : bool
-        Whether report.pdf is also written.
+    forms : Forms
+        What is written besides.
+    units : {"", "us", "si"}
+        System of units of tables and figures, and the one that the page shows first; by default
+        that of the campaign.
 
     Raises
     ------
     StoreError
         When the folder is no finished run.
     ReportError
-        When a PDF is asked for and no browser can print it; nothing is written then.
+        When a form is asked for that cannot be made; nothing is written then.
     """
-    from mfd_bayes.reporting.pdf import find_browser
-
-    if pdf:
-        find_browser()
+    forms.check()
     read_manifest(out)  # a folder that is no finished run is refused before it is locked
     with alone_in(out):
         check_places(out)
-        return write_report(open_run(out), observe, jobs=jobs, pdf=pdf)
+        return write_report(open_run(out), observe, jobs=jobs, forms=forms, units=units)
 
 
-def write_report(run: Run, observe: Observe, *, jobs: int, pdf: bool = False) -> CampaignView:
+def write_report(
+    run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
+) -> CampaignView:
     """Write the tables, figures and report of an open run, whose folder must be locked."""
     from mfd_bayes.reporting.publication import publish
 
+    system = named_system(units, run.system)
     observe(Step("report", "checks and bands"))
-    view = assess(run)
+    view = replace(assess(run), metric=system is SI)
     run.rewrite(verdicts=verdicts(view))
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
-    publish(view, run.folder, Workplace(jobs).processes, observe, pdf=pdf)
+    publish(view, run.folder, Workplace(jobs).processes, observe, forms)
     return view
 
 

@@ -14,6 +14,7 @@ from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.drawn import Drawn
+from mfd_bayes.population.kinds import KINDS
 from mfd_bayes.population.population import Parts, Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
@@ -23,14 +24,6 @@ from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
-
-NESTED = ("device", "new_test", "observation")
-"""The law with its level's effect; plus test-to-test scatter; plus a record's offset and noise."""
-
-THIS_TEST = "this_test"
-"""One calibrated test by itself: what is known of its own parameters."""
-
-KINDS = (*NESTED, THIS_TEST)
 
 
 @dataclass(frozen=True)

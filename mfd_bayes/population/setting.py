@@ -22,7 +22,7 @@ class Setting:
     ----------
     actuation : float, ksi or kip
     session : str
-        Tests of one session share what changes between sessions; "" where none is declared.
+        Tests of one session were made together; "" where none is declared.
     covariates : mapping of str to float
         What parameters may follow besides the actuation: "velocity" (in/s, its peak) and
         "amplitude" (in, half the stroke).

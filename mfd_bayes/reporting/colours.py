@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from mfd_bayes.population.kinds import KIND_NAMES
+
 # Palette of Okabe and Ito, which colour-blind readers can tell apart.
 DATA = "#1b1b1b"
 ORANGE = "#E69F00"
@@ -21,14 +26,8 @@ CHAINS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, "#555555", "#b8a600")
 BANDS = {
     "observation": ("#d5e7f4", "#a5cce8", BLUE),
     "new_test": ("#cdeae0", "#93d2bd", GREEN),
-    "device": ("#f6c877", "#e08f1f", VERMILLION),
-    "this_test": ("#f3e3ed", "#e0bcd3", PURPLE),
+    "device": ("#f3e3ed", "#e0bcd3", PURPLE),
+    "this_test": ("#f6c877", "#e08f1f", VERMILLION),
     "prior": ("#e6e6e6", "#c6c6c6", "#6f6f6f"),
 }
-BAND_NAMES = {
-    "observation": "a new measurement (with noise)",
-    "new_test": "another test (with scatter)",
-    "device": "the model (parameters only)",
-    "this_test": "this very test",
-    "prior": "what the priors allow",
-}
+BAND_NAMES: Mapping[str, str] = MappingProxyType({**KIND_NAMES, "prior": "what the priors allow"})

@@ -5,23 +5,29 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from mfd_bayes.assessment.systems import SI, US, System
+from mfd_bayes.assessment.design import DesignRow
 from mfd_bayes.assessment.views import (
     CampaignView,
     DerivedRow,
     Fan,
-    Interval,
     LawView,
+    LeftOutRow,
+    LeftOutView,
     Marginal,
     Row,
+    ScoreRow,
     TestView,
     TruthRow,
 )
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.systems import SI, US, System
+from mfd_bayes.runs.tested import Span
 
-_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth")
+_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal")
+_SCORES = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
 
-AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow)
+AnyScores = TypeVar("AnyScores", ScoreRow, LeftOutRow)
+AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow, DesignRow)
 
 
 def shown_in(view: CampaignView) -> System:
@@ -41,9 +47,34 @@ def in_system(view: CampaignView, system: System) -> CampaignView:
         view,
         tests=tuple(convert_test(test, system, unit) for test in view.tests),
         laws=tuple(_law(law, system, unit) for law in view.laws),
-        law_rows=tuple(_row(row, system) for row in view.law_rows),
-        truth=tuple(_row(row, system) for row in view.truth),
+        law_rows=tuple(convert_row(row, system) for row in view.law_rows),
+        truth=tuple(convert_row(row, system) for row in view.truth),
         actuation_unit=system.unit(unit),
+    )
+
+
+def in_tables(view: CampaignView, system: System) -> CampaignView:
+    """What tables show of a report, in the units of a system: rows, scores, ranges; no traces."""
+    if system is US:
+        return view
+    unit, force = view.actuation_unit, system.factor("kip")
+    tests = tuple(
+        replace(
+            test,
+            actuation=system.actuation(test.trace, unit),
+            rows=tuple(convert_row(row, system) for row in test.rows),
+            derived=tuple(convert_row(row, system) for row in test.derived),
+        )
+        for test in view.tests
+    )
+    return replace(
+        view,
+        tests=tests,
+        law_rows=tuple(convert_row(row, system) for row in view.law_rows),
+        truth=tuple(convert_row(row, system) for row in view.truth),
+        scores=tuple(_scores(row, force) for row in view.scores),
+        left_out=_left_out(view.left_out, force),
+        tested=tuple(_span(span, system) for span in view.tested),
     )
 
 
@@ -56,12 +87,12 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
     return replace(
         test,
         actuation=system.actuation(test.trace, actuation_unit),
-        trace=_trace(test.trace, length, force),
+        trace=convert_trace(test.trace, system),
         travel=None if test.travel is None else test.travel * length,
-        device=None if test.device is None else _fan(test.device, force),
-        observation=_fan(test.observation, force),
-        rows=tuple(_row(row, system) for row in test.rows),
-        derived=tuple(_row(row, system) for row in test.derived),
+        device=None if test.device is None else convert_fan(test.device, force),
+        observation=convert_fan(test.observation, force),
+        rows=tuple(convert_row(row, system) for row in test.rows),
+        derived=tuple(convert_row(row, system) for row in test.derived),
         marginals=tuple(_marginal(marginal, system) for marginal in test.marginals),
         chains={
             name: draws * system.factor(units.get(name, "1")) for name, draws in test.chains.items()
@@ -69,7 +100,9 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
     )
 
 
-def _trace(trace: Trace, length: float, force: float) -> Trace:
+def convert_trace(trace: Trace, system: System) -> Trace:
+    """A trace in the units of a system; its actuation stays."""
+    length, force = system.factor("in"), system.factor("kip")
     return replace(
         trace,
         displacement=trace.displacement * length,
@@ -85,21 +118,42 @@ def _law(law: LawView, system: System, actuation_unit: str) -> LawView:
         law,
         unit=system.unit(law.unit),
         actuation=law.actuation * along,
-        median=_fan(law.median, by),
-        new_test=_fan(law.new_test, by),
+        median=convert_fan(law.median, by),
+        new_test=convert_fan(law.new_test, by),
         tested=tuple((n, at * along, a * by, b * by, c * by) for n, at, a, b, c in law.tested),
     )
 
 
-def _fan(fan: Fan, by: float) -> Fan:
-    intervals = (Interval(i.probability, i.lower * by, i.upper * by) for i in fan.intervals)
+def convert_fan(fan: Fan, by: float) -> Fan:
+    """A fan times a factor."""
+    intervals = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in fan.intervals)
     return Fan(fan.kind, fan.median * by, tuple(intervals))
 
 
-def _row(row: AnyRow, system: System) -> AnyRow:
+def convert_row(row: AnyRow, system: System) -> AnyRow:
+    """A row of a table in the units of a system."""
     by = system.factor(row.unit)
     figures = {name: getattr(row, name) * by for name in _FIGURES if hasattr(row, name)}
     return replace(row, unit=system.unit(row.unit), **figures)
+
+
+def _scores(row: AnyScores, by: float) -> AnyScores:
+    """A row of scores times a factor: those of a length of force; shares stay."""
+    return replace(row, **{name: getattr(row, name) * by for name in _SCORES if hasattr(row, name)})
+
+
+def _left_out(found: LeftOutView | None, by: float) -> LeftOutView | None:
+    if found is None:
+        return None
+    rows = tuple(_scores(row, by) for row in found.rows)
+    return replace(found, rows=rows, mean=_scores(found.mean, by))
+
+
+def _span(span: Span, system: System) -> Span:
+    by = system.factor(span.unit)
+    return replace(
+        span, unit=system.unit(span.unit), lowest=span.lowest * by, highest=span.highest * by
+    )
 
 
 def _marginal(marginal: Marginal, system: System) -> Marginal:

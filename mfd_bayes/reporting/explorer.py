@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.assessment.systems import SYSTEMS
 from mfd_bayes.assessment.views import Array, CampaignView, TestView
 from mfd_bayes.reporting.colours import BANDS, DATA, SKY
+from mfd_bayes.runs.systems import SYSTEMS
 
 SAMPLES = 1500
 """Most samples of a test in the plot: a screen cannot show more."""

@@ -1,13 +1,18 @@
-"""The numbers behind every figure as CSV texts, in internal units."""
+"""The numbers behind every figure as CSV texts, in the units of the figures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
+from mfd_bayes.population.kinds import KIND_NAMES
+from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.tables import csv_text
+from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.tested import conditions
 from mfd_bayes.units import percent
 
 DRAWS = 2000
@@ -39,18 +44,23 @@ def table_of(key: str) -> str:
 
 def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     """Path and text of the tables behind the figures of all tests together."""
+    system = shown_in(view)
     if view.tests:
-        yield table_of("overview"), _overview(view.tests)
+        tests = (convert_test(test, system, view.actuation_unit) for test in view.tests)
+        yield table_of("overview"), _overview(tests, system)
+    if view.tested:
+        yield table_of("tested"), _tested(view, system)
+    view = in_system(replace(view, tests=()), system)
     if view.laws:
         yield table_of("laws"), _laws(view)
     if view.truth:
         yield table_of("truth"), _truth(view.truth)
 
 
-def tables_of_test(test: TestView) -> Iterator[tuple[str, str]]:
-    """Path and text of the tables behind the figures of one test."""
+def tables_of_test(test: TestView, system: System = US) -> Iterator[tuple[str, str]]:
+    """Path and text of the tables behind the figures of one test, in the units of a system."""
     home = f"tests/{test.id}"
-    yield f"{home}/record.csv", _record(test)
+    yield f"{home}/record.csv", _record(test, system)
     if test.marginals:
         yield f"{home}/draws.csv", _draws(test)
         yield f"{home}/marginals.csv", _marginals(test)
@@ -58,13 +68,13 @@ def tables_of_test(test: TestView) -> Iterator[tuple[str, str]]:
         yield f"{home}/chains.csv", _chains(test)
 
 
-def _bands(fan: Fan, name: str = "") -> dict[str, Array]:
-    """Median and bounds of a fan by column."""
-    columns = {f"{name}median_kip": fan.median}
+def _bands(fan: Fan, force: str, name: str = "") -> dict[str, Array]:
+    """Median and bounds of a fan by column; `force` is their unit."""
+    columns = {f"{name}median_{force}": fan.median}
     for interval in fan.intervals:
         share = percent(interval.probability)
-        columns[f"{name}lower_{share}_kip"] = interval.lower
-        columns[f"{name}upper_{share}_kip"] = interval.upper
+        columns[f"{name}lower_{share}_{force}"] = interval.lower
+        columns[f"{name}upper_{share}_{force}"] = interval.upper
     return columns
 
 
@@ -72,29 +82,29 @@ def _table(columns: dict[str, Array]) -> str:
     return csv_text(tuple(columns), zip(*columns.values(), strict=True))
 
 
-def _record(test: TestView) -> str:
+def _record(test: TestView, system: System) -> str:
     """One test at every sample: motion, force, bands, residual, stage."""
-    trace = test.trace
+    trace, length, force = test.trace, system.length, system.force
     columns: dict[str, Array] = {
         "time_s": trace.time,
-        "displacement_in": trace.displacement,
-        "velocity_in_per_s": trace.velocity,
+        f"displacement_{length}": trace.displacement,
+        f"velocity_{length}_per_s": trace.velocity,
     }
     if trace.force is not None:
-        columns["force_kip"] = trace.force
-        columns["residual_kip"] = trace.force - test.observation.median
-    columns |= _bands(test.observation)
+        columns[f"force_{force}"] = trace.force
+        columns[f"residual_{force}"] = trace.force - test.observation.median
+    columns |= _bands(test.observation, force)
     if test.device is not None:
-        columns |= _bands(test.device, "model_")
+        columns |= _bands(test.device, force, "model_")
     if test.stage is not None and test.travel is not None:
-        columns |= {"stage": test.stage.astype(np.float64), "travel_in": test.travel}
+        columns |= {"stage": test.stage.astype(np.float64), f"travel_{length}": test.travel}
     columns["fitted"] = (np.arange(trace.samples) >= test.first).astype(np.float64)
     if test.role == "validate":
         columns["fitted"][:] = 0.0
     return _table(columns)
 
 
-def _overview(tests: Iterable[TestView]) -> str:
+def _overview(tests: Iterable[TestView], system: System) -> str:
     """Loops of all tests, thinned."""
     head: tuple[str, ...] = ()
     lines: list[tuple[str | float, ...]] = []
@@ -102,11 +112,24 @@ def _overview(tests: Iterable[TestView]) -> str:
         trace = test.trace
         step = max(1, trace.samples // LOOP)
         force = np.full(trace.samples, np.nan) if trace.force is None else trace.force
-        columns = {"displacement_in": trace.displacement, "force_kip": force}
-        columns |= _bands(test.observation)
+        columns = {f"displacement_{system.length}": trace.displacement}
+        columns |= {f"force_{system.force}": force} | _bands(test.observation, system.force)
         head = ("test", "role", *columns)
         rows = zip(*(column[::step] for column in columns.values()), strict=True)
         lines += [(test.id, test.role, *row) for row in rows]
+    return csv_text(head, lines)
+
+
+def _tested(view: CampaignView, system: System) -> str:
+    """Stroke, peak speed, frequency and actuation of every test."""
+    by = {span.name: system.factor(span.unit) for span in view.tested}
+    units = (system.unit(span.unit).replace("/", "_per_") for span in view.tested)
+    head = ("test", "role", *(f"{name}_{unit}" for name, unit in zip(by, units, strict=True)))
+    lines: list[tuple[str | float, ...]] = []
+    for test in view.tests:
+        found = {s.name: s.highest for s in conditions(test.trace, view.actuation_unit)}
+        values = (found.get(name, np.nan) * factor for name, factor in by.items())
+        lines.append((test.id, test.role, *values))
     return csv_text(head, lines)
 
 
@@ -116,7 +139,10 @@ def _laws(view: CampaignView) -> str:
     head = ("quantity", "unit", "law", "what", f"actuation_{unit}", "lower", "median", "upper")
     lines: list[tuple[str | float, ...]] = []
     for law in view.laws:
-        for what, fan in (("median over tests", law.median), ("another test", law.new_test)):
+        for what, fan in (
+            (KIND_NAMES["device"], law.median),
+            (KIND_NAMES["new_test"], law.new_test),
+        ):
             widest = max(fan.intervals, key=lambda interval: interval.probability)
             curve = zip(law.actuation, widest.lower, fan.median, widest.upper, strict=True)
             about = f"{what}, {percent(widest.probability)} %"

@@ -17,7 +17,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
 from mfd_bayes.assessment.checks import INFORMED
-from mfd_bayes.assessment.systems import SI, SYSTEMS
 from mfd_bayes.assessment.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.assessment.width import width_sentence
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
@@ -37,6 +36,7 @@ from mfd_bayes.reporting.digest import (
 from mfd_bayes.reporting.explorer import explore
 from mfd_bayes.reporting.figure_data import table_of
 from mfd_bayes.reporting.glossary import read_glossary
+from mfd_bayes.runs.systems import SI, SYSTEMS
 
 ONE_PAGE = 12
 """A report of more tests has a page for each."""

@@ -8,17 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.assessment.systems import System
 from mfd_bayes.assessment.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.workers import run_in_processes
-from mfd_bayes.reporting.conversion import shown_in
+from mfd_bayes.reporting.conversion import convert_test, in_tables, shown_in
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
 from mfd_bayes.reporting.figures import OF_TEST, draw_shared, draw_test
+from mfd_bayes.reporting.forms import PLAIN, Forms
 from mfd_bayes.reporting.html import ONE_PAGE, needed, render
 from mfd_bayes.reporting.pdf import print_page
 from mfd_bayes.reporting.tables import report_tables
+from mfd_bayes.reporting.word import word_tables
+from mfd_bayes.reporting.workbook import excel_tables
+from mfd_bayes.runs.systems import System
 from mfd_bayes.store.files import write_bytes, write_text
 
 
@@ -58,7 +61,8 @@ class Drawing:
                 write_bytes(out / f"{key}.png", drawn[key])
             else:
                 (out / f"{key}.png").unlink(missing_ok=True)
-        for name, text in tables_of_test(self.test):
+        shown = convert_test(self.test, self.system, self.actuation_unit)
+        for name, text in tables_of_test(shown, self.system):
             write_text(out / name, text)
         return Outcome(self.id, State.DONE, time.perf_counter() - began)
 
@@ -68,8 +72,7 @@ def publish(
     out: Path,
     processes: int,
     observe: Callable[[Step], None],
-    *,
-    pdf: bool = False,
+    forms: Forms = PLAIN,
 ) -> None:
     """Write tables, figures and pages of a report into the run folder.
 
@@ -78,8 +81,14 @@ def publish(
     MfdError
         When something cannot be written, or no browser prints the PDF.
     """
-    for name, text in (report_tables(view) | export_tables(view)).items():
+    system = shown_in(view)
+    shown = in_tables(view, system)
+    for name, text in (report_tables(shown, system) | export_tables(shown)).items():
         write_text(out / name, text)
+    if forms.word:
+        write_bytes(out / "tables.docx", word_tables(shown))
+    if forms.excel:
+        write_bytes(out / "tables.xlsx", excel_tables(shown))
     observe(Step("report", "figures"))
     images = {}
     for key, png in draw_shared(view):
@@ -91,7 +100,7 @@ def publish(
     observe(Step("report", "pages"))
     for name, page in render(view, images).items():
         write_text(out / name, page)
-    if pdf:
+    if forms.pdf:
         observe(Step("report", "PDF"))
         write_bytes(out / "report.pdf", print_page(out / "report.html"))
     observe(Step("report", State.DONE))

@@ -8,6 +8,7 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 
+from mfd_bayes.assessment.design import BASES, DesignRow
 from mfd_bayes.assessment.views import (
     CampaignView,
     Check,
@@ -17,36 +18,36 @@ from mfd_bayes.assessment.views import (
     Row,
     ScoreRow,
 )
+from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow
+from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.tested import Span
 from mfd_bayes.units import percent
 
 _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 
 _QUANTILES = ("mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat", "contraction")
-_SCORES = (
-    *("coverage_50", "coverage_90", "coverage_95", "width_95_kip"),
-    *("interval_score_95_kip", "crps_kip", "rrse"),
-)
 
 CROSSVALIDATION = "crossvalidation.csv"
 
 
-def report_tables(view: CampaignView) -> dict[str, str]:
-    """CSV tables of the report, by the name of the file."""
+def report_tables(view: CampaignView, system: System = US) -> dict[str, str]:
+    """CSV tables of a report in the units of a system, by the name of the file."""
     found = {
         "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
         "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
         "laws.csv": laws_csv(view.law_rows),
         "law_scores.csv": law_scores_csv(view.law_choices),
         "checks.csv": checks_csv(view.checks),
-        "scores.csv": scores_csv(view.scores),
+        "scores.csv": scores_csv(view.scores, system),
+        "tested_range.csv": tested_csv(view.tested),
     }
     if view.left_out is not None:
-        found[CROSSVALIDATION] = crossvalidation_csv(view.left_out)
+        found[CROSSVALIDATION] = crossvalidation_csv(view.left_out, system)
     return found
 
 
@@ -70,15 +71,27 @@ def checks_csv(checks: Iterable[Check]) -> str:
     return csv_text(head, map(dataclasses.astuple, checks))
 
 
-def scores_csv(scores: Iterable[ScoreRow]) -> str:
+def _scores(system: System) -> tuple[str, ...]:
+    """Columns of scores, with their unit of force."""
+    force = system.force
+    width = ("coverage_50", "coverage_90", "coverage_95", f"width_95_{force}")
+    return (*width, f"interval_score_95_{force}", f"crps_{force}", "rrse")
+
+
+def scores_csv(scores: Iterable[ScoreRow], system: System = US) -> str:
     """Scores of each record's observation bands against its force."""
-    return csv_text(("test", "role", *_SCORES), map(dataclasses.astuple, scores))
+    return csv_text(("test", "role", *_scores(system)), map(dataclasses.astuple, scores))
 
 
-def crossvalidation_csv(found: LeftOutView) -> str:
+def tested_csv(spans: Iterable[Span]) -> str:
+    """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
+    return csv_text(("condition", "unit", "smallest", "largest"), map(dataclasses.astuple, spans))
+
+
+def crossvalidation_csv(found: LeftOutView, system: System = US) -> str:
     """Scores of each test, predicted without its part of the campaign, and their mean."""
-    ratios = ("fitted_width_95_kip", "fitted_crps_kip", "width_ratio", "crps_ratio")
-    head = ("part", "test", *_SCORES, *ratios, "whole_95")
+    fitted = (f"fitted_width_95_{system.force}", f"fitted_crps_{system.force}")
+    head = ("part", "test", *_scores(system), *fitted, "width_ratio", "crps_ratio", "whole_95")
     return csv_text(head, map(dataclasses.astuple, (*found.rows, found.mean)))
 
 
@@ -117,21 +130,58 @@ def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float
     return about + csv_text(head, map(_derived_cells, shown))
 
 
-def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
-    """Band of a prediction at every sample, in s, in and kip, and of the whole history if any."""
-    whole = [bound for bound in (band.whole_lower, band.whole_upper) if bound is not None]
-    more = ",whole_lower_kip,whole_upper_kip" if whole else ""
-    about = (
-        f"# {band.interval} {percent(band.probability)} % band of kind {band.kind}, for each "
-        f"sample by itself; from {band.source}\n"
-        + ("# whole: band of the whole history, of the same probability\n" if whole else "")
-        + "".join(f"# warning: {' '.join(remark.split())}\n" for remark in band.remarks)
-        + f"# actuation {actuation}\n"
-        f"time_s,displacement_in,lower_kip,median_kip,upper_kip{more}\n"
+def design_csv(rows: Iterable[DesignRow], actuation: str) -> str:
+    """Mean and bounding properties with their factors, by property, then by basis."""
+    shown = tuple(rows)
+    tail = 50.0 * (1.0 - shown[0].probability)
+    head = ("property", "unit", "basis", "name", "nominal", "lower", "upper")
+    lines = (
+        (
+            *(r.name, r.unit, r.basis, BASES[r.basis], r.nominal, r.lower, r.upper),
+            *(r.lambda_min, r.lambda_max, r.note),
+        )
+        for r in shown
     )
-    columns = (trace.time, trace.displacement, band.lower, band.median, band.upper, *whole)
-    rows = zip(*columns, strict=True)
-    return about + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
+    about = (
+        f"# mean and bounding properties; each bound is passed with a probability of {tail:g} %\n"
+        "# lambda: bound over the nominal value, which is the mean of the mean property\n"
+        f"# actuation {actuation}\n"
+    )
+    return about + csv_text((*head, "lambda_min", "lambda_max", "note"), lines)
+
+
+def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
+    """Band of a prediction at every sample, with the measured force of the trace if it has one.
+
+    Parameters
+    ----------
+    trace : Trace
+    band : Band
+    about : sequence of str
+        Lines of its head, besides what the band is.
+    system : System
+        Of the units in the columns' names.
+    """
+    length, force = system.length, system.force
+    columns = {"time_s": trace.time}
+    columns[f"displacement_{length}"] = trace.displacement * system.factor("in")
+    forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
+    forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
+    by = system.factor("kip")
+    columns |= {f"{name}_{force}": v * by for name, v in forces.items() if v is not None}
+    head = (
+        f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
+        f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}",
+        *(
+            ["whole: band of the whole history, of the same probability"]
+            * (forces["whole_lower"] is not None)
+        ),
+        *(f"warning: {remark}" for remark in band.remarks),
+        *about,
+    )
+    lines = "".join(f"# {' '.join(line.split())}\n" for line in head) + ",".join(columns) + "\n"
+    rows = zip(*columns.values(), strict=True)
+    return lines + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
 
 
 def _derived_cells(row: DerivedRow) -> tuple[str | float, ...]:

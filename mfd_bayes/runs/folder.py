@@ -17,7 +17,8 @@ MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"
 PRIORS = "priors.toml"
 POPULATION = "population.nc"
-FOLDERS = ("tests", "figures", "crossvalidation")
+CROSSVALIDATED = "crossvalidation"
+FOLDERS = ("tests", "figures", CROSSVALIDATED)
 """Folders in a run folder."""
 
 
@@ -117,7 +118,7 @@ def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
 _TABLES = (
     *("parameters.csv", "derived.csv", "laws.csv", "law_scores.csv", "checks.csv", "scores.csv"),
     *("parameters.json", "laws.json", "parameters.tex", "laws.tex"),
-    "crossvalidation.csv",
+    *("crossvalidation.csv", "tested_range.csv", "tables.docx", "tables.xlsx"),
 )
 
 

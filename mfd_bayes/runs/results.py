@@ -129,7 +129,7 @@ class Comparison:
     rows : tuple of ComparisonRow
         Of every test, then of all; best model first.
     sentence : str
-        Which model the records favour, and whether the diagnostics allow trusting it.
+        Which model the records favour, and whether its check figures speak against it.
     """
 
     rows: tuple[ComparisonRow, ...]

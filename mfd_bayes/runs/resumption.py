@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import shutil
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
-from mfd_bayes.errors import StoreError
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.errors import PriorError, StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.runs.folder import (
+    CROSSVALIDATED,
     DISCARDED,
     MANIFEST,
     POPULATION,
+    PRIORS,
     check_links,
     check_places,
     check_stored,
@@ -25,14 +30,31 @@ from mfd_bayes.store.files import is_part, json_text
 _SAME = ("settings", "inputs", "seed", "effort", "versions")
 """Keys of the manifest that must not change from one session of a run to the next."""
 
+_MAY_CHANGE = ("settings", "inputs")
+"""Those of them that may change as far as they do not concern the tests' posteriors."""
+
+ALL, TESTS = "all", "tests"
+
+_POPULATION_ONLY = ("laws", "dependence")
+"""Settings that concern the population alone."""
+
 _TOLD = 10
 """Largest number of changed entries that a message lists."""
 
 
 def prepare_folder(
-    manifest: Manifest, home: Path, out: Path, *, resume: bool, force: bool
+    manifest: Manifest,
+    home: Path,
+    out: Path,
+    *,
+    resume: bool,
+    force: bool,
+    priors: PriorFile | None = None,
 ) -> tuple[Manifest, Manifest | None]:
     """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
+
+    Where only what concerns the population has changed (laws, dependence, sessions, priors of
+    scatter), the tests' posteriors are kept, and nothing that rests on the population.
 
     Parameters
     ----------
@@ -44,13 +66,15 @@ def prepare_folder(
         Run folder.
     resume, force : bool
         Whether to resume or replace a run that exists.
+    priors : PriorFile, optional
+        Of the run to be calibrated; without them no change is allowed.
 
     Returns
     -------
     Manifest
         The given one, with the results that are kept from an earlier session.
     Manifest or None
-        The earlier session's manifest, if it is resumed.
+        The earlier session's manifest, if its population is kept too.
 
     Raises
     ------
@@ -72,16 +96,75 @@ def prepare_folder(
         raise StoreError(
             f"{out} cannot be resumed: {error}; give --force to start again"
         ) from error
+    same = _same_parts(manifest, before, out, priors)
+    _refuse_changes(manifest, before, out, () if same is None else _MAY_CHANGE)
+    files = _kept_files(manifest.tests, out, before.files or {})
+    kept = _with_results(manifest, before).changed(files=files)
+    if same == TESTS:
+        shutil.rmtree(out / CROSSVALIDATED, ignore_errors=True)
+        return kept, None
+    return kept, before
+
+
+def _refuse_changes(
+    manifest: Manifest, before: Manifest, out: Path, allowed: Collection[str]
+) -> None:
+    """Refuse to resume where something other than the allowed keys has changed."""
     new = json.loads(json_text(manifest.content))
     for key in _SAME:
-        changed = _changes(before.content.get(key), new[key])
+        changed = None if key in allowed else _changes(before.content.get(key), new[key])
         if changed is not None:
             raise StoreError(
                 f"{out} cannot be resumed: {key}{changed} changed since it was started; "
                 "give --force to start again"
             )
-    files = _kept_files(manifest.tests, out, before.files or {})
-    return _with_results(manifest, before).changed(files=files), before
+
+
+def _same_parts(
+    manifest: Manifest, before: Manifest, out: Path, priors: PriorFile | None
+) -> str | None:
+    """What rests on the same inputs as before: `ALL`, or `TESTS`; None where nothing is known to.
+
+    The campaign and the prior file may differ in what neither depends on, such as a comment.
+    """
+    earlier = _stored_priors(out, before)
+    if priors is None or earlier is None:
+        return None
+    old, new = before.content, json.loads(json_text(manifest.content))
+    if _of_tests(old, earlier) != _of_tests(new, priors):
+        return None
+    return ALL if _of_population(old, earlier) == _of_population(new, priors) else TESTS
+
+
+def _stored_priors(out: Path, before: Manifest) -> PriorFile | None:
+    """Priors of an earlier session; None where it has not stored any that can be read."""
+    try:
+        return load_priors(check_stored(out, PRIORS, before.files or {}).name, out)
+    except (PriorError, StoreError):
+        return None
+
+
+def _of_tests(content: Mapping[str, Any], priors: PriorFile) -> tuple[object, ...]:
+    """All that the tests' posteriors rest on, of a manifest's content."""
+    settings = content["settings"]
+    rest = {k: v for k, v in settings.items() if k not in ("tests", "priors", *_POPULATION_ONLY)}
+    tests = {
+        name: {k: v for k, v in test.items() if k != "session"}
+        for name, test in settings["tests"].items()
+    }
+    files = {str(test.get("file")) for test in tests.values()}
+    inputs = {name: digest for name, digest in content["inputs"].items() if name in files}
+    roles = {name: entry["role"] for name, entry in content["tests"].items()}
+    figures = {name: (p.family, dict(p.figures)) for name, p in priors.parameters.items()}
+    return rest, tests, inputs, roles, figures
+
+
+def _of_population(content: Mapping[str, Any], priors: PriorFile) -> tuple[object, ...]:
+    """All that the population rests on besides the tests' posteriors."""
+    settings = content["settings"]
+    sessions = {name: test.get("session", "") for name, test in settings["tests"].items()}
+    scatter = {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()}
+    return tuple(settings.get(key) for key in _POPULATION_ONLY), sessions, scatter
 
 
 def _with_results(manifest: Manifest, before: Manifest) -> Manifest:

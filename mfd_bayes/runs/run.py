@@ -15,10 +15,11 @@ from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import State
+from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import THIS_TEST, Band, Forecast, Predictor
+from mfd_bayes.population.predict import Band, Forecast, Predictor
 from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
-from mfd_bayes.population.setting import SAME_LEVEL, same_level
+from mfd_bayes.population.setting import same_level
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import (
@@ -31,6 +32,8 @@ from mfd_bayes.runs.folder import (
 )
 from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.reading import reading
+from mfd_bayes.runs.systems import System, system_of
+from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.netcdf import load_trace
 
@@ -87,6 +90,22 @@ class Run:
         """The unit of actuation, "ksi" or "kip"."""
         return self.manifest.settings.actuation_unit
 
+    @property
+    def system(self) -> System:
+        """System of units that most records were measured in."""
+        return system_of(entry.unit for entry in self.manifest.tests.values())
+
+    @cached_property
+    def tested(self) -> tuple[Span, ...]:
+        """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
+        return range_of((test.trace for test in self.tests.values()), self.actuation_unit)
+
+    def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
+        """Where a motion leaves what was tested, in all tests or in one calibrated test."""
+        unit = self.actuation_unit
+        tested = range_of([self.tests[test].trace], unit) if test else self.tested
+        return departures(tested, trace, unit)
+
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
         return self.manifest.settings.tests[name].session
@@ -111,13 +130,15 @@ class Run:
         ----------
         trace : Trace
             With its actuation, in `actuation_unit`.
-        kind : {"device", "new_test", "observation", "this_test"}
-            What the band includes: the uncertainty of the laws and of the level's effect; also
-            test-to-test scatter; also the record's offset and noise. Or, instead of these, what
-            is known of one calibrated test.
+        kind : {"new_test", "device", "observation", "this_test"}
+            What the band is about. "device": the mean property, with the uncertainty of the laws
+            and of the level's effect. "new_test": this device tested again, also with test-to-test
+            scatter. "observation": a measurement of it, also with the record's offset and noise.
+            "this_test", instead of these: what is known of one calibrated test.
         probability : float
             Probability of the equal-tailed band at each sample.
-        draws, seed : int
+        draws : int
+        seed : int
         session : str
             Session of the test, where the campaign declares sessions.
         test : str
@@ -152,7 +173,7 @@ class Run:
             band = predictor.repeat(trace, forecast, own)
         else:
             band = predictor.predict(trace, forecast)
-        band = replace(band, remarks=self._remarks(trace))
+        band = replace(band, remarks=self._remarks(trace, test))
         return self._recalibrated(band, scores) if recalibrate else band
 
     def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:
@@ -206,20 +227,10 @@ class Run:
         factor, _ = chosen_factor(scores, band.probability)
         return replace(band.widened(factor), remarks=(*band.remarks, said))
 
-    def _remarks(self, trace: Trace) -> tuple[str, ...]:
+    def _remarks(self, trace: Trace, test: str) -> tuple[str, ...]:
         """Reasons to trust a prediction less than its band suggests."""
-        remarks = []
-        tested = [test.trace.reference_actuation for test in self.tests.values()]
-        asked = np.atleast_1d(trace.actuation)
-        low, high = float(np.min(asked)), float(np.max(asked))
-        if low < min(tested) * (1 - SAME_LEVEL) or high > max(tested) * (1 + SAME_LEVEL):
-            unit = "psi" if self.actuation_unit == "ksi" else "lbf"
-            span = " to ".join(f"{1000 * x:.4g}" for x in dict.fromkeys((low, high)))
-            remarks.append(
-                f"the actuation, {span} {unit}, lies outside the tested range, "
-                f"{1000 * min(tested):.4g} to {1000 * max(tested):.4g} {unit}: "
-                "there the band relies only on the form of the laws"
-            )
+        left = self.departures(trace, test)
+        remarks = [departure.sentence(self.system) for departure in left]
         verdicts = self.manifest.verdicts
         if verdicts.get("campaign") == Verdict.FAIL:
             remarks.append(f"the run did not pass its checks: {verdicts.get('sentence', '')}")

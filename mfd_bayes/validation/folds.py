@@ -25,7 +25,7 @@ from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.population.recalibration import factors_of
 from mfd_bayes.population.setting import Setting, levels_of, setting_of
 from mfd_bayes.population.whole import holds_whole
-from mfd_bayes.runs.folder import MANIFEST, check_stored
+from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
 from mfd_bayes.runs.manifest import read_predictions_of
 from mfd_bayes.runs.results import PartKind, Prediction, Score
 from mfd_bayes.runs.run import Run, open_run
@@ -35,7 +35,7 @@ from mfd_bayes.validation.scores import score
 DRAWS = 800
 """Number of draws of each scored band."""
 
-FOLDER = "crossvalidation"
+FOLDER = CROSSVALIDATED
 
 
 @dataclass(frozen=True)

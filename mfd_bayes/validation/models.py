@@ -192,8 +192,8 @@ def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
             "these were computed anew from the evidence with and without the cycle. "
         )
     if not doubts:
-        return text + "The diagnostics allow trusting it."
-    text += f"The diagnostics do not allow trusting it as it is: {'; '.join(doubts)}"
+        return text + "Nothing in the check figures speaks against this result."
+    text += f"Do not rely on this result as it is: {'; '.join(doubts)}"
     one, other = (total[model].validation for model in pair)
     good = ~(one.bad | other.bad)
     if 1 < good.sum() < good.size:

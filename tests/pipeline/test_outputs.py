@@ -107,7 +107,9 @@ def test_a_prediction_is_not_written_over_inputs_or_a_run(home, bands, motion, w
         assert state(home) == before
 
 
-@pytest.mark.parametrize("name", ["band.csv", "band.png", "band_derived.csv"])
+@pytest.mark.parametrize(
+    "name", ["band.csv", "band.png", "band_history.png", "band_derived.csv", "band_design.csv"]
+)
 @pytest.mark.parametrize("kind", ["pipe", "socket", "device", "link"])
 def test_a_prediction_is_not_written_over_what_is_no_file(home, kind, name):
     if kind == "device" and os.geteuid() != 0:
@@ -117,20 +119,22 @@ def test_a_prediction_is_not_written_over_what_is_no_file(home, kind, name):
     make = {"pipe": os.mkfifo, "socket": make_socket, "device": make_device}
     make.get(kind, lambda path: path.symlink_to(home / "mine.csv"))(place)
     before = state(home)
-    outcome = predict(home, "there/band.csv", "--force")
+    outcome = predict(home, "there/band.csv", "--design", "--force")
     refused(outcome, "link out of its folder" if kind == "link" else "a device or a pipe")
     assert state(home) == before
 
 
-@pytest.mark.parametrize("name", ["mine.csv", "mine.png", "mine_derived.csv"])
+@pytest.mark.parametrize(
+    "name", ["mine.csv", "mine.png", "mine_history.png", "mine_derived.csv", "mine_design.csv"]
+)
 def test_a_file_of_another_program_is_replaced_only_by_force(home, name):
     shutil.copy(home / "mine.csv", home / "content")
     (home / "mine.csv").unlink()
     shutil.copy(home / "content", home / name)
     before = state(home)
-    refused(predict(home, "mine.csv"), "--force")
+    refused(predict(home, "mine.csv", "--design"), "--force")
     assert state(home) == before
-    assert predict(home, "mine.csv", "--force").exit_code == 0
+    assert predict(home, "mine.csv", "--design", "--force").exit_code == 0
     assert (home / name).read_bytes() != before[Path(name)]
 
 
@@ -144,6 +148,25 @@ def test_a_prediction_is_written_again_over_its_own_files(home):
     picture.write_bytes(content[:33] + content[33 + 12 + len(b"Software\0mfd-bayes") :])
     assert predict(home, "band.csv").exit_code == 0
     assert predict(home, "band", "--force").exit_code == 0  # without a suffix
+
+
+def test_a_prediction_in_other_units_or_with_the_measured_force_is_written_again(home):
+    for options in (("--units", "si", "--compare"), ("--units", "us", "--compare"), ("--design",)):
+        outcome = predict(home, "band.csv", *options)
+        assert outcome.exit_code == 0, outcome.output
+        assert predict(home, "band.csv", "--units", "si", "--design").exit_code == 0
+
+
+def test_a_harmonic_motion_is_predicted_into_a_new_folder(home):
+    bands = home / "new" / "bands.csv"
+    asked = ("predict", home / "out", "--sine", "1 in, 0.5 Hz, 2 cycles", "--actuation", "500 psi")
+    for _ in range(2):
+        assert here(*asked, "-o", bands, "-q").exit_code == 0
+    names = {"bands.csv", "bands.png", "bands_history.png", "bands_derived.csv"}
+    assert {path.name for path in bands.parent.iterdir()} == names
+    (bands.parent / "bands_history.png").write_bytes(b"\x89PNG of a camera")
+    refused(here(*asked, "-o", bands), "--force")
+    refused(here(*asked, "-o", bands.parent), "give the name of a file")
 
 
 @pytest.mark.parametrize("command", ["inspect", "prior-check"])

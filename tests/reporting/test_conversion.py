@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.assessment.systems import SI, US, system_of
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import in_system
+from mfd_bayes.runs.systems import SI, US, system_of
 from mfd_bayes.units import convert
 
 

@@ -57,7 +57,7 @@ def test_quantiles_and_draws_agree(campaign, tables):
 def test_laws_hold_curves_and_tests(tables):
     rows = read(tables["figures/laws.csv"])
     assert {row["what"] for row in rows} == {
-        *("median over tests, 95 %", "another test, 95 %"),
+        *("mean property, 95 %", "this device tested again, 95 %"),
         *("test a, 95 %", "test b, 95 %"),
     }
     assert all(float(r["lower"]) <= float(r["median"]) <= float(r["upper"]) for r in rows)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.assessment.systems import SI, US
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.reporting.publication import Drawing, publish
+from mfd_bayes.runs.systems import SI, US
 
 
 def files(folder):

@@ -111,7 +111,7 @@ def test_the_best_model_is_favoured_and_stands_first(compared):
     assert found.sentence.startswith("The records favour three_stage over bouc_wen: elpd higher")
     assert "over 2 tests of 12 cycles in all (a rough error, of so few)." in found.sentence
     assert "about another cycle of the same tests, not about another test" in found.sentence
-    assert found.sentence.endswith("The diagnostics allow trusting it.")
+    assert found.sentence.endswith("Nothing in the check figures speaks against this result.")
 
 
 def test_models_that_the_records_do_not_tell_apart_are_called_so(compared):
@@ -122,19 +122,19 @@ def test_models_that_the_records_do_not_tell_apart_are_called_so(compared):
 def test_cycles_that_psis_could_not_do_are_told(compared):
     found = compared(three_stage={"psis_k": 1.2})
     assert "k of PSIS exceeds 0.7 in 12 of 12 cycles of three_stage (worst 1.20)" in found.sentence
-    assert found.sentence.endswith("The diagnostics allow trusting it.")
+    assert found.sentence.endswith("Nothing in the check figures speaks against this result.")
     best = found.rows[-3]
     assert (best.worst_k, best.bad, best.unsettled) == (1.2, 1.0, 0.0)
 
 
 def test_a_k_that_stays_too_large_is_not_hidden(compared):
     found = compared(bouc_wen={"psis_k": 1.2, "k": 0.9})
-    assert "do not allow trusting it as it is" in found.sentence
+    assert "Do not rely on this result as it is" in found.sentence
     assert "k stays above 0.7 in 12 cycles of bouc_wen" in found.sentence
     assert found.rows[-2].unsettled == 1.0
     # it does not concern the best two, so that the sentence does not mention it
     other = compared(lugre={"psis_k": 1.2, "k": 0.9})
-    assert other.sentence.endswith("The diagnostics allow trusting it.")
+    assert other.sentence.endswith("Nothing in the check figures speaks against this result.")
     assert other.rows[-1].unsettled == 1.0
 
 

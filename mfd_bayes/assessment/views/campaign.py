@@ -9,6 +9,7 @@ from mfd_bayes.assessment.views.check import Check
 from mfd_bayes.assessment.views.law import LawChoice, LawView
 from mfd_bayes.assessment.views.test import Row, ScoreRow, TestView
 from mfd_bayes.runs.results import ComparisonRow
+from mfd_bayes.runs.tested import Span
 from mfd_bayes.runs.verdict import Verdict
 
 
@@ -103,6 +104,8 @@ class CampaignView:
         Result of that comparison.
     metric : bool
         Whether the records, and so the report, are in metric units.
+    tested : tuple of Span
+        Smallest and largest stroke, speed, frequency and actuation of the calibrated tests.
     """
 
     title: str
@@ -123,3 +126,4 @@ class CampaignView:
     comparison: tuple[ComparisonRow, ...] = ()
     comparison_sentence: str = ""
     metric: bool = False
+    tested: tuple[Span, ...] = ()

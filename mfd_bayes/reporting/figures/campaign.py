@@ -10,7 +10,6 @@ from types import MappingProxyType
 
 from matplotlib.figure import Figure
 
-from mfd_bayes.assessment.systems import System
 from mfd_bayes.assessment.views import CampaignView, Fan, TestView
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.figures.laws import draw_laws
@@ -23,6 +22,8 @@ from mfd_bayes.reporting.figures.posteriors import (
 )
 from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
+from mfd_bayes.reporting.figures.tested import draw_tested
+from mfd_bayes.runs.systems import System
 
 _FIGURES_HELD = 8
 
@@ -30,7 +31,7 @@ _FIGURES_HELD = 8
 def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
     """PNGs of the figures that show all tests together, one at a time, each with its key.
 
-    Keys are "overview", "laws" and "truth"; a figure with nothing to show is left out.
+    Keys are "overview", "tested", "laws" and "truth"; a figure with nothing to show is left out.
     """
     return _pngs(shared_figures(view))
 
@@ -51,6 +52,9 @@ def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
         shown = in_system(view, system).tests
         yield "overview", draw_overview("Measured loops over 50 and 95 % bands", shown, system)
         del shown
+    tested = draw_tested(view, system)
+    if tested is not None:
+        yield "tested", tested
     view = in_system(replace(view, tests=()), system)
     drawn = {
         "laws": draw_laws(

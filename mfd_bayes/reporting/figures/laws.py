@@ -48,8 +48,8 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figur
 
 def _draw_law(axes: Axes, law: LawView) -> None:
     wide, _, dark = colours.BANDS["new_test"]
-    _fill(axes, law, law.new_test, wide, "another test")
-    _fill(axes, law, law.median, _MEDIAN, "median over tests")
+    _fill(axes, law, law.new_test, wide, colours.BAND_NAMES["new_test"])
+    _fill(axes, law, law.median, _MEDIAN, colours.BAND_NAMES["device"])
     axes.plot(law.actuation, law.median.median, color=dark, label="best estimate")
     if law.tested:
         _, at, lower, median, upper = zip(*law.tested, strict=True)

@@ -15,13 +15,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mfd_bayes.assessment.systems import US, System
 from mfd_bayes.assessment.views import Array, Fan, Interval, TestView
 from mfd_bayes.records.motion import turning_points
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.runs.systems import US, System
 
 POINTS = 4000
 """Most points of a line: a screen cannot show more."""

@@ -7,11 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mfd_bayes.assessment.systems import US, System
 from mfd_bayes.assessment.views import Array, TestView
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.runs.systems import US, System
 
 STAGES = {2: "stick", 3: "build-up", 1: "slip"}
 """Stages in their order within a stroke."""

@@ -1,4 +1,4 @@
-"""The two systems of units that a report is written in."""
+"""The two systems of units that reports and sentences are written in."""
 
 from __future__ import annotations
 
@@ -42,17 +42,42 @@ class System:
 
     def actuation(self, trace: Trace, unit: str) -> str:
         """Actuation of a trace in words; `unit` is the internal one, "ksi" or "kip"."""
-        level = trace.reference_actuation
-        if self.name == "us":
-            text = f"{1000 * level:.4g} {'psi' if unit == 'ksi' else 'lbf'}"
-        else:
-            text = f"{level * self.factor(unit):.4g} {self.unit(unit)}"
+        text = self.words([trace.reference_actuation], unit, actuation=True)
         return f"{text} (mean of a history)" if trace.varying else text
+
+    def words(
+        self, values: Iterable[float], internal: str, digits: int = 4, *, actuation: bool = False
+    ) -> str:
+        """Values of an internal unit in this system: "500 to 1500 psi"; equal ones once.
+
+        An actuation is given in psi or lbf in the customary system, as it is set in tests.
+        """
+        by, unit = self.factor(internal), self.unit(internal)
+        if actuation and self.name == "us":
+            by, unit = 1000.0, "psi" if internal == "ksi" else "lbf"
+        shown = dict.fromkeys(f"{value * by:.{digits}g}" for value in values)
+        return f"{' to '.join(shown)} {unit}"
 
 
 US = System("us", "kip and in", "in", "kip", "ksi")
 SI = System("si", "kN and mm", "mm", "kN", "MPa")
 SYSTEMS = (US, SI)
+
+
+def named_system(name: str, own: System) -> System:
+    """System of units of a name, "us" or "si"; `own` where the name is empty.
+
+    Raises
+    ------
+    UnitError
+        When the name is unknown.
+    """
+    for system in SYSTEMS:
+        if system.name == name:
+            return system
+    if name:
+        raise UnitError(f"--units must be us (kip, in, ksi) or si (kN, mm, MPa), got {name!r}")
+    return own
 
 
 def system_of(units: Iterable[str]) -> System:

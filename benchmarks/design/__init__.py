@@ -1,0 +1,1 @@
+"""Whether bounding properties hold what tests showed that were left out."""

@@ -1,0 +1,151 @@
+"""Whether bounding properties of design hold the energies and slip forces of tests left out.
+
+    python -m benchmarks.design.run > benchmarks/design/design.txt
+
+calibrates the 2022 session of the band brake, leaves out each tension in turn, infers the laws
+from the others, and bounds the properties of each test left out, for its own motion and tension, as
+`mfd-bayes predict --design` does. The share of the tests' own values inside the bounds of "this
+device tested again" should be the stated probability: energies and peak forces as measured in the
+record, slip forces as the test's own calibration has them. Ten tests can tell 95 % from 60 %, not
+from 85 %: the table gives the range that chance alone allows.
+
+The calibrated run stays in out_design/, so that a second run does not sample it again; delete the
+folder when records or code have changed. --smallest takes three tests and little effort
+(benchmarks/design/smallest.txt): two levels are too few for bounds. The real records come from
+--data (MFD_BAYES_DATA, ../shared/data).
+"""
+
+from __future__ import annotations
+
+import os
+
+# Read when numpy is imported.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from benchmarks.common.data import PROJECT, add_data_option
+from benchmarks.heldout import records
+from mfd_bayes.assessment.design import DesignRow, design_rows
+from mfd_bayes.calibration.derived import derive_from_force
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.population.inference import infer_population
+from mfd_bayes.runs.run import Run
+from mfd_bayes.validation.folds import Fold, folds_of
+
+SESSION = "2022-07"
+SMALLEST = ("20lb_0.50Hz_1.0in", "35lb_0.50Hz_1.0in", "80lb_0.50Hz_1.0in")
+PROBABILITIES = (0.5, 0.8, 0.95)
+BASIS = {
+    "slip_fwd": "new_test",
+    "slip_bwd": "new_test",
+    "energy_per_cycle": "new_test",
+    "peak_fwd": "observation",
+    "peak_bwd": "observation",
+}
+"""What each property is compared with: measured peaks have noise, energies hardly any."""
+
+
+def own_values(test: TestResult) -> dict[str, float]:
+    """Properties of a test itself, by name."""
+    values, trace = test.stored.values(), test.trace
+    offset = float(np.median(values["offset"]))
+    measured = derive_from_force((np.asarray(trace.force) - offset)[None], trace)
+    found = {name: float(value[0]) for name, value in measured.items() if name in BASIS}
+    sides = zip(("slip_fwd", "slip_bwd"), test.posterior.model.slip_forces, strict=True)
+    return found | {name: float(np.median(values[force])) for name, force in sides}
+
+
+def without(run: Run, fold: Fold, effort: str) -> Run:
+    """The run as if the tests of a part had never been made."""
+    kept = {name: run.tests[name] for name in fold.kept}
+    settings = run.manifest.settings.inference(effort, (run.manifest.seed, 2))
+    inference = infer_population(kept, run.priors, settings)
+    others = replace(run, tests=kept)
+    vars(others)["population"] = inference.draws.population  # instead of the one that is stored
+    return others
+
+
+def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, DesignRow]]:
+    """Test, probability, own value and bounds of every property of every test left out."""
+    for fold in folds_of(run, "level", effort):
+        others = without(run, fold, effort)
+        for name in fold.left_out:
+            own = own_values(run.tests[name])
+            trace = replace(run.tests[name].trace, force=None)
+            for probability in PROBABILITIES:
+                rows = {(r.name, r.basis): r for r in design_rows(others, trace, probability)}
+                for what, basis in BASIS.items():
+                    yield name, probability, own[what], rows[what, basis]
+        print(f"without {fold.part}: done", file=sys.stderr, flush=True)
+
+
+def show(found: list[tuple[str, float, float, DesignRow]]) -> None:
+    """Print the bounds of every test, and the shares inside."""
+    print(f"\n  {'test':24s} {'property':18s} {'own':>7s}  bounds of 95 %     λ min  λ max  inside")
+    for name, probability, own, row in found:
+        if probability == PROBABILITIES[-1]:
+            inside = row.lower <= own <= row.upper
+            print(
+                f"  {name:24s} {row.name:18s} {own:7.3f}  {row.lower:7.3f} to {row.upper:7.3f}  "
+                f"{row.lambda_min:5.2f}  {row.lambda_max:5.2f}  {'yes' if inside else 'NO'}"
+            )
+    print("\n  share of tests inside the bounds (number that chance allows in 95 of 100 cases)")
+    print(f"  {'property':18s} " + "  ".join(f"{100 * p:12g} %" for p in PROBABILITIES))
+    for what in BASIS:
+        cells = []
+        for probability in PROBABILITIES:
+            hits = [
+                r.lower <= own <= r.upper
+                for _, p, own, r in found
+                if p == probability and r.name == what
+            ]
+            low, high = stats.binom.interval(0.95, len(hits), probability)
+            cells.append(f"{sum(hits):2d} of {len(hits):2d} ({low:.0f} to {high:.0f})")
+        print(f"  {what:18s} " + "  ".join(f"{cell:>14s}" for cell in cells))
+
+
+def finished(options: argparse.Namespace) -> Run:
+    """Calibrated run of the session, or of three of its tests."""
+    name = "smallest" if options.smallest else options.effort
+    campaign = records.lay_out(
+        options.data / "brfd", options.out / f"campaign_{name}", SESSION, "staged"
+    )
+    if options.smallest:
+        head, *tests = campaign.read_text(encoding="utf-8").split("\n[[test]]")
+        kept = [test for test in tests if any(f'"{known}"' in test for known in SMALLEST)]
+        campaign.write_text("\n[[test]]".join([head, *kept]), encoding="utf-8")
+    out = options.out / name
+    chosen = Options(effort=options.effort, seed=1, jobs=options.jobs, resume=out.exists())
+    return calibrate(plan_campaign(campaign, chosen), out, lambda _: None)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_data_option(parser)
+    parser.add_argument("--out", type=Path, default=PROJECT / "out_design")
+    parser.add_argument("--effort", default="standard")
+    parser.add_argument("--jobs", type=int, default=0)
+    parser.add_argument("--smallest", action="store_true", help="three tests, little effort")
+    options = parser.parse_args()
+    if options.smallest:
+        options.effort = "quick"
+    began = time.perf_counter()
+    run = finished(options)
+    print(f"{SESSION}: {len(run.tests)} tests, each tension left out, effort {options.effort}")
+    show(list(bounded(run, options.effort)))
+    print(f"\n  {time.perf_counter() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""What is asked of a prediction: its motion, and the files that it writes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.pipeline.outputs import (
+    Output,
+    check_outputs,
+    is_marked,
+    is_picture,
+    known,
+    table_with,
+)
+from mfd_bayes.records.harmonic import parse_sine
+from mfd_bayes.records.record import Record, read_record
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.systems import SYSTEMS
+from mfd_bayes.units import parse_quantity
+
+MOST = 40_000
+"""Most samples of a motion that is predicted as it is; more would take gigabytes."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A requested prediction.
+
+    Attributes
+    ----------
+    motion : Path or None
+        A file with time and displacement; None for a harmonic motion.
+    actuation : str
+        Such as "1000 psi".
+    kind : {"device", "new_test", "observation", "this_test"}
+    bands : Path
+        CSV to write; two PNGs and the derived quantities are written beside it.
+    compare : bool
+        Whether the force in the motion's file is compared with the prediction.
+    test : str
+        Id of the calibrated test, for the kind `this_test`.
+    whole, recalibrate, explain : bool
+        As in `Run.predict`.
+    extrapolate : bool
+        Whether to predict far outside of what was tested too.
+    sine : str
+        Harmonic motion instead of a file: "1 in, 0.5 Hz, 3 cycles".
+    rate : str
+        Rate to which the motion is thinned, "64 Hz"; every sample is kept by default.
+    units : {"", "us", "si"}
+        Units of all that is written; by default those of the campaign.
+    design : bool
+        Whether mean and bounding properties are computed too.
+    force : bool
+        Whether files of other programs are replaced.
+    """
+
+    motion: Path | None
+    actuation: str
+    kind: str
+    probability: float
+    bands: Path
+    compare: bool = False
+    test: str = ""
+    whole: bool = False
+    recalibrate: bool = False
+    explain: bool = False
+    extrapolate: bool = False
+    sine: str = ""
+    rate: str = ""
+    units: str = ""
+    design: bool = False
+    force: bool = False
+
+    @property
+    def picture(self) -> Path:
+        """PNG of the band."""
+        return self.bands.with_suffix(".png")
+
+    def beside(self, name: str) -> Path:
+        """File beside the table, such as "bands_derived.csv" for "derived.csv"."""
+        return self.bands.with_name(f"{self.bands.stem}_{name}")
+
+
+def check_question(question: Question) -> None:
+    """Refuse to write over anything but what an earlier prediction wrote there.
+
+    Raises
+    ------
+    StoreError
+        When one of the files may not be written.
+    """
+    inputs = [] if question.motion is None else [question.motion]
+    bands = Output(question.bands, _is_bands)
+    check_outputs([bands], inputs, force=question.force)
+    again = known(bands)
+    outputs = [
+        Output(question.picture, is_picture if again else is_marked),
+        Output(question.beside("history.png"), is_marked),
+        Output(question.beside("derived.csv"), table_with("quantity", "unit", "mean")),
+    ]
+    if question.design:
+        table = table_with("property", "unit", "basis")
+        outputs.append(Output(question.beside("design.csv"), table))
+    check_outputs(outputs, inputs, force=question.force)
+
+
+def _is_bands(content: bytes) -> bool:
+    """Whether a table is one of bands, in either system of units, with a measured force or not."""
+    return any(
+        table_with("time_s", f"displacement_{system.length}", *force, f"lower_{system.force}")(
+            content
+        )
+        for system in SYSTEMS
+        for force in ((), (f"force_{system.force}",))
+    )
+
+
+def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
+    """Motion that is asked for, and a remark where it had to be thinned.
+
+    Raises
+    ------
+    MfdError
+        When there is none or more than one, or it cannot be used.
+    """
+    if (question.motion is None) == (not question.sine):
+        raise CampaignError("give one motion: --motion FILE, or --sine '1 in, 0.5 Hz, 3 cycles'")
+    if question.motion is None:
+        if question.compare or question.rate:
+            raise CampaignError("--compare and --rate need a --motion file, not --sine")
+        return parse_sine(question.sine).trace(0.0), ()
+    record = read_record(question.motion)
+    if question.compare and record.force is None:
+        raise CampaignError(f"--compare needs a column of the force in {question.motion}")
+    if question.rate:
+        return record.trace(parse_quantity(question.rate, "rate", of="--rate")), ()
+    return _at_most(record)
+
+
+def _at_most(record: Record) -> tuple[Trace, tuple[str, ...]]:
+    """Every sample of a record, up to `MOST`; else as many as that, with a remark."""
+    if record.time.size <= MOST:
+        return record.trace(), ()
+    rate = record.rate * MOST / record.time.size
+    remark = (
+        f"the motion has {record.time.size} samples, more than the {MOST} that are predicted at "
+        f"once: the band is given at {rate:.4g} Hz; --rate sets another"
+    )
+    return record.trace(rate), (remark,)

@@ -1,0 +1,206 @@
+"""The command predict on a small synthetic campaign, tested at 500, 1000 and 1500 psi."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+
+TIME = np.arange(401) / 100.0
+
+
+@pytest.fixture(scope="module")
+def out(finished_run) -> Path:
+    """Run folder of the campaign."""
+    assert finished_run.code == 0, finished_run.stderr
+    return finished_run.out
+
+
+@pytest.fixture(scope="module")
+def tested(out):
+    """Tested range of the run, by condition."""
+    return {span.name: span for span in mb.open_run(out).tested}
+
+
+@pytest.fixture
+def ask(out, tmp_path):
+    """Outcome of a prediction into bands.csv, by its further options."""
+
+    def predict(*options):
+        arguments = ("predict", out, "--actuation", "700 psi", "-o", tmp_path / "bands.csv")
+        return CliRunner().invoke(app, [str(a) for a in (*arguments, *options)])
+
+    return predict
+
+
+def written(path, amplitude, frequency, force=None):
+    """File of a harmonic motion, in in, with a force, kip, if it is given."""
+    motion = amplitude * np.sin(2.0 * np.pi * frequency * TIME)
+    columns, head = [TIME, motion], "time_s,displacement_in"
+    if force is not None:
+        columns, head = [*columns, force], f"{head},force_kip"
+    np.savetxt(path, np.column_stack(columns), "%.9g", ",", header=head, comments="")
+    return path
+
+
+def test_far_outside_what_was_tested_it_refuses_without_extrapolate(ask, tested, tmp_path):
+    stroke = tested["stroke"].highest
+    motion = written(tmp_path / "fast.csv", 0.5 * stroke, 2.0)
+    refused = ask("--motion", motion)
+    assert refused.exit_code == 2
+    (sentence,) = refused.stderr.splitlines()
+    assert "the speed" in sentence
+    assert "the frequency, 2 Hz, lies far outside the tested range" in sentence
+    assert "give --extrapolate" in sentence
+    assert not (tmp_path / "bands.csv").exists()
+    allowed = ask("--motion", motion, "--extrapolate")
+    assert allowed.exit_code == 0, allowed.output
+    assert "warning: the speed" in allowed.stderr
+    assert "# warning: the frequency, 2 Hz" in (tmp_path / "bands.csv").read_text()
+
+
+def test_fifty_kip_are_not_three_hundred_pounds(ask, tmp_path, tested):
+    motion = written(tmp_path / "slow.csv", 0.5 * tested["stroke"].highest, 0.5)
+    refused = ask("--motion", motion, "--actuation", "50 MPa")
+    assert refused.exit_code == 2
+    assert "the actuation, 7252 psi, lies far outside" in refused.stderr
+
+
+def test_inside_what_was_tested_nothing_is_said(ask, tested, tmp_path):
+    inside = ask("--motion", written(tmp_path / "slow.csv", 0.5 * tested["stroke"].highest, 0.5))
+    assert inside.exit_code == 0, inside.output
+    assert "tested range" not in inside.stderr + (tmp_path / "bands.csv").read_text()
+
+
+def test_the_tested_range_is_in_the_report_with_its_picture(out, tested):
+    table = pd.read_csv(out / "tested_range.csv").set_index("condition")
+    assert list(table.index) == ["stroke", "speed", "frequency", "actuation"]
+    assert table.loc["actuation", ["smallest", "largest"]].tolist() == [0.5, 1.5]
+    page = (out / "report.html").read_text()
+    assert '<h2 id="tested">Tested range</h2>' in page
+    assert (out / "figures/tested.png").read_bytes().startswith(b"\x89PNG")
+    each = pd.read_csv(out / "figures/tested.csv").set_index("test")
+    assert each.loc["p1200_f0.5", "role"] == "validate"
+    fitted = each[each["role"] == "calibrate"]
+    assert fitted["stroke_in"].max() == pytest.approx(tested["stroke"].highest, rel=1e-5)
+
+
+def test_a_harmonic_motion_needs_no_file(ask, tmp_path, tested):
+    amplitude = 0.5 * tested["stroke"].highest
+    outcome = ask("--sine", f"{amplitude:g} in, 0.5 Hz, 3 cycles")
+    assert outcome.exit_code == 0, outcome.output
+    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    assert table["displacement_in"].max() == pytest.approx(amplitude, rel=1e-4)
+    assert table["time_s"].iloc[-1] == pytest.approx(6.0)
+    derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
+    assert derived.loc["energy_per_cycle", "note"] == "over 2 full cycles"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "give one motion"),
+        (("--sine", "1 in, 0.5 Hz, 3 cycles", "--motion", "a.csv"), "give one motion"),
+        (("--sine", "1 in, 0.5 Hz"), "reads '1 in, 0.5 Hz, 3 cycles'"),
+        (("--sine", "1 in, 0.5 Hz, many cycles"), "reads '1 in, 0.5 Hz, 3 cycles'"),
+        (("--sine", "1 kip, 0.5 Hz, 3 cycles"), "the amplitude"),
+        (("--sine", "1 in, 0 Hz, 3 cycles"), "above zero"),
+        (("--sine", "1 in, 0.5 Hz, 1000 cycles"), "1 to 100 cycles"),
+        (("--sine", "1 in, 0.5 Hz, 3 cycles", "--compare"), "need a --motion file"),
+    ],
+)
+def test_a_motion_that_cannot_be_meant_is_refused(ask, options, words, tmp_path):
+    outcome = ask(*options)
+    assert outcome.exit_code == 2
+    assert words in outcome.stderr
+    assert not (tmp_path / "bands.csv").exists()
+
+
+def test_compare_prints_coverage_and_error_and_keeps_every_measured_sample(ask, tmp_path, tested):
+    motion = tmp_path / "motion.csv"
+    force = np.sign(np.cos(np.pi * TIME))
+    written(motion, 0.5 * tested["stroke"].highest, 0.5, force)
+    outcome = ask("--motion", motion, "--compare", "--kind", "observation")
+    assert outcome.exit_code == 0, outcome.output
+    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    np.testing.assert_allclose(table["force_kip"], force)  # not thinned: TIME has 401 samples
+    inside = (force >= table["lower_kip"]) & (force <= table["upper_kip"])
+    said = f"holds {100 * inside.mean():.1f} % of the 401 measured samples"
+    assert said in outcome.stdout
+    assert "RRSE" in outcome.stdout
+    assert (
+        f"# compared: the 95 % band of kind observation {said}"
+        in (tmp_path / "bands.csv").read_text()
+    )
+    assert (tmp_path / "bands_history.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_band_without_noise_is_compared_with_a_warning(ask, tmp_path, tested):
+    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5, 0.0 * TIME)
+    assert "need --kind observation" in ask("--motion", motion, "--compare").stdout
+
+
+def test_compare_needs_a_force(ask, tmp_path, tested):
+    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
+    outcome = ask("--motion", motion, "--compare")
+    assert outcome.exit_code == 2
+    assert "column of the force" in outcome.stderr
+
+
+def test_a_motion_is_thinned_where_it_is_asked_for(ask, tmp_path, tested):
+    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
+    assert ask("--motion", motion, "--rate", "50 Hz").exit_code == 0
+    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    np.testing.assert_allclose(np.diff(table["time_s"]), 0.02, rtol=1e-6)
+
+
+def test_a_prediction_is_given_in_the_other_system_of_units(ask, tmp_path):
+    tables = {}
+    for units in ("us", "si"):
+        outcome = ask("--sine", "1 in, 0.5 Hz, 2 cycles", "--units", units)
+        assert outcome.exit_code == 0, outcome.output
+        derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
+        tables[units] = pd.read_csv(tmp_path / "bands.csv", comment="#"), derived
+    (us, us_derived), (si, si_derived) = tables.values()
+    np.testing.assert_allclose(si["displacement_mm"], 25.4 * us["displacement_in"], atol=1e-6)
+    np.testing.assert_allclose(si["median_kN"], 4.4482216 * us["median_kip"], rtol=1e-6)
+    assert si_derived.loc["energy_per_cycle", "unit"] == "kN*mm"
+    ratio = si_derived.loc["peak_fwd", "upper"] / us_derived.loc["peak_fwd", "upper"]
+    assert ratio == pytest.approx(4.4482216, rel=1e-5)
+
+
+def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
+    outcome = ask("--sine", "1 in, 0.5 Hz, 3 cycles", "--design", "--probability", 0.8)
+    assert outcome.exit_code == 0, outcome.output
+    assert "Mean and bounding properties" in outcome.stdout
+    assert "passed with a probability of 10 %" in outcome.stdout
+    assert "too narrow" not in outcome.stderr  # three levels
+    table = pd.read_csv(tmp_path / "bands_design.csv", comment="#")
+    rows = table.set_index(["property", "basis"])
+    for what in ("slip_fwd", "slip_bwd", "energy_per_cycle", "peak_fwd"):
+        mean, again = rows.loc[what, "device"], rows.loc[what, "new_test"]
+        assert mean["lambda_min"] < 1.0 < mean["lambda_max"]
+        assert again["lambda_min"] < mean["lambda_min"]  # scatter comes on top
+        assert again["lambda_max"] > mean["lambda_max"]
+        assert again["upper"] == pytest.approx(again["lambda_max"] * again["nominal"], rel=1e-4)
+        assert "not known" in rows.loc[(what, "another_device"), "note"]
+
+
+def test_a_report_is_asked_for_in_other_units_and_forms(out, monkeypatch):
+    from mfd_bayes.reporting import publication
+    from mfd_bayes.reporting.forms import Forms
+
+    seen = []
+    monkeypatch.setattr(publication, "publish", lambda view, *more: seen.append((view, more[-1])))
+    command = ("report", str(out), "--units", "si", "--excel")
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert CliRunner().invoke(app, command[:2]).exit_code == 0
+    (metric, forms), (own, plain) = seen
+    assert metric.metric
+    assert forms == Forms(excel=True)
+    assert not own.metric
+    assert plain == Forms()

@@ -1,0 +1,136 @@
+"""Tables I and II as Word and Excel files, opened by the readers that others use, and as text."""
+
+import csv
+import io
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+
+from mfd_bayes.errors import ReportError
+from mfd_bayes.reporting.conversion import in_tables
+from mfd_bayes.reporting.exports import export_tables
+from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
+from mfd_bayes.reporting.paper_tables import check_library, paper_tables, symbol_of
+from mfd_bayes.reporting.tables import report_tables
+from mfd_bayes.reporting.workbook import excel_tables
+from mfd_bayes.runs.systems import SI
+
+STIFFNESS = 4.4482216 / 25.4  # kN/mm of a kip/in
+
+
+@pytest.fixture(scope="module")
+def metric(campaign):
+    """The report as a metric campaign has it."""
+    return in_tables(replace(campaign, metric=True), SI)
+
+
+def sheets(view):
+    return pd.read_excel(io.BytesIO(excel_tables(view)), sheet_name=None)
+
+
+def row_of(text, **wanted):
+    """The one row of a CSV table with these cells."""
+    (found,) = (
+        row
+        for row in csv.DictReader(io.StringIO(text))
+        if all(row[k] == v for k, v in wanted.items())
+    )
+    return found
+
+
+def test_a_symbol_has_its_subscript():
+    assert symbol_of("Fc_fwd").text == "F_c,fwd"
+    assert symbol_of("k3").parts[-1] == ("3", True)
+
+
+def test_an_excel_workbook_holds_numbers_in_kn_and_mm(metric, campaign):
+    found = sheets(metric)
+    assert list(found) == ["Table I", "Table II"]
+    table = found["Table I"].set_index("quantity")
+    test = campaign.tests[0]
+    head = f"{test.id}, 5.516 MPa"
+    assert table.loc["k_3", "unit"] == "kN/mm"
+    for what, figure in (("median", 1.0), ("2.5 %", 0.8), ("97.5 %", 1.2)):
+        assert table.loc["k_3", f"{head}: {what}"] == pytest.approx(figure * STIFFNESS)
+    laws = found["Table II"]
+    assert laws["all tests: median"].tolist() == pytest.approx([1.2 * 25.4**2])
+
+
+def test_no_name_is_a_formula_in_excel(campaign):
+    openpyxl = pytest.importorskip("openpyxl")
+    test = replace(campaign.tests[0], id="=HYPERLINK(1)")
+    book = openpyxl.load_workbook(io.BytesIO(excel_tables(replace(campaign, tests=(test,)))))
+    heads = book["Table I"][1]
+    assert heads[3].value.startswith("=HYPERLINK(1)")
+    assert heads[3].data_type == "s"
+
+
+def test_a_word_document_holds_both_tables_in_kn_and_mm(metric):
+    docx = pytest.importorskip("docx", reason='needs the extra "word"')
+    from mfd_bayes.reporting.word import word_tables
+
+    document = docx.Document(io.BytesIO(word_tables(metric)))
+    assert document.paragraphs[0].text == metric.title
+    first, *_, last = document.tables
+    cells = {row.cells[0].paragraphs[0].text: row.cells for row in first.rows}
+    assert cells["k3"][1].text == "kN/mm"
+    assert cells["k3"][2].text == "0.175 [0.140, 0.210]"
+    low = [run.text for run in cells["k3"][0].paragraphs[0].runs if run.font.subscript]
+    assert low == ["3"]
+    assert len(last.rows) == 1 + len(metric.law_rows)
+    titles = [p.text for p in document.paragraphs if p.style.name == "Caption"]
+    assert [title.split(":")[0] for title in titles] == ["Table I", "Table II"]
+
+
+def test_many_tests_are_split_among_tables(campaign):
+    docx = pytest.importorskip("docx", reason='needs the extra "word"')
+    from mfd_bayes.reporting.word import word_tables
+
+    tests = tuple(replace(campaign.tests[0], id=f"t{i}") for i in range(7))
+    document = docx.Document(io.BytesIO(word_tables(replace(campaign, tests=tests))))
+    heads = [cell.text for table in document.tables[:-1] for cell in table.rows[0].cells[2:]]
+    assert [head.split(",")[0] for head in heads] == [test.id for test in tests]
+    assert max(len(table.columns) for table in document.tables) == 5
+
+
+def test_notes_stand_under_a_table_once(campaign):
+    test = campaign.tests[0]
+    noted = replace(test, rows=tuple(replace(row, note="mostly the prior") for row in test.rows))
+    table, _ = paper_tables(replace(campaign, tests=(noted,)))
+    assert table.notes == ("mostly the prior",)
+
+
+def test_a_missing_library_is_refused_with_its_extra():
+    with pytest.raises(ReportError, match=r"needs nothing_like_it.*mfd_bayes\[word\]"):
+        check_library("nothing_like_it", "word")
+
+
+def test_csv_json_and_latex_are_in_the_units_of_the_campaign(metric, campaign):
+    tables = report_tables(metric, SI)
+    test = campaign.tests[0].id
+    row = row_of(tables["parameters.csv"], test=test, parameter="k3")
+    assert row["unit"] == "kN/mm"
+    assert float(row["q50"]) == pytest.approx(STIFFNESS, rel=1e-5)
+    score = row_of(tables["scores.csv"], test=test)
+    assert float(score["crps_kN"]) == pytest.approx(0.03 * 4.4482216, rel=1e-5)
+    assert float(score["coverage_95"]) == 0.95
+    left_out = row_of(tables["crossvalidation.csv"], test="p800_f0.25")
+    assert float(left_out["fitted_crps_kN"]) == pytest.approx(0.03 * 4.4482216, rel=1e-5)
+    assert '"unit": "kN/mm"' in export_tables(metric)["parameters.json"]
+    assert "kN/mm" in export_tables(metric)["parameters.tex"]
+    assert "kip" not in "".join(tables.values()).replace("kip*s", "")
+
+
+def test_tables_behind_figures_are_in_the_units_of_the_figures(campaign):
+    from mfd_bayes.reporting.conversion import convert_test
+
+    plain, shown = campaign.tests[0], convert_test(campaign.tests[0], SI, "ksi")
+    texts = dict(tables_of_test(shown, SI)), dict(tables_of_test(plain))
+    metric, us = (
+        next(csv.DictReader(io.StringIO(t[f"tests/{plain.id}/record.csv"]))) for t in texts
+    )
+    assert float(metric["force_kN"]) == pytest.approx(4.4482216 * float(us["force_kip"]), rel=1e-5)
+    assert "velocity_mm_per_s" in metric
+    laws = dict(shared_tables(replace(campaign, metric=True)))["figures/laws.csv"]
+    assert next(csv.DictReader(io.StringIO(laws)))["unit"] == "kN"
