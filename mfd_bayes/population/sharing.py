@@ -4,7 +4,8 @@ A quantity whose scatter prior prefers none is one per device unless the tests s
 are asked with the Gaussians near their likelihoods: the marginal density of all tests with the
 quantity's scatter integrated over its prior, against that without scatter. One quantity after the
 other is freed, the one with the most evidence first, as long as the evidence is `EVIDENCE` to one.
-What the likelihoods themselves gain by it less than their Gaussians is taken off the evidence.
+What the likelihoods themselves gain by it less than their Gaussians is taken off the evidence,
+and it has to stand without any one of the tests: one test that stands apart is no scatter.
 """
 
 from __future__ import annotations
@@ -41,6 +42,18 @@ class _Reduced:
 
     precision: Array
     pull: Array
+
+    def without(self, j: int) -> _Reduced:
+        """All tests but one."""
+        return _Reduced(np.delete(self.precision, j, axis=0), np.delete(self.pull, j, axis=0))
+
+    def evidence(self, scatter: Mapping[int, float], k: int, unit: float) -> tuple[float, float]:
+        """Log odds for a scatter of quantity k beside others, and its likeliest size."""
+        quantiles = (np.arange(POINTS) + 0.5) / POINTS
+        sizes = -unit * np.log1p(-quantiles)  # of an exponential prior of mean `unit`
+        log = np.array([self.log_marginal({**scatter, k: size}) for size in sizes])
+        odds = float(logsumexp(log)) - np.log(POINTS) - self.log_marginal(scatter)
+        return odds, float(sizes[np.argmax(log)])
 
     def log_marginal(self, scatter: Mapping[int, float]) -> float:
         """Log density of the tests with these scatters, levels N(0, 1), without constants."""
@@ -138,41 +151,39 @@ def _differing(tests: Sequence[TestLikelihood], those: Index, unit: Array) -> li
     unit : (s,)
     """
     reduced = _reduce(tests, those)
-    quantiles = (np.arange(POINTS) + 0.5) / POINTS
-    grid = -np.log1p(-quantiles)  # of an exponential prior of mean 1
     found: dict[int, float] = {}
     asked = list(range(those.size))
     while asked:
-        without = reduced.log_marginal(found)
-        odds, sizes = {}, {}
-        for k in asked:
-            log = np.array([reduced.log_marginal({**found, k: unit[k] * r}) for r in grid])
-            odds[k] = float(logsumexp(log)) - np.log(POINTS) - without
-            sizes[k] = float(unit[k] * grid[np.argmax(log)])
-        best = max(odds, key=lambda k: odds[k])
-        if odds[best] < np.log(EVIDENCE):
+        told = {k: reduced.evidence(found, k, unit[k]) for k in asked}
+        best = max(told, key=lambda k: told[k][0])
+        if told[best][0] < np.log(EVIDENCE):
             break
         asked.remove(best)
-        wider = {**found, best: sizes[best]}
-        if odds[best] - _promised_too_much(tests, those, reduced, wider) > np.log(EVIDENCE):
-            found[best] = sizes[best]
+        wider = {**found, best: told[best][1]}
+        doubt = _promised_too_much(tests, those, reduced, wider)
+        left = [
+            reduced.without(j).evidence(found, best, unit[best])[0] - doubt.sum() + doubt[j]
+            for j in range(len(tests))
+        ]
+        if min(left) > np.log(EVIDENCE):
+            found = wider
     return list(found)
 
 
 def _promised_too_much(
     tests: Sequence[TestLikelihood], those: Index, reduced: _Reduced, scatter: Mapping[int, float]
-) -> float:
-    """Gain of log likelihood by the Gaussians less the likelihoods' own, of the last deviation."""
+) -> Array:
+    """Log likelihood that Gaussians gain by the last deviation less the tests' own gain, (J,)."""
     level, deviations = reduced.places(scatter)
     *_, last = scatter
-    total = 0.0
+    found = []
     for test, apart in zip(tests, deviations, strict=True):
         same = apart.copy()
         same[last] = 0.0
         points = np.stack([_complete(test, those, level + away) for away in (same, apart)])
         near, exact = test.approximated().log_likelihood(points), test.log_likelihood(points)
-        total += float(np.diff(near)[0] - np.diff(exact)[0])
-    return total if np.isfinite(total) else np.inf
+        found.append(float(np.diff(near)[0] - np.diff(exact)[0]))
+    return np.where(np.isfinite(found), found, 1e9)
 
 
 def _complete(test: TestLikelihood, those: Index, values: Array) -> Array:
