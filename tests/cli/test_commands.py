@@ -184,6 +184,7 @@ def test_swapped_units_are_a_dimension_error(folder):
 
 
 def test_swapped_columns_are_a_dimension_error(folder):
+    change(folder, 'name = "force_kip", unit = "kip"', 'name = "displacement_in"')
     change(folder, 'name = "displacement_in", unit = "in"', 'name = "force_kip"')
     assert_refused(folder, "'force_kip'", "measures force", "displacement")
 

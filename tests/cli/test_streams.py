@@ -78,7 +78,7 @@ def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(stored, 
     motion = tmp_path / "m.csv"
     rows = "".join(f"{i / 10},{(-1) ** (i // 10) * (i % 10)}\n" for i in range(100))
     motion.write_text("time_s,displacement_in\n" + rows)
-    words = ("predict", stored, "--motion", motion, "--actuation", "500 psi")
+    words = ("predict", stored, "--motion", motion, "--actuation", "500 psi", "--extrapolate")
     code, told = ran([*words, "-o", tmp_path / "b.csv"], 1, "closed", tmp_path)
     assert code == 2
     assert "cannot write the output: it is closed" in told
