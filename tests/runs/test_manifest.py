@@ -331,13 +331,13 @@ def test_nothing_is_written_through_a_link(resumed, tmp_path, name):
     assert (out / "manifest.json").is_file()
 
 
-def test_a_file_that_is_a_link_is_replaced_and_not_written_through(out, tmp_path):
-    """The report's tables and page are written elsewhere and then renamed."""
+def test_a_link_out_of_the_folder_is_not_written_through_nor_replaced(out, tmp_path):
     (tmp_path / "mine.html").write_text("mine")
     (out / "report.html").symlink_to(tmp_path / "mine.html")
-    write_text(out / "report.html", "ours")
+    with pytest.raises(StoreError, match="link out of its folder"):
+        write_text(out / "report.html", "ours")
     assert (tmp_path / "mine.html").read_text() == "mine"
-    assert (out / "report.html").read_text() == "ours"
+    assert (out / "report.html").is_symlink()
 
 
 def test_links_in_a_circle_end_in_nothing_but_a_sentence(out):
