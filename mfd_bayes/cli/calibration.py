@@ -43,12 +43,14 @@ def calibrate(
             out,
             effort,
         )
+        plan = pipeline.plan_campaign(campaign, options)
         if dry_run:
-            plan = pipeline.plan_campaign(campaign, options, keep_records=True)
-            console.print_plan(plan, pipeline.find_warnings(plan))
+            console.print_plan(plan)
             return
+        if not quiet:
+            console.print_warnings(plan.manifest.warnings)
         with progress.watch(quiet=quiet) as observe:
-            view = pipeline.calibrate_campaign(campaign, out, options, observe)
+            view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
     if strict and pipeline.fails(view):
         raise typer.Exit(1)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from mfd_bayes.assessment.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
+    from mfd_bayes.runs.findings import Finding
     from mfd_bayes.runs.results import Comparison
 
 _ESCAPES = re.compile(
@@ -71,13 +72,18 @@ def _add(table: Table, *cells: object) -> None:
     table.add_row(*map(clean, cells))
 
 
-def print_plan(plan: Plan, warnings: Iterable[tuple[str, str]]) -> None:
+def print_warnings(warnings: Iterable[Finding]) -> None:
+    """Print what was found that a reader must know, a line each."""
+    for found in warnings:
+        say(f"warning: {found.subject}: {found.sentence}")
+
+
+def print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
     samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
     say(f"{plan.campaign.path} is fine: would calibrate {samples}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
-    for name, sentence in warnings:
-        say(f"warning: {name}: {sentence}")
+    print_warnings(plan.manifest.warnings)
 
 
 def print_truth(view: CampaignView, *, quiet: bool = False) -> None:

@@ -13,8 +13,6 @@ from mfd_bayes.records.motion import Array
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 
-SAME = 1e-4  # two signals are the same if they differ by less than this share of their range
-
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
@@ -25,19 +23,6 @@ class Inspection:
     trace: Trace  # at the record's own rate
     loops: Loops
     faults: tuple[Fault, ...]
-
-
-def same_record(one: Trace, other: Trace) -> bool:
-    """Whether two traces are the same record, read from files of other units or formats."""
-    if one.samples != other.samples or one.force is None or other.force is None:
-        return False
-    pairs = ((one.displacement, other.displacement), (one.force, other.force))
-    few = slice(None, None, max(1, one.samples // 20))  # enough to tell most records apart
-    return all(_same(a[few], b[few]) and _same(a, b) for a, b in pairs)
-
-
-def _same(a: Array, b: Array) -> bool:
-    return bool(np.max(np.abs(a - b)) <= SAME * max(float(np.ptp(a)), 1e-300))
 
 
 def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspection:

@@ -17,6 +17,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.inference import InferenceSettings
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.runs.results import CampaignCrossValidation, Comparison, Prediction
 from mfd_bayes.store.files import read_json, write_json
@@ -140,6 +141,8 @@ class Manifest(Part):
     finished: str = ""
     crossvalidation: CampaignCrossValidation | None = None
     comparison: Comparison | None = None
+    warnings: tuple[Finding, ...] = ()
+    """What the records, and then the results, gave cause to warn of."""
     verdicts: Mapping[str, str] = Field(default_factory=dict)
 
     _content: dict[str, Any] = PrivateAttr()
