@@ -48,7 +48,10 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     prior = _prior_values(test)
     rows = _rows(test.id, stored, prior)
     known = _identifiability(posterior, stored, prior)
-    checked = CheckedTest(test, stored, rows, replicas, known, run.manifest.effort)
+    manifest = run.manifest
+    checked = CheckedTest(
+        test, stored, rows, replicas, known, manifest.effort, manifest.settings.tolerances
+    )
     stage, travel = _stages(test, values)
     informed = {row.name for row in rows if row.contraction >= INFORMED}
     return TestView(

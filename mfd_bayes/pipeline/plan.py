@@ -167,6 +167,7 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
         priors=f"{priors.title} ({priors.path.name})",
         laws=_laws(campaign),
         dependence=campaign.dependence,
+        tolerances=campaign.tolerances,
         rate=campaign.rate,
         area=campaign.area,
         actuation_unit=campaign.actuation_unit,

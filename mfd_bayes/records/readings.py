@@ -34,7 +34,7 @@ class Readings:
     gap : float, in
         Travel after a turn at which the line of the build-up meets the plateau.
     energy : float, kip*in
-        Dissipated in a cycle at full stroke (`Loops.strong`), median.
+        Dissipated in a cycle at full stroke (`Loops.strong`), their mean.
     """
 
     plateau_fwd: float
@@ -65,7 +65,8 @@ def read_off(trace: Trace, offset: float = 0.0) -> Readings:
     }
     rises = [_rise(trace, force, stroke, plateaus) for stroke in strokes]
     loops = find_loops(trace)
-    energy = nan if loops.energy is None else _median(loops.energy[loops.strong].tolist())
+    has = loops.energy is not None and bool(loops.strong.any())
+    energy = float(np.mean(np.asarray(loops.energy)[loops.strong])) if has else nan
     slope, gap = (_median([rise[k] for rise in rises]) for k in (0, 1))
     return Readings(plateaus[1], plateaus[-1], slope, gap, energy)
 

@@ -65,7 +65,7 @@ def laws_csv(rows: Iterable[Row]) -> str:
 
 def checks_csv(checks: Iterable[Check]) -> str:
     """Every check: its value, its limit and its verdict."""
-    head = ("subject", "check", "target", "value", "limit", "verdict")
+    head = ("subject", "check", "target", "value", "limit", "verdict", "size", "tolerance")
     return csv_text(head, map(dataclasses.astuple, checks))
 
 

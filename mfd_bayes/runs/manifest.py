@@ -86,6 +86,7 @@ class Settings(Part):
     priors: str
     laws: Mapping[str, Annotated[str, AfterValidator(_known_law)]]
     dependence: Mapping[str, tuple[str, ...]] | None = None
+    tolerances: Mapping[str, Positive] | None = None
     rate: Any = None
     area: Annotated[float, Field(gt=0, le=1e10)] | None = None
     actuation_unit: Literal["ksi", "kip"]

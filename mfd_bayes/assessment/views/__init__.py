@@ -3,14 +3,17 @@
 from mfd_bayes.assessment.views.campaign import CampaignView, LeftOutRow, LeftOutView, TruthRow
 from mfd_bayes.assessment.views.check import (
     CONTRACTION,
+    COVERAGE,
     DIRECTIONS,
     FREE_EXPONENT,
     IDENTIFIABILITY,
     LIKELIHOOD_SENSITIVITY,
+    PREDICTIVE,
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
     Check,
 )
+from mfd_bayes.assessment.views.judgement import Judgement
 from mfd_bayes.assessment.views.law import LawChoice, LawScoreRow, LawView
 from mfd_bayes.assessment.views.test import (
     Array,
@@ -25,10 +28,12 @@ from mfd_bayes.assessment.views.test import (
 
 __all__ = [
     "CONTRACTION",
+    "COVERAGE",
     "DIRECTIONS",
     "FREE_EXPONENT",
     "IDENTIFIABILITY",
     "LIKELIHOOD_SENSITIVITY",
+    "PREDICTIVE",
     "PRIOR_SENSITIVITY",
     "TRADE_OFFS",
     "Array",
@@ -37,6 +42,7 @@ __all__ = [
     "DerivedRow",
     "Fan",
     "Interval",
+    "Judgement",
     "LawChoice",
     "LawScoreRow",
     "LawView",
