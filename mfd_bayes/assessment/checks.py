@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.assessment.read_off import reading_check
 from mfd_bayes.assessment.views import (
     CONTRACTION,
     COVERAGE,
@@ -18,6 +19,7 @@ from mfd_bayes.assessment.views import (
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
     Check,
+    ReadingRow,
     Row,
 )
 from mfd_bayes.calibration.effort import Effort
@@ -209,6 +211,7 @@ class CheckedTest:
         Targets of the sampling.
     tolerances : mapping of str to float, optional
         Those that the campaign gives.
+    readings : tuple of ReadingRow
     """
 
     test: TestResult
@@ -218,6 +221,7 @@ class CheckedTest:
     known: Identifiability
     effort: Effort
     tolerances: Mapping[str, float] | None = None
+    readings: tuple[ReadingRow, ...] = ()
 
     @property
     def id(self) -> str:
@@ -240,6 +244,10 @@ def _predictive(found: CheckedTest) -> list[Check]:
     return [predictive_check(found.id, check, found.tolerances) for check in checks]
 
 
+def _readings(found: CheckedTest) -> list[Check]:
+    return [reading_check(row) for row in found.readings]
+
+
 def _notes(found: CheckedTest) -> list[Check]:
     return notes(found.id, found.rows, found.stored.facts)
 
@@ -252,6 +260,7 @@ OF_TEST: tuple[Callable[[CheckedTest], Iterable[Check]], ...] = (
     _convergence,
     _length,
     _predictive,
+    _readings,
     _notes,
     _identifiability,
 )

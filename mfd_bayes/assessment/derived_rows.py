@@ -18,6 +18,7 @@ from mfd_bayes.calibration.derived import (
 from mfd_bayes.calibration.predictive import Replicas
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.predict import Band
+from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
@@ -38,7 +39,8 @@ def calibrated_rows(run: Run, test: TestResult, replicas: Replicas) -> tuple[Der
     drawn = derive_from_force(force, trace, first=first)
     level, model = trace.reference_actuation, test.posterior.model
     drawn |= derive_from_parameters(model, values, level, _area(run))
-    known = _measured(trace, float(np.median(values["offset"])), first)
+    offset = float(np.median(values["offset"]))
+    known = _measured(trace, offset, first) | {"gap": read_off(trace, offset).gap}
     cycles = full_strokes(trace, first=first)
     return _rows((test.id, "calibrate"), drawn, known, cycles)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mfd_bayes.assessment.checks import CALIBRATION, MODES, SAMPLING
-from mfd_bayes.assessment.views import COVERAGE, PREDICTIVE, Check, Judgement
+from mfd_bayes.assessment.views import COVERAGE, PREDICTIVE, READING, Check, Judgement
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.verdict import Use, Verdict
 
@@ -55,9 +55,10 @@ def _judge(subject: str, checks: Sequence[Check], findings: Sequence[Finding]) -
     wrong = any(f.spoils for f in findings) or bool(failed - set(SAMPLING))
     use = Use.NOT_USABLE if wrong or failed else Use.WITH_CARE if reasons else Use.USABLE
     reasons.sort(key=lambda reason: -reason[0])
+    told = [words for _, words in reasons] + _notes(checks)
     least = max((doubt_of(c) for c in checks if _is_of_fit(c)), default=0.0)
     doubt = sum(size for size, _ in reasons) or min(least, 1.0)
-    return Judgement(subject, use, "; ".join(words for _, words in reasons), doubt, wrong)
+    return Judgement(subject, use, "; ".join(told), doubt, wrong)
 
 
 def _is_of_fit(check: Check) -> bool:
@@ -88,6 +89,19 @@ def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
         yield _UNREACHED, f"the sampling did not reach its targets ({first})"
     for check in (c for c in checks if c.name == MODES and c.verdict == Verdict.CARE):
         yield MILD, f"{check.value:.0f} different sets of parameters explain it: {check.target}"
+
+
+def _notes(checks: Sequence[Check]) -> list[str]:
+    """What a reader must know of a test besides: modes of little weight, and readings missed."""
+    modes = [
+        f"note: {check.value:.0f} sets of parameters explain it, one of them mostly: {check.target}"
+        for check in checks
+        if check.name == MODES and check.verdict == Verdict.NOTE
+    ]
+    missed = [c.target for c in checks if c.name == READING and c.verdict == Verdict.NOTE]
+    if missed:
+        modes.append(f"note: off what is read off the loop: {'; '.join(missed)}")
+    return modes
 
 
 def miss_of(check: Check) -> str:

@@ -43,7 +43,7 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
         When the file cannot be read or used.
     """
     if path.suffix.lower() == ".toml":
-        found = [(one, f"{path.stem}_{one.name}") for one in _inspect_campaign(path)]
+        found = [(one, f"{path.stem}_{one.name}") for one in inspect_campaign(path)]
     else:
         found = [(inspect_record(path.name, read_record(path)), path.stem)]
     from mfd_bayes.reporting.figures import draw_inspection, to_png
@@ -58,7 +58,7 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
     return pictures
 
 
-def _inspect_campaign(path: Path) -> list[Inspection]:
+def inspect_campaign(path: Path) -> list[Inspection]:
     """Inspections of the tests of a campaign, with what their comparison shows."""
     campaign = load_campaign(path)
     priors = load_priors(campaign.priors, campaign.folder)

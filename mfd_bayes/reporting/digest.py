@@ -10,6 +10,7 @@ from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.views import (
     FREE_EXPONENT,
     IDENTIFIABILITY,
+    READING,
     CampaignView,
     Check,
     DerivedRow,
@@ -18,7 +19,7 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.runs.verdict import Use, Verdict
 
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = (*IDENTIFIABILITY, "calibration", FREE_EXPONENT)  # have sections of their own
+_ELSEWHERE = (*IDENTIFIABILITY, READING, "calibration", FREE_EXPONENT)  # have sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 
@@ -82,7 +83,7 @@ def is_weak(row: Row) -> bool:
 
 def is_judged(check: Check) -> bool:
     """Whether a check can fail."""
-    return check.verdict != Verdict.NOTE and check.name not in IDENTIFIABILITY
+    return check.verdict != Verdict.NOTE and check.name not in (*IDENTIFIABILITY, READING)
 
 
 def is_of_fit(check: Check) -> bool:

@@ -14,6 +14,7 @@ from mfd_bayes.assessment.views import (
     DerivedRow,
     LawChoice,
     LeftOutView,
+    ReadingRow,
     Row,
     ScoreRow,
 )
@@ -39,6 +40,7 @@ def report_tables(view: CampaignView) -> dict[str, str]:
     found = {
         "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
         "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
+        "readings.csv": readings_csv(r for t in view.tests for r in t.readings),
         "laws.csv": laws_csv(view.law_rows),
         "law_scores.csv": law_scores_csv(view.law_choices),
         "checks.csv": checks_csv(view.checks),
@@ -56,6 +58,12 @@ def parameters_csv(rows: Iterable[Row]) -> str:
     defined.
     """
     return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), map(_cells, rows))
+
+
+def readings_csv(rows: Iterable[ReadingRow]) -> str:
+    """Figures read off the loops, each beside the quantity that should agree with it."""
+    head = ("test", "quantity", "unit", "read_off", "q2.5", "q50", "q97.5", "tolerance", "missed")
+    return csv_text((*head, "largest"), map(dataclasses.astuple, rows))
 
 
 def laws_csv(rows: Iterable[Row]) -> str:

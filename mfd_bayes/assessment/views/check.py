@@ -15,6 +15,7 @@ LIKELIHOOD_SENSITIVITY = "sensitivity to the likelihood"
 DIRECTIONS = "directions informed"
 TRADE_OFFS = "rank correlation of two parameters"
 PREDICTIVE = "posterior predictive p-value"
+READING = "reading off the loop"
 COVERAGE = "share of samples inside a band"
 IDENTIFIABILITY = (CONTRACTION, PRIOR_SENSITIVITY, LIKELIHOOD_SENSITIVITY, DIRECTIONS, TRADE_OFFS)
 """Names of the checks of what the data inform; beyond its limit such a check is a note."""
