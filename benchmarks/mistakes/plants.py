@@ -66,7 +66,7 @@ def _tension(text: str) -> Callable[[Session, int], tuple[Session, str]]:
 def _cut(test: Planned) -> Planned:
     time = test.table["time"].to_numpy()
     grid = np.arange(time[0] + 0.23 * np.ptp(time), time[0] + 0.8 * np.ptp(time), 0.01)
-    table = {c: np.interp(grid, time, test.table[c]) for c in ("displacement", "force", "band")}
+    table = {c: np.interp(grid, time, test.table[c]) for c in ("displacement", "force")}
     frame = test.table.iloc[: grid.size].assign(time=grid - grid[0], **table)
     return replace(test, table=frame)
 
@@ -133,8 +133,17 @@ def _wrong_level(tests: Session, k: int) -> tuple[Session, str]:
 
 TENSION = r"actuation.*(probably|wrong)|another test"
 MISTAKES = (
-    Mistake("cm for mm", _scaled("displacement", 2.54, displacement="displacement_mm"), "in cm"),
-    Mistake("mm for in", _scaled("displacement", 25.4), "displacement.*in mm"),
+    Mistake(
+        "cm for mm",
+        _scaled("displacement", 2.54, displacement="displacement_mm"),
+        "in cm|times too small",
+    ),
+    Mistake("mm for in", _scaled("displacement", 25.4), "displacement.*(in mm|times too large)"),
+    Mistake(
+        "in for mm",
+        _scaled("displacement", 1.0, displacement="displacement_mm"),
+        "displacement.*(in in|times too small)",
+    ),
     Mistake("1.5 times the travel", _scaled("displacement", 1.5), "displacement.*times too large"),
     Mistake("kN for lbf of tension", _tension("{0:g} kN"), "probably .* lbf, not|actuation.*wrong"),
     Mistake("ten times the tension", _tension("{1:g} lbf"), TENSION),
@@ -166,5 +175,4 @@ MISTAKES = (
     Mistake("record of another device", _changed(_other_device), "another device"),
     Mistake("spikes", _changed(_spiked), "isolated sample"),
     Mistake("samples lost", _changed(_dropped), "dropped"),
-    Mistake("load cell of the band", _changed(lambda t: t.changed(force=t.table["band"])), "force"),
 )

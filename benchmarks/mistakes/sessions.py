@@ -62,7 +62,6 @@ def load_session(source: Path, session: str) -> list[Planned]:
                 "time": table["time_s"],
                 "displacement": table["displacement_in"],
                 "force": table["force_kip"],
-                "band": table["actuator_1_lbf"] / 1000.0 if "actuator_1_lbf" in table else 0.0,
             }
         )
         letter = chr(ord("a") + sum(t.id.startswith(f"{row['tension_lbf']}lb") for t in found))

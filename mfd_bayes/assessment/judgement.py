@@ -55,10 +55,10 @@ def _judge(subject: str, checks: Sequence[Check], findings: Sequence[Finding]) -
     wrong = any(f.spoils for f in findings) or bool(failed - set(SAMPLING))
     use = Use.NOT_USABLE if wrong or failed else Use.WITH_CARE if reasons else Use.USABLE
     reasons.sort(key=lambda reason: -reason[0])
-    told = [words for _, words in reasons] + _notes(checks)
+    told = "; ".join(words for _, words in reasons)
     least = max((doubt_of(c) for c in checks if _is_of_fit(c)), default=0.0)
-    doubt = sum(size for size, _ in reasons) or min(least, 1.0)
-    return Judgement(subject, use, "; ".join(told), doubt, wrong)
+    doubt = sum(size for size, _ in reasons) + least if reasons else min(least, 1.0)
+    return Judgement(subject, use, told, doubt, wrong, "; ".join(_notes(checks)))
 
 
 def _is_of_fit(check: Check) -> bool:

@@ -246,4 +246,4 @@ def _print_verdicts(view: CampaignView) -> None:
     width = max((len(j.subject) for j in judged), default=0)
     for j in judged:
         if not many or j.use != Use.USABLE:
-            say(f"  {j.subject:{width}}  {j.use}{f': {j.sentence}' if j.sentence else ''}")
+            say(f"  {j.subject:{width}}  {j.use}{f': {j.told}' if j.told else ''}")

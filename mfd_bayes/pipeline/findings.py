@@ -9,6 +9,7 @@ import numpy as np
 from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.file import Test
+from mfd_bayes.friction import models
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.faults import Fault, find_faults
@@ -36,11 +37,16 @@ def tested_of(test: Test, record: Record, trace: Trace) -> Tested | None:
     return Tested.of(test.id, record, trace, test.actuation or "")
 
 
-def findings_together(tests: Sequence[Tested], priors: PriorFile) -> list[tuple[str, Fault]]:
-    """What the comparison of tests with each other, and with the priors, shows."""
+def findings_together(
+    tests: Sequence[Tested], priors: PriorFile, model: str
+) -> list[tuple[str, Fault]]:
+    """What the comparison of tests with each other, and with the priors of a model, shows."""
+    gap = priors.gap if models.MODELS[model].has_gap else None
     found = compare_tests(tests)
     named = {name for name, fault in found if fault.name != "duplicate"}
-    beyond = [(t.id, fault) for t in tests if t.id not in named for fault in _beyond(t, priors)]
+    beyond = [
+        (t.id, fault) for t in tests if t.id not in named for fault in _beyond(t, priors, gap)
+    ]
     return [*found, *beyond]
 
 
@@ -53,9 +59,9 @@ def findings_of(
     return (*found, *told)
 
 
-def _beyond(test: Tested, priors: PriorFile) -> Iterator[Fault]:
+def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:
     """Gap and slip force that no device of the priors has: a unit, or another priors file."""
-    read, gap = test.readings, priors.gap
+    read = test.readings
     if read is None:
         return
     hint = "check its unit, or give priors that fit the device"

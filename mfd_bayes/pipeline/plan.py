@@ -120,7 +120,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         for test in campaign.tests
         if test.role == "calibrate"
     )
-    faults += findings_together(tested, priors)
+    faults += findings_together(tested, priors, campaign.model)
     layout = layout_of(tasks, settings)
     held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     manifest = Manifest(

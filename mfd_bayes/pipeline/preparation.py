@@ -69,7 +69,7 @@ def inspect_campaign(path: Path) -> list[Inspection]:
         found.append(inspect_record(test.id, record, priors.gap))
         if (one := tested_of(test, record, found[-1].trace)) is not None:
             tested.append(one)
-    together = findings_together(tested, priors)
+    together = findings_together(tested, priors, campaign.model)
     return [
         replace(one, faults=(*one.faults, *(f for name, f in together if name == one.name)))
         for one in found

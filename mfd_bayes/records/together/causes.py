@@ -23,7 +23,7 @@ WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0,
 FREE = 4.0
 """Penalty of a cause with a free factor: a unit that explains as much is the likelier."""
 
-ANYTHING = 25.0
+ANYTHING = 14.0
 """Penalty of another device, which explains every deviation."""
 
 

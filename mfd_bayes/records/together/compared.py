@@ -23,7 +23,7 @@ LIKE = 0.2
 WHOLE = 0.98
 """A twin of at least this share of a record is the whole record."""
 
-FAR, ALIKE = 5.0, 1.6
+FAR, ALIKE = 4.0, 1.6
 """An actuation of more than `FAR` times the nearest one changes the slip force by `ALIKE`."""
 
 _OF_FORCE = (

@@ -16,8 +16,11 @@ QUANTITIES = ("gap", "slope", "plateau")
 SCATTER = np.array([0.08, 0.25, 0.15])
 """Sd of the logarithm between tests of one device that nobody wonders at, of each quantity."""
 
-FAR = 4.0
+FAR = 3.3
 """A test is odd where a quantity is further away than this many sds of the others."""
+
+SAME_LEVEL = 0.05
+"""Actuations that differ by less than this share are one level."""
 
 BEND = np.array([0.3, 0.5, 0.7])
 """Prior sd of the exponent of each quantity over the actuation; slip force has mean 0.5."""
@@ -57,21 +60,37 @@ def find_odd(logs: Array, levels: Array) -> dict[int, Deviation]:
     logs : (J, 3)
         Logarithms of `QUANTITIES`, NaN where a reading is not known.
     levels : (J,)
-        Actuations; slip forces at 0, or where it is not known, are not compared.
+        Actuations; a test at 0 is not compared with others, and where it is not known, slip
+        forces are not.
     """
     logs = logs.copy()
-    logs[~(levels > 0.0), 2] = np.nan
+    logs[np.isnan(levels), 2] = np.nan
+    logs[levels == 0.0] = np.nan
     place = np.log(np.where(levels > 0.0, levels, np.nan))
     left = list(range(len(levels)))
-    found: list[int] = []
-    while len(left) >= FEWEST and len(found) <= len(levels) // 3:
-        worst = _worst(logs, place, left)
-        rest = [j for j in left if j != worst]
-        if not deviation(logs, place, worst, rest).distance > FAR:
-            break
-        found.append(worst)
-        left = rest
-    return {j: deviation(logs, place, j, left) for j in found}
+    for _ in range(len(levels) // 3):  # without the worst, others that are odd show
+        if len(left) > FEWEST - 1:
+            left.remove(_worst(logs, place, left))
+    core, odd = left, [j for j in range(len(levels)) if j not in left]
+    for _ in range(2):  # against the trimmed tests, then against all that are not odd
+        odd = [j for j in odd if deviation(logs, place, j, core).distance > FAR]
+        core = [j for j in range(len(levels)) if j not in odd]
+    found = {j: deviation(logs, place, j, core) for j in odd}
+    found = {j: away for j, away in found.items() if not _shared(j, found, place)}
+    return dict(sorted(found.items(), key=lambda item: -item[1].distance))
+
+
+def _shared(j: int, found: dict[int, Deviation], place: Array) -> bool:
+    """Whether another odd test at the same level deviates alike: the level, not the test, is odd.
+
+    A deviation beyond twice `FAR` is no level's.
+    """
+    alike = (
+        np.nanmax(np.abs(found[i].values - found[j].values) / SCATTER, initial=0.0) < FAR
+        for i in found
+        if i != j and abs(place[i] - place[j]) < SAME_LEVEL
+    )
+    return found[j].distance < 2.0 * FAR and any(alike)
 
 
 def deviation(logs: Array, place: Array, j: int, others: Sequence[int]) -> Deviation:

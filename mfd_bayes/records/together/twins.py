@@ -18,7 +18,7 @@ LIKE = 0.97
 PLACES = 6
 """Most places, of those at which two forces are alike, that are looked at: cycles repeat."""
 
-SAME = 0.05
+SAME = 0.025
 """Two forces are one measurement if they differ by less than this share of their sd."""
 
 NEAR = 0.25
