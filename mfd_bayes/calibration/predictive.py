@@ -93,9 +93,10 @@ def check_predictive(
     record = np.broadcast_to(np.asarray(posterior.trace.force)[kept], force.shape)
     half = 0.5 * float(np.ptp(record[0]))
     rests = record - force, replica - force
+    lags = _lag_one(rests[0]), _lag_one(rests[1])
     found = [
-        _check("residual rms, kip", "residual", *map(_rms, rests)),
-        _check("lag-one residual correlation", "correlation", *map(_lag_one, rests), scale=1.0),
+        _check("residual rms, kip", "residual", _rms(rests[0]), _rms(rests[1])),
+        _check("lag-one residual correlation", "correlation", *lags, scale=1.0),
         *_energy_checks(posterior, replicas),
         _check("peak force forward, kip", "peak", record.max(axis=1), replica.max(axis=1)),
         _check("peak force backward, kip", "peak", -record.min(axis=1), -replica.min(axis=1)),
@@ -123,16 +124,16 @@ def _check(
 def _energy_checks(posterior: Posterior, replicas: Replicas) -> list[PredictiveCheck]:
     """Energy of a cycle at full stroke, and in all where other cycles have a part in it."""
     trace, first = posterior.trace, posterior.first
-    record = np.asarray(trace.force)[None]
+    forces = np.asarray(trace.force)[None], replicas.observed
     strong = full_strokes(trace, first=first)
     found = []
     if strong.any():
-        sides = (cycle_energies(f, trace, first=first) for f in (record, replicas.observed))
-        means = (energies[:, strong].mean(axis=1) for energies in sides)
-        found.append(_check("energy per cycle, kip·in", "energy", *means))
+        seen, drawn = (cycle_energies(f, trace, first=first)[:, strong] for f in forces)
+        name = "energy per cycle, kip·in"
+        found.append(_check(name, "energy", seen.mean(axis=1), drawn.mean(axis=1)))
     if not strong.all() or not strong.any():
-        totals = (total_energy(f, trace, first=first) for f in (record, replicas.observed))
-        found.append(_check("energy in all, kip·in", "energy", *totals))
+        seen, drawn = (total_energy(f, trace, first=first) for f in forces)
+        found.append(_check("energy in all, kip·in", "energy", seen, drawn))
     return found
 
 

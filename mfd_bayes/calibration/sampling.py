@@ -142,7 +142,8 @@ def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
         for mode in modes
     ]
     nearest = np.argmax([part.log_density(flat) for part in near], axis=0)
-    return nearest.reshape(q.shape[:2])
+    found: NDArray[np.intp] = nearest.reshape(q.shape[:2])
+    return found
 
 
 def mode_shares(modes: Sequence[Mode], q: Array) -> Array:

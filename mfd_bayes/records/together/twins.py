@@ -128,4 +128,4 @@ def _misfit(one: Signature, other: Signature, lag: float) -> float:
     if count < SHORTEST:
         return np.inf
     pairs = zip(one.means(begin, count), other.means(begin + lag, count), strict=True)
-    return max(float(np.std(a - b) / max(np.std(a), 1e-300)) for a, b in pairs)
+    return max(float(np.std(a - b)) / max(float(np.std(a)), 1e-300) for a, b in pairs)
