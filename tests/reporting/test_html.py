@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 
-from mfd_bayes.assessment.views import DIRECTIONS, IDENTIFIABILITY, Check, Judgement
+from mfd_bayes.assessment.views import DIRECTIONS, IDENTIFIABILITY, Check, Judgement, ReadingRow
 from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
@@ -149,6 +149,26 @@ def test_every_warning_is_on_the_first_screen(campaign, images):
     assert '<div class="verdict fail">' in screen
     mild = first(replace(campaign, warnings=told[1:]), images)
     assert '<div class="verdict care">' in mild[: mild.index("<nav aria")]
+
+
+def test_readings_stand_beside_their_parameters_and_misses_are_marked(campaign, images):
+    read = ReadingRow(campaign.tests[0].id, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True)
+    test = replace(campaign.tests[0], readings=(read,))
+    page = only(first(replace(campaign, tests=(test,)), images), "us")
+    assert '<small class="missed">read off 14.2 !</small>' in page
+    agreed = replace(test, readings=(replace(read, missed=False, largest=True),))
+    page = only(first(replace(campaign, tests=(agreed,)), images), "us")
+    assert "<small>largest 14.2</small>" in page
+
+
+def test_each_set_of_parameters_of_a_record_with_modes_is_in_a_table(campaign, images, text):
+    modes = ({"k3": 20.5, "share": 0.6}, {"k3": 41.5, "share": 0.4})
+    test = replace(campaign.tests[0], modes=modes)
+    page = only(first(replace(campaign, tests=(test,)), images), "us")
+    assert "Sets of parameters that explain a record" in page
+    for shown in ("<td>60\u00a0%</td>", "<td>40\u00a0%</td>", "20.50", "41.50"):
+        assert shown in page
+    assert "Sets of parameters" not in text
 
 
 def test_tests_are_ranked_with_their_reasons(campaign, images):
