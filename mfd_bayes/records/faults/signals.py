@@ -144,23 +144,22 @@ def _quantum(values: Array) -> float | None:
 
 def drift(trace: Trace) -> Iterator[Fault]:
     """A mean force that moves from the first strong loops to the last."""
-    change = find_loops(trace).offset_drift
-    if change is None:
-        change = _drift_of_few(trace)
+    known = (find_loops(trace).offset_drift, _drift_of_few(trace))
+    change = max((c for c in known if c is not None), key=abs, default=None)
     if change is None or trace.force is None:
         return
     half = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
     if abs(change) > DRIFT * half > 0.0:
         yield Fault(
             "drift",
-            f"the force drifts by {change:+.3g} kip from the first loops to the last, "
+            f"the force drifts by {change:+.3g} kip from its begin to its end, "
             f"{abs(change) / half:.0%} of its half range: the load cell's zero, or a device that "
             "changes",
         )
 
 
 def _drift_of_few(trace: Trace) -> float | None:
-    """Drift over a record with more ramps than strong loops, kip; None where it cannot be told.
+    """Drift over a whole record with ramps, kip; None where it cannot be told.
 
     The mean force of ramps differs from that of strong loops without any drift. So the trend of
     the strong loops, continued over the record, and the change of the force at its quiet ends must

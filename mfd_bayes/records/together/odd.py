@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,10 +71,14 @@ def find_odd(logs: Array, levels: Array) -> dict[int, Deviation]:
     for _ in range(len(levels) // 3):  # without the worst, others that are odd show
         if len(left) > FEWEST - 1:
             left.remove(_worst(logs, place, left))
-    core, odd = left, [j for j in range(len(levels)) if j not in left]
-    for _ in range(2):  # against the trimmed tests, then against all that are not odd
-        odd = [j for j in odd if deviation(logs, place, j, core).distance > FAR]
-        core = [j for j in range(len(levels)) if j not in odd]
+    every = set(range(len(levels)))
+    odd = []
+    for j in sorted(every - set(left)):  # against the trimmed tests, or all the others
+        if any(deviation(logs, place, j, some).distance > FAR for some in (left, every - {j})):
+            odd.append(j)
+    core = sorted(every - set(odd))
+    odd = [j for j in odd if deviation(logs, place, j, core).distance > FAR]
+    core = sorted(every - set(odd))
     found = {j: deviation(logs, place, j, core) for j in odd}
     found = {j: away for j, away in found.items() if not _shared(j, found, place)}
     return dict(sorted(found.items(), key=lambda item: -item[1].distance))
@@ -93,8 +97,9 @@ def _shared(j: int, found: dict[int, Deviation], place: Array) -> bool:
     return found[j].distance < 2.0 * FAR and any(alike)
 
 
-def deviation(logs: Array, place: Array, j: int, others: Sequence[int]) -> Deviation:
+def deviation(logs: Array, place: Array, j: int, others: Iterable[int]) -> Deviation:
     """Deviation of test j from the law of others."""
+    others = sorted(others)
     values, sds, exponents = np.full(3, np.nan), np.full(3, np.inf), _MIDDLE.copy()
     for k in range(3):
         known = [i for i in others if np.isfinite(logs[i, k]) and np.isfinite(place[i])]
