@@ -178,7 +178,10 @@ def test_gap_and_self_energizing_factors_find_the_truth(campaign, out, test):
     for name, value in truth.items():
         row = table.loc[(test, name)]
         assert row["q50"] == pytest.approx(value, abs=4 * row["sd"])
-        assert np.isnan(row["measured"])
+        if name == "gap":  # read off the loop, whose transitions are round
+            assert row["measured"] == pytest.approx(value, rel=0.35)
+        else:
+            assert np.isnan(row["measured"])
     assert str(table.loc[(test, "C_fwd"), "unit"]) == "1"
 
 
