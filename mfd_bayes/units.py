@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from decimal import Decimal
 from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from pint import UnitRegistry
 
 ActuationUnit = Literal["ksi", "kip"]
+
+SMALLEST, LARGEST = 1e-9, 1e10
+"""Range of the sizes of a force or a pressure, kip or ksi, other than 0."""
 
 
 class Dimension(NamedTuple):
@@ -65,6 +69,8 @@ _SPELLINGS = {
 # pint's parser evaluates its input: it is given names, products and small powers alone.
 _TERM = r"\(*[A-Za-zµμ°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
 _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
+_GROUPED = re.compile(r"\s*[+-]?\d{1,3}(?:[ ,'’\u00a0\u202f]\d{3})+(?!\d)")  # 1,000 · 1 000
+_ANGLES = re.compile(r"radian|degree|revolution|turn|grad|cycle|arc")  # pint takes them for 1
 _LONGEST = 200  # characters of a quantity
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
 
@@ -95,6 +101,11 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
         raise UnitError(
             f"{named} measures {measure}; {dimension} needs {article} {target.measure} "
             f"such as {target.examples}"
+        )
+    if dimension != "dimensionless" and (angle := _ANGLES.search(str(parsed))):
+        raise UnitError(
+            f"{named} has an angle ({angle[0]}) in it, and is no {target.measure}; {dimension} "
+            f"needs one such as {target.examples}"
         )
     # The values at 0 and 2 show an offset or a logarithmic unit.
     zero, one, two = (_convert(value, parsed, target.unit, named) for value in (0.0, 1.0, 2.0))
@@ -153,6 +164,14 @@ def same_unit(one: str, other: str) -> bool:
         return False
 
 
+def percent(probability: float) -> str:
+    """A probability in percent, with as many digits as it needs not to be 0 or 100."""
+    text = f"{100 * probability:g}"
+    exact = Decimal(repr(float(probability))) * 100
+    certain = text in ("0", "100") and exact not in (0, 100)
+    return f"{exact.normalize():f}" if certain else text
+
+
 def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
     """Value of ``"500 psi"`` in the internal unit of its dimension.
 
@@ -177,7 +196,13 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     if value < 0:
         raise UnitError(f"actuation must not be negative, got {text!r}")
     scale, internal = actuation_factor(unit, of=of or f"{text!r}")
-    return value * scale, internal
+    level = value * scale
+    if (level != 0.0 and not SMALLEST <= level <= LARGEST) or (value > 0.0) != (level > 0.0):
+        raise UnitError(
+            f"{f'{of}: ' if of else ''}expected an actuation of 0, or of {SMALLEST:g} to "
+            f"{LARGEST:g} {internal}, got {text!r}"
+        )
+    return level, internal
 
 
 def parse_window(text: str) -> tuple[float, float]:
@@ -203,6 +228,8 @@ def _split(text: str, of: str) -> tuple[float, str]:
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     text = text if len(text) <= _LONGEST else f"{text[:40]}…"
     expected = f"{of + ': ' if of else ''}expected a number and a unit such as '500 psi'"
+    if _GROUPED.match(text):
+        raise UnitError(f"{expected}, got {text!r}; write the number without thousands separators")
     if match is None:
         raise UnitError(f"{expected}, got {text!r}")
     value, unit = float(match[1]), match[2]

@@ -12,6 +12,11 @@ from typing import Any
 
 import pytest
 
+# The arrays here are small: with threads of its own, BLAS takes several times the processor time,
+# most of it waiting. Set before the first import of NumPy, and for the processes that tests start.
+for library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
@@ -34,6 +39,27 @@ def benchmark_module():
     sys.path.append(str(root))  # last, so that an installed mfd_bayes is the one that is tested
     yield lambda name: importlib.import_module(f"benchmarks.{name}")
     sys.path.remove(str(root))
+
+
+# The command as installed, but for the figures of its reports, which take half of a report's time.
+DRIVER = """\
+from mfd_bayes.cli.commands import main
+
+if __name__ == "__main__":
+    from mfd_bayes.reporting import figures
+
+    figures.draw_shared = lambda view: iter(())
+    figures.draw_test = lambda test, system, unit: iter(())
+    main()
+"""
+
+
+@pytest.fixture(scope="session")
+def without_figures(tmp_path_factory) -> list[str]:
+    """Words that start the command for a test that does not look at a report's figures."""
+    driver = tmp_path_factory.mktemp("driver") / "driver.py"
+    driver.write_text(DRIVER)
+    return [sys.executable, str(driver)]
 
 
 @dataclass(frozen=True)
@@ -62,11 +88,14 @@ class FinishedRun:
 
 @pytest.fixture(scope="session")
 def finished_run(tmp_path_factory) -> FinishedRun:
-    """The finished run, calibrated once for all processes of a test session."""
+    """The finished run, calibrated once for all processes of a test session.
+
+    Sessions of the same code share one in the folder that MFD_BAYES_FINISHED_RUN names.
+    """
     home = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         home = home.parent  # which the processes share
-    home = home / "finished_run"
+    home = Path(os.environ.get("MFD_BAYES_FINISHED_RUN", home / "finished_run"))
     home.mkdir(exist_ok=True)
     with (home / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # the others wait for the first

@@ -1,12 +1,14 @@
 """Give damaged files to every reader, and report each that gives neither a result nor an error.
 
     python -m benchmarks.fuzz.run --inputs 101000 --seed 1 > benchmarks/fuzz/fuzz.txt
+    python -m benchmarks.fuzz.run --commands --inputs 20000 --jobs 1 > benchmarks/fuzz/commands.txt
     python -m benchmarks.fuzz.run --seed 1 --target csv --only 1234 --keep folder
 
 Every input is made only from the seed, the target's name and its number, and is read in a process
 with limits of memory and time. It must end in a result or in an `MfdError`. Findings are: any
 other exception, a signal, too much time or memory, a file written outside the input's folder, a
-program started, a network connection, and an object unpickled. Exits with 1 where there are any.
+program started, a network connection, an object unpickled, and of commands a file replaced that
+is not theirs. Exits with 1 where there are any.
 """
 
 from __future__ import annotations
@@ -32,10 +34,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common.machine import platform_line
-from benchmarks.fuzz.targets import Target, controls, few, targets
+from benchmarks.fuzz.targets import Target, commands, controls, few, targets
 from mfd_bayes.errors import MfdError
 
-__all__ = ["controls", "few", "make_input", "run", "shares", "targets"]
+__all__ = ["commands", "controls", "few", "make_input", "run", "shares", "targets"]
 
 MEMORY = 1536 * 2**20
 """Bytes of addresses that a process may use."""
@@ -51,6 +53,12 @@ _FORBIDDEN = (
     *("pickle.find_class", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"),
     *("socket.connect", "os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.link", "os.symlink"),
 )
+_FILES = {
+    **dict.fromkeys(("open", "os.remove", "os.mkdir", "os.rmdir"), slice(0, 1)),
+    **dict.fromkeys(("os.rename", "os.link"), slice(0, 2)),
+    "os.symlink": slice(1, 2),
+}
+"""Which of what an event tells are paths that are written."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
@@ -99,21 +107,31 @@ class _Watch:
 
     def __init__(self) -> None:
         self.on = False
+        self.home: str | None = None  # of a target that writes
         self.seen: list[str] = []
         sys.addaudithook(self._hear)
 
     def _hear(self, event: str, args: tuple[Any, ...]) -> None:
-        if not self.on:
+        if not self.on or (self.home is not None and event in _FILES and self._inside(event, args)):
             return
         if event.startswith(_FORBIDDEN):
             self.seen.append(f"{event} {args[:2]}"[:200])
         elif event == "open" and isinstance(args[2], int) and args[2] & _WRITES:
             self.seen.append(f"open for writing {args[0]}"[:200])
 
+    def _inside(self, event: str, args: tuple[Any, ...]) -> bool:
+        """Whether all paths of an event lie in the folder of a target that writes."""
+        named = args[_FILES[event]]
+        paths = [os.fsdecode(a) for a in named if isinstance(a, str | bytes | os.PathLike)]
+        if event == "os.mkdir" and Path(paths[0]).is_dir():  # it is there: nothing is made
+            return True
+        return all(str(Path(p).absolute()).startswith(f"{self.home}/") for p in paths)
+
 
 def try_input(target: Target, path: Path, watch: _Watch) -> tuple[str, str]:
     """Read a changed file: how that ended, and the message."""
     watch.seen.clear()
+    watch.home = str(path.parent) if target.writes else None
     watch.on = True
     try:
         target.read(path)
@@ -304,12 +322,14 @@ def main() -> int:
     words.add_argument("--inputs", type=int, default=100_000)
     words.add_argument("--seed", type=int, default=1)
     words.add_argument("--jobs", type=int, default=2)
+    words.add_argument("--commands", action="store_true", help="only options and outputs")
     words.add_argument("--target", help="only this one")
     words.add_argument("--only", type=int, help="lay out this input of the target, and read it")
     words.add_argument("--keep", type=Path, help="where to lay it out")
     given = words.parse_args()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    found = targets()
+    made_by = commands if given.commands else targets
+    found = made_by()
     if given.only is not None:
         target = next(t for t in found if t.name == given.target)
         lay_out(given.keep, make_input(target, given.seed, given.only)[0])
@@ -319,14 +339,15 @@ def main() -> int:
     if given.target:
         counts = [given.inputs * (target.name == given.target) for target in found]
     began = time.monotonic()
-    tallies = run(targets, counts, given.seed, given.jobs, lambda t: print(t, file=sys.stderr))
+    tallies = run(made_by, counts, given.seed, given.jobs, lambda t: print(t, file=sys.stderr))
     return _print(found, tallies, given, time.monotonic() - began)
 
 
 def _print(
     found: Sequence[Target], tallies: Sequence[Tally], given: argparse.Namespace, seconds: float
 ) -> int:
-    print(f"python -m benchmarks.fuzz.run --inputs {given.inputs} --seed {given.seed}")
+    few = " --commands" if given.commands else ""
+    print(f"python -m benchmarks.fuzz.run{few} --inputs {given.inputs} --seed {given.seed}")
     print(f"{platform_line()}; {MEMORY >> 20} MB and {SECONDS:g} s an input\n")
     widths = (24, 9, 9, 14, 9, 9)
     head = ("target", "inputs", "results", "clean errors", "findings", "ms each")

@@ -20,6 +20,13 @@ from benchmarks.fuzz.mutations import (
     mutate_zip,
 )
 from benchmarks.fuzz.netcdf import mutate_netcdf
+from benchmarks.fuzz.options import files_of_command, mutate_command, read_command
+from benchmarks.fuzz.outputs import (
+    files_of_question,
+    mutate_question,
+    read_looked,
+    read_predicted,
+)
 from benchmarks.fuzz.runs import (
     read_fold,
     read_held_out,
@@ -67,6 +74,8 @@ class Target:
         Takes the changed file; ends in a result or raises.
     share : float
         Of all inputs: cheap targets have more.
+    writes : bool
+        Whether it writes, as a command does; else it may not, not even in its own folder.
     finish : callable
         Files once one of them is changed, such as with its hash made anew.
     """
@@ -78,6 +87,7 @@ class Target:
     read: Callable[[Path], object]
     share: float
     finish: Callable[[dict[str, bytes]], dict[str, bytes]] = dict
+    writes: bool = False
 
 
 def read_as_record(path: Path) -> object:
@@ -97,6 +107,7 @@ def targets() -> tuple[Target, ...]:
     campaign = {"campaign.toml": CAMPAIGN, "a.csv": texts()[0], "own.toml": priors()}
     return (
         *_runs(),  # first, for they take longest
+        *commands(),
         *_records(),
         Target("campaign.toml", (campaign,), "campaign.toml", mutate_text, load_campaign, 0.1),
         Target(
@@ -109,6 +120,18 @@ def targets() -> tuple[Target, ...]:
 def few() -> tuple[Target, ...]:
     """All targets except whole run folders, which take a second for each input."""
     return tuple(target for target in targets() if target.share >= 0.002)
+
+
+def commands() -> tuple[Target, ...]:
+    """Commands with other options, and with something in the place of their outputs."""
+    run = run_files(small=True)
+    asked, question = (files_of_command(run),), (files_of_question(),)
+    said = (question, "question.json", mutate_question)
+    return (
+        Target("options", asked, "command.json", mutate_command, read_command, 0.006, writes=True),
+        Target("outputs: predict", *said, read_predicted, 0.05, writes=True),
+        Target("outputs: inspect", *said, read_looked, 0.02, writes=True),
+    )
 
 
 def _records() -> list[Target]:

@@ -23,6 +23,7 @@ from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.sharing import share
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 from mfd_bayes.records.trace import Trace
@@ -110,8 +111,9 @@ def synthesize(study: Study, index: int) -> Campaign:
     layout = lay_out(study.priors, known, settings, LAWS)
     names = list(layout.names)
     level = layout.centre + layout.spread * rng.standard_normal(len(names))
-    scatter = layout.scatter_sd * np.abs(rng.standard_normal(len(names)))
-    truth = {f"scatter {name}": scatter[k] for k, name in enumerate(names)}
+    differs = ~np.array(layout.sparse)
+    scatter = differs * layout.scatter_sd * np.abs(rng.standard_normal(len(names)))
+    truth = {f"scatter {name}": scatter[k] for k, name in enumerate(names) if differs[k]}
     at = np.array([*LEVELS, UNSEEN])
     means = np.tile(level, (at.size, 1))
     means += _laws(rng, at / layout.reference, names, truth)
@@ -163,7 +165,8 @@ def _deviations(
     names = list(layout.names)
     found = np.zeros((at.size, len(names)))
     distance = np.abs(np.log(at[:, None] / at))
-    root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)) + 1e-12 * np.eye(at.size))
+    r = np.sqrt(3.0) * distance / np.log(2.0)  # Matérn 3/2
+    root = np.linalg.cholesky((1.0 + r) * np.exp(-r) + 1e-12 * np.eye(at.size))
     for group, members in FOLLOWERS.items():
         scale = layout.scatter_sd[names.index(members[0])]
         sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
@@ -182,10 +185,10 @@ def draw_jointly(
     study: Study, campaign: Campaign, draws: Sequence[Draws], index: int, way: str = RIGHT
 ) -> JointDraws:
     """Population of calibrated tests, as the package infers it, or wrongly as the control."""
-    layout = campaign.layout
-    working = [working_likelihood(layout, test, study.priors) for test in campaign.tests]
+    working = [working_likelihood(campaign.layout, test, study.priors) for test in campaign.tests]
     starts = [_median(one, drawn) for one, drawn in zip(working, draws, strict=True)]
     pilot = fit_pilot(working, starts)
+    layout = share(campaign.layout, pilot.tests)
     tests = [test if way == RIGHT else _as_points(test) for test in pilot.tests]
     rng = np.random.default_rng([study.seed, index, 2])
     problem = JointProblem(layout, tests, campaign.tests[0].priors, "ksi", pilot.residual)
@@ -213,7 +216,8 @@ def drawn_values(inference: JointDraws, rng: np.random.Generator) -> dict[str, A
     population = inference.population
     layout = population.layout
     shape = population.h.shape[:2]
-    found = {f"scatter {name}": tau for name, tau in population.scatters.items()}
+    differs = [name for k, name in enumerate(layout.names) if not layout.sparse[k]]
+    found = {f"scatter {name}": population.scatters[name] for name in differs}
     found |= {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
     found["share sigma0"] = population.shapes("sigma0")[0]
     found["exponent noise_sd"] = population.shapes("noise_sd")[1]

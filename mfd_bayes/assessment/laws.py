@@ -26,7 +26,8 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     population = run.population
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
-    scales = dict(zip(spreads, population.layout.sd_scale.tolist(), strict=True))
+    sampled = population.layout.inferred[: population.layout.sd_scale.size]
+    scales = dict(zip(spreads, population.layout.sd_scale[sampled].tolist(), strict=True))
     found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
     rows = []

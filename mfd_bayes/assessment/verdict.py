@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from mfd_bayes.assessment.checks import CALIBRATION, convergence_checks, exponent_checks
-from mfd_bayes.assessment.fits import calibrated_view, held_out_view
 from mfd_bayes.assessment.judgement import judge, use_of
 from mfd_bayes.assessment.law_choices import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.left_out import left_out_view
 from mfd_bayes.assessment.odd_tests import odd_tests
 from mfd_bayes.assessment.sentences import remarks, verdict_sentence
+from mfd_bayes.assessment.shown import unshown, views_of_tests, with_lost
 from mfd_bayes.assessment.systems import SI, system_of
 from mfd_bayes.assessment.views import (
     CampaignView,
@@ -29,20 +29,25 @@ from mfd_bayes.runs.verdict import Use, Verdict
 
 def assess(run: Run) -> CampaignView:
     """Everything that the report of a run shows."""
-    tests = [calibrated_view(run, test) for test in run.tests.values()]
-    tests += [held_out_view(run, name, trace) for name, trace in run.held_out.items()]
-    order = list(run.manifest.tests)
-    tests.sort(key=lambda view: order.index(view.id))
-    return put_together(run, tests, law_rows(run), law_views(run))
+    tests, lost = views_of_tests(run)
+    return put_together(run, tests, law_rows(run), law_views(run), lost)
 
 
 def put_together(
-    run: Run, tests: list[TestView], table: tuple[Row, ...], laws: tuple[LawView, ...]
+    run: Run,
+    tests: list[TestView],
+    table: tuple[Row, ...],
+    laws: tuple[LawView, ...],
+    lost: Mapping[str, str] | None = None,
 ) -> CampaignView:
-    """The report of a run from the views of its tests and laws, and from its manifest."""
+    """The report of a run from the views of its tests and laws, and from its manifest.
+
+    `lost` are the tests that cannot be shown, and why.
+    """
     manifest = run.manifest
+    lost = lost or {}
     failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
-    checks = _all_checks(manifest, tests, table, failures)
+    checks = (*_all_checks(manifest, tests, table, failures), *unshown(lost))
     warnings = _warnings(run)
     judged = judge([*run.tests, *failures], checks, warnings)
     whole = use_of(judged, checks)
@@ -50,10 +55,10 @@ def put_together(
     return CampaignView(
         title=manifest.title,
         verdict=whole,
-        sentence=verdict_sentence(manifest, checks, judged),
+        sentence=with_lost(verdict_sentence(manifest, checks, judged), lost),
         actuation_unit=run.actuation_unit,
         tests=tuple(tests),
-        failures=failures,
+        failures={**failures, **lost},
         laws=laws,
         law_rows=table,
         checks=checks,

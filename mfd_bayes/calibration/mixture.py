@@ -43,6 +43,33 @@ class Proposal(Protocol):
         """Independent draws, (n, dim)."""
 
 
+def log_sum_exp(terms: Array, weights: Array) -> Array:
+    """Logarithm of the weighted sum of exponentials over the first axis, (k, n) -> (n,).
+
+    SciPy's `logsumexp` gives the same bits, but looks at its arguments for longer than it
+    computes: the sampler needs some such sums of a few hundred terms in every step.
+
+    Parameters
+    ----------
+    weights : (k,)
+        Not negative; where one is zero, its terms do not count.
+    """
+    weights = weights[:, None]
+    if not weights.all():
+        terms = np.where(weights > 0.0, terms, -np.inf)
+    largest = terms.max(axis=0)
+    top = terms == largest
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        at_top = (weights * top).sum(axis=0)
+        below = (weights * np.exp(np.where(top, -np.inf, terms) - largest)).sum(axis=0)
+        share = np.where(below == 0.0, below, below / at_top)
+        total: Array = np.log1p(share) + np.log(at_top) + largest
+        if not np.isfinite(total).all():
+            plain = np.log((weights * np.exp(terms)).sum(axis=0))
+            total = np.where(np.isfinite(total), total, plain)
+    return total
+
+
 @dataclass(frozen=True, eq=False)
 class Mixture:
     """Weighted Student-t densities in `dim` dimensions.
@@ -92,8 +119,7 @@ class Mixture:
         squares = np.einsum("kni,kni->kn", standard, standard)
         dof = self.dof[:, None]
         parts = self._constants[:, None] - 0.5 * (dof + self.dim) * np.log1p(squares / dof)
-        density: Array = special.logsumexp(parts, axis=0, b=self.weights[:, None])
-        return density
+        return log_sum_exp(parts, self.weights)
 
     def draw(self, random: np.random.RandomState, n: int) -> Array:
         """Independent draws, (n, dim); from a RandomState, as emcee's moves use."""
@@ -175,8 +201,7 @@ class Either:
     def log_density(self, q: Array) -> Array:
         """Normalised log density, (n, dim) -> (n,)."""
         densities = np.stack([part.log_density(q) for part in self.parts])
-        density: Array = special.logsumexp(densities, axis=0, b=self.weights[:, None])
-        return density
+        return log_sum_exp(densities, self.weights)
 
     def draw(self, random: np.random.RandomState, n: int) -> Array:
         """Independent draws, (n, dim)."""

@@ -21,6 +21,7 @@ from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.records.numbers import real_numbers, whole_number
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -154,6 +155,8 @@ class Posterior:
         Many points of a long record are computed some at a time, to bound the memory.
         """
         points = self._check(q)
+        if len(points) == 0:
+            return np.empty(0)
         parts = -(-len(points) * self.trace.samples // AT_ONCE)
         if parts > 1:
             some = np.array_split(points, min(parts, len(points)))
@@ -181,7 +184,7 @@ class Posterior:
 
     def force(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        return self.model.force(
+        return self.model.force_unbounded(
             self.theta(values), self.trace if trace is None else trace, values["start"]
         )
 
@@ -234,12 +237,20 @@ class Posterior:
         return self.model.theta(values)
 
     def draw_prior(self, rng: np.random.Generator, n: int) -> dict[str, Array]:
-        """Independent draws of all quantities from the prior, by name, (n,) each."""
+        """Independent draws of all quantities from the prior, by name, (n,) each.
+
+        Raises
+        ------
+        FitError
+            When n is no whole number, 0 or more.
+        """
+        if whole_number("the number of draws", n, 0, FitError) == 0:
+            return {name: values[:0] for name, values in self.draw_prior(rng, 1).items()}
         defaults = {k: np.full(n, v) for k, v in self._defaults.items()}
         return defaults | {name: prior.draw(rng, n) for name, prior in self.priors.items()}
 
     def _check(self, q: ArrayLike) -> Array:
-        points = np.asarray(q, dtype=np.float64)
+        points = real_numbers("q", q, FitError)
         if points.ndim != 2 or points.shape[1] != self.dim:
             raise FitError(f"q must have shape (n, {self.dim}), got {points.shape}")
         if np.any(np.isnan(points)):

@@ -10,6 +10,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.stored import check_draws, check_facts
 from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import StoredTest, load_test
 
@@ -27,6 +28,8 @@ class TestResult:
     posterior : Posterior
     path : Path
         Of the stored posterior.
+    sha256 : str
+        Of that file, where it is known: the draws of another run are not taken for this one's.
     """
 
     __test__ = False
@@ -34,10 +37,19 @@ class TestResult:
     id: str
     posterior: Posterior
     path: Path
+    sha256: str = ""
 
     @property
     def stored(self) -> StoredTest:
-        """What is stored of it, read anew each time: the draws of many tests are not all held."""
+        """What is stored of it, read anew each time: the draws of many tests are not all held.
+
+        Raises
+        ------
+        StoreError
+            When the file cannot be read, or was replaced since its run was opened.
+        """
+        if self.sha256 and self.path.is_file() and hash_file(self.path) != self.sha256:
+            raise StoreError(f"{self.path} was changed by another process since it was opened")
         return load_test(self.path)
 
     @property

@@ -15,7 +15,9 @@ from mfd_bayes.calibration.ensembles import Chains, Watch, sample_density
 from mfd_bayes.calibration.map_fit import Mode, find_modes
 from mfd_bayes.calibration.mixture import Mixture
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
+from mfd_bayes.records.numbers import whole_number
 
 Array = NDArray[np.float64]
 
@@ -94,11 +96,11 @@ def sample(
     Raises
     ------
     FitError
-        When the prior has no mass at any start, or the effort is unknown.
+        When the prior has no mass at any start, the effort is unknown or the seed is negative.
     """
     began = time.perf_counter()
     chosen = find_effort(effort)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(check_seed(seed))
     modes = find_modes(posterior, rng, starts=chosen.starts)
     chains = sample_density(
         posterior.log_prob,
@@ -125,6 +127,19 @@ def sample(
         modes=modes,
         wall_time=time.perf_counter() - began,
     )
+
+
+def check_seed(seed: int | Sequence[int]) -> int | Sequence[int]:
+    """A seed, unchanged.
+
+    Raises
+    ------
+    FitError
+        When it is neither a whole number, 0 or more, nor a sequence of such.
+    """
+    for one in seed if isinstance(seed, Sequence | np.ndarray) else (seed,):
+        whole_number("seed", one, 0, FitError)
+    return seed
 
 
 def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:

@@ -16,8 +16,9 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
+from mfd_bayes.calibration.result import load_result
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import CalibratedTest, save_test
@@ -100,14 +101,24 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
 
 
 def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
-    """Store the draws of all quantities, the model's parameters first, with replicated records."""
+    """Store the draws of a test, checked by what will read them."""
+    save_test(path, _stored_of(task, posterior, draws))
+    try:
+        load_result(task.id, path, task.priors)
+    except StoreError as error:
+        path.unlink(missing_ok=True)
+        raise FitError(f"its draws could not be read once they are stored: {error}") from error
+
+
+def _stored_of(task: Task, posterior: Posterior, draws: Draws) -> CalibratedTest:
+    """Draws of all quantities, the model's parameters first, with replicated records."""
     values = {name: draws.theta[..., k] for k, name in enumerate(posterior.model.parameters)}
     values |= {name: draws.values[name] for name in draws.values if name not in values}
     flat = {name: value.reshape(-1) for name, value in values.items()}
     rng = np.random.default_rng(task.seed)
     replicas = replicate(posterior, flat, rng, REPLICAS * len(draws.q))
     facts = {"first": posterior.first, "convergence": _convergence(values, draws.chains.walkers)}
-    stored = CalibratedTest(
+    return CalibratedTest(
         values=values,
         units=units(),
         stats={
@@ -119,7 +130,6 @@ def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
         predictive=replicas.observed.reshape(len(draws.q), -1, task.trace.samples),
         facts=_facts(task, draws) | facts,
     )
-    save_test(path, stored)
 
 
 def _facts(task: Task, draws: Draws) -> dict[str, Any]:

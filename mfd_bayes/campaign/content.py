@@ -61,6 +61,9 @@ def _sentences(path: Path, raw: dict[str, Any], error: ValidationError) -> Itera
     for fault in error.errors(include_url=False):
         loc = [part for part in fault["loc"] if not str(part).startswith((":", "[key]"))]
         key, came = _dotted(raw, loc), reprlib.repr(fault["input"])
+        if loc == ["test"] and isinstance(raw.get("test"), dict):
+            yield f"a test in {path} begins with [[test]], in two brackets, not [test]"
+            continue
         if fault["type"] == "too_short" and raw.get("test"):
             continue  # there are tests, but each has an error of its own, which is reported
         if fault["type"] == "extra_forbidden":
@@ -71,7 +74,8 @@ def _sentences(path: Path, raw: dict[str, Any], error: ValidationError) -> Itera
             expected = fault["msg"].removeprefix("Input ")
             yield f"{key} in {path} {expected}, got {came}"
         else:
-            yield f"{key} in {path}: {fault['msg'].removeprefix('Value error, ')}, got {came}"
+            reason = fault["msg"].removeprefix("Value error, ")
+            yield f"{key} in {path}: {reason}" + ("" if came in reason else f", got {came}")
 
 
 def _cut(text: str) -> str:

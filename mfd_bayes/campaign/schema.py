@@ -97,6 +97,9 @@ def _checked(parse: Callable[[str], object]) -> Callable[[str], str]:
 _rate = BeforeValidator(_parsed(lambda text: parse_quantity(text, "rate")))
 _area = BeforeValidator(_parsed(lambda text: parse_quantity(text, "area")))
 
+Area = Annotated[float, Field(ge=1e-10, le=1e10)]
+"""Area of an actuator, in²: of a campaign file, and of the manifest that is written of it."""
+
 
 class Part(BaseModel):
     """A table of a campaign file; unknown keys, NaN and infinity are errors."""
@@ -120,13 +123,23 @@ class Columns(Part):
     velocity: Column | None = None
 
 
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ValueError(f"each of them may be there once, and {twice[0]!r} is there twice")
+    return names
+
+
+Covariates = Annotated[tuple[Covariate, ...], AfterValidator(_once)]
+
+
 class Dependence(Part):
     """The covariates besides the actuation that each parameter depends on; default none."""
 
-    Fc_fwd: tuple[Covariate, ...] = ()
-    Fc_bwd: tuple[Covariate, ...] = ()
-    sigma0: tuple[Covariate, ...] = ()
-    d2: tuple[Covariate, ...] = ()
+    Fc_fwd: Covariates = ()
+    Fc_bwd: Covariates = ()
+    sigma0: Covariates = ()
+    d2: Covariates = ()
 
 
 def _percent(value: object) -> object:
@@ -148,7 +161,7 @@ class Settings(Part):
     noise: NoiseName = "ou"
     rate: Annotated[float, Field(gt=0, strict=True), _rate] | None = None
     start: Literal["sample", "mask"] = "sample"
-    area: Annotated[float, Field(gt=0, strict=True), _area] | None = None
+    area: Annotated[Area, Field(strict=True), _area] | None = None
 
 
 class Entry(Part):

@@ -14,9 +14,20 @@ if TYPE_CHECKING:
     from mfd_bayes.pipeline.commands import Options
 
 
-Run = Annotated[Path, typer.Argument(help="The run folder.")]
-Campaign = Annotated[Path, typer.Argument(help="The campaign file, campaign.toml.")]
-NewRun = Annotated[Path, typer.Option("-o", "--out", help="The run folder to write.")]
+def path(text: str) -> Path:
+    """Path of a text; an empty one, as of a variable that is not set, is not this folder."""
+    if not str(text).strip():
+        raise typer.BadParameter("expected a path, got an empty text")
+    return Path(text)
+
+
+Run = Annotated[Path, typer.Argument(parser=path, help="The run folder.")]
+Campaign = Annotated[Path, typer.Argument(parser=path, help="The campaign file, campaign.toml.")]
+NewRun = Annotated[Path, typer.Option("-o", "--out", parser=path, help="The run folder to write.")]
+Pictures = Annotated[Path, typer.Option("-o", "--out", parser=path, help="Folder of the PNGs.")]
+Replace = Annotated[
+    bool, typer.Option("--force", help="Replace a file that this command did not write.")
+]
 Jobs = Annotated[int, typer.Option(min=0, help="Number of processes; 0 for one per processor.")]
 Scheduler = Annotated[
     str,

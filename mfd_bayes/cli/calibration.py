@@ -54,7 +54,7 @@ def calibrate(
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
-    if strict and pipeline.fails(view):
+    if not pipeline.is_whole(view) or (strict and pipeline.fails(view)):
         raise typer.Exit(1)
 
 
@@ -105,6 +105,8 @@ def report(
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.report(out, observe, pdf=pdf)
         console.print_end(view, out, quiet=quiet)
+    if not pipeline.is_whole(view):
+        raise typer.Exit(1)
 
 
 def demo(

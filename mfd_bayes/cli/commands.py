@@ -6,15 +6,16 @@ they call takes the options together, as frozen settings.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from mfd_bayes.cli.calibration import calibrate, check, demo, report
+from mfd_bayes.cli.environment import settle_environment
 from mfd_bayes.cli.prediction import compare, crossvalidate, predict
 from mfd_bayes.cli.preparation import init, inspect, prior_check
+from mfd_bayes.cli.streams import checked_streams
 from mfd_bayes.jobs.signals import end_on_signals
 
 app = typer.Typer(
@@ -74,7 +75,6 @@ def _main(
 
 def main() -> None:
     """Run the command line."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # before numpy is imported; the matrices here are small
-    with end_on_signals():
+    settle_environment()
+    with end_on_signals(), checked_streams():
         app()

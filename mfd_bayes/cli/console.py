@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,6 +43,11 @@ def clean(text: object) -> str:
 def say(sentence: object, *, err: bool = False) -> None:
     """Print a line."""
     typer.echo(clean(sentence), err=err)
+
+
+def in_percent(probability: float) -> str:
+    """A probability as "95", with more digits where it needs them."""
+    return percent(probability)
 
 
 def open_console() -> Console:
@@ -111,7 +117,7 @@ def _truth_table(view: CampaignView) -> Table:
 
 def print_derived(rows: Sequence[DerivedRow], probability: float) -> None:
     """Print the derived quantities of a prediction."""
-    low, high = (f"{50 * (1 + side * probability):g} %" for side in (-1, 1))
+    low, high = (f"{percent(0.5 * (1 + side * probability))} %" for side in (-1, 1))
     notes = "; ".join(f"{r.name} {r.note}" for r in rows if r.note)
     heads = ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured")
     title = "Derived quantities, of the damper without offset and noise"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import errno
-import os
+import re
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import NoReturn
 
 import typer
 
 from mfd_bayes.cli.console import clean, say
+from mfd_bayes.cli.streams import CannotPrintError
 from mfd_bayes.errors import MfdError
 from mfd_bayes.jobs.signals import hinting
 
@@ -31,20 +31,23 @@ def mistakes(resume: str = "") -> Iterator[None]:
             yield
     except MfdError as error:
         _fail(str(error))
+    except CannotPrintError:
+        raise
     except OSError as error:
-        if error.errno == errno.EPIPE:  # the reader of the output has closed it, as `head` does
-            raise
         _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
 
 
+_LONG = re.compile(r"\S{500,}")
+"""A word that no one reads to its end, such as a number of thousands of digits."""
+
+
 def _fail(sentence: str) -> NoReturn:
-    with suppress(OSError):
+    sentence = _LONG.sub(lambda word: f"{word[0][:60]}…", sentence)
+    try:
         say(f"mfd-bayes: {sentence}", err=True)
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError:  # a full disk; Python would report it once more at its end
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        sys.stderr.flush()
+    except CannotPrintError:  # there may still be the output
+        say(f"mfd-bayes: {sentence}")
     raise typer.Exit(2)
 
 

@@ -13,9 +13,15 @@ from mfd_bayes.cli.exits import mistakes, resumption
 
 def predict(
     out: arguments.Run,
-    motion: Annotated[Path, typer.Option(help="A file with time_s and displacement_in, …")],
+    motion: Annotated[
+        Path,
+        typer.Option(parser=arguments.path, help="A file with time_s and displacement_in, …"),
+    ],
     actuation: Annotated[str, typer.Option(help='Such as "1000 psi".')],
-    bands: Annotated[Path, typer.Option("-o", "--out", help="CSV to write; a PNG beside it.")],
+    bands: Annotated[
+        Path,
+        typer.Option("-o", "--out", parser=arguments.path, help="CSV to write; a PNG beside it."),
+    ],
     kind: arguments.Kind = "new_test",
     probability: Annotated[
         float, typer.Option(help="Probability of the equal-tailed band.")
@@ -35,6 +41,7 @@ def predict(
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what makes the band wide.")
     ] = False,
+    force: arguments.Replace = False,
     quiet: arguments.Quiet = False,
 ) -> None:
     """Predict the force of a motion at an actuation, tested or not.
@@ -52,13 +59,13 @@ def predict(
     from mfd_bayes.pipeline import commands as pipeline
 
     asked = (motion, actuation, kind, probability, bands)
-    question = pipeline.Question(*asked, compare, test, whole, recalibrate, explain)
+    question = pipeline.Question(*asked, compare, test, whole, recalibrate, explain, force)
     with mistakes():
         band, derived = pipeline.predict(out, question)
     for remark in band.remarks:
         console.say(f"warning: {remark}", err=True)
     console.say(
-        f"{band.interval} {100 * band.probability:g} % band of kind {band.kind}, from "
+        f"{band.interval} {console.in_percent(band.probability)} % band of kind {band.kind}, from "
         f"{band.source}: {bands} and {bands.with_suffix('.png')}"
     )
     if band.shares:
@@ -106,11 +113,18 @@ def crossvalidate(
             view = pipeline.crossvalidate(campaign, out, options, observe)
         console.print_left_out(view.left_out, quiet=quiet)
         console.print_end(view, out, quiet=quiet)
+    if not pipeline.is_whole(view):
+        raise typer.Exit(1)
 
 
 def compare(
     campaign: arguments.Campaign,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of one run for each model.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", parser=arguments.path, help="Folder of one run for each model."
+        ),
+    ],
     models: Annotated[
         str, typer.Option(help="Two or more, with commas between them.")
     ] = "three_stage,lugre,bouc_wen",

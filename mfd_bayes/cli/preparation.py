@@ -8,13 +8,13 @@ from typing import Annotated
 
 import typer
 
-from mfd_bayes.cli.arguments import Campaign
+from mfd_bayes.cli.arguments import Campaign, Pictures, Replace, path
 from mfd_bayes.cli.console import say
 from mfd_bayes.cli.exits import mistakes
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(help="The folder of your test files.")],
+    folder: Annotated[Path, typer.Argument(parser=path, help="The folder of your test files.")],
     force: Annotated[
         bool, typer.Option("--force", help="Replace a campaign.toml that exists.")
     ] = False,
@@ -32,7 +32,7 @@ def init(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        path, draft = pipeline.init(folder, force=force)
+        written, draft = pipeline.init(folder, force=force)
     for name, reason in draft.left_out:
         say(f"left out: {name}: {reason}")
     for doubt in pipeline.doubts(draft):
@@ -41,16 +41,17 @@ def init(
     for gap in missing:
         say(f"FIXME: {gap}")
     left_out = f"{len(draft.left_out)} left out" if draft.left_out else "none left out"
-    say(f"{path} written: tests {len(draft.tests)}, {left_out}")
+    say(f"{written} written: tests {len(draft.tests)}, {left_out}")
     if missing:
         say("warning: complete what is marked FIXME before you calibrate")
     else:
-        say(f"look next: {shlex.join(['mfd-bayes', 'inspect', str(path)])}")
+        say(f"look next: {shlex.join(['mfd-bayes', 'inspect', str(written)])}")
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(help="A test file or a campaign.toml.")],
-    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNGs.")] = Path(),
+    file: Annotated[Path, typer.Argument(parser=path, help="A test file or a campaign.toml.")],
+    folder: Pictures = Path(),
+    force: Replace = False,
 ) -> None:
     """Show what was read, warn of what would spoil a fit, and draw it.
 
@@ -67,7 +68,7 @@ def inspect(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        found = pipeline.inspect(file, folder)
+        found = pipeline.inspect(file, folder, force=force)
     for inspection, picture in found:
         say(inspection.name)
         for key, fact in inspection.facts.items():
@@ -79,7 +80,8 @@ def inspect(
 
 def prior_check(
     campaign: Campaign,
-    folder: Annotated[Path, typer.Option("-o", "--out", help="Folder of the PNGs.")] = Path(),
+    folder: Pictures = Path(),
+    force: Replace = False,
 ) -> None:
     """Draw the prior predictive band of the force beside the data of every test.
 
@@ -94,6 +96,6 @@ def prior_check(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        found = pipeline.prior_check(campaign, folder)
+        found = pipeline.prior_check(campaign, folder, force=force)
     for name, share, picture in found:
         say(f"{name}: {share:.0%} of the force inside the 95 % prior band; {picture}")

@@ -26,6 +26,7 @@ from mfd_bayes.friction.yield_shares import (
     trace_shares,
 )
 from mfd_bayes.records.motion import vertices
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -295,7 +296,7 @@ def _ratio(columns: dict[str, Array]) -> Array:
 
 def _check_theta(model: BoucWen, theta: ArrayLike) -> dict[str, Array]:
     """Columns of theta by name, (n,) each, or a FitError that names what does not fit."""
-    values = np.asarray(theta, dtype=np.float64)
+    values = real_numbers("theta", theta, FitError)
     width = len(model.parameters)
     if values.ndim != 2 or values.shape[1] != width:
         raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mfd_bayes.friction.evaluation import checked
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
@@ -51,6 +52,14 @@ class Model:
     tied_laws: ClassVar[Mapping[str, str]] = _NONE
     slip_forces: ClassVar[tuple[str, ...]] = ()
 
+    def __init_subclass__(cls) -> None:
+        """Let `force` and `travel` of every model take empty batches, and give numbers alone."""
+        super().__init_subclass__()
+        if "force" in cls.__dict__:
+            cls.force = checked(cls.force)  # type: ignore[method-assign]
+        if "travel" in cls.__dict__:
+            cls.travel = checked(cls.travel)  # type: ignore[method-assign]
+
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of theta's columns."""
@@ -80,9 +89,22 @@ class Model:
         Raises
         ------
         FitError
-            When a shape, a name or a value does not fit.
+            When a shape, a name or a value does not fit, or the force is too large for a number.
         """
         raise NotImplementedError
+
+    def force_unbounded(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """As `force`, but infinite or NaN where it is too large for a number: for densities."""
+        own = getattr(type(self).force, "__wrapped__", type(self).force)
+        found: Array = own(self, theta, trace, start, scales=scales)
+        return found
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""

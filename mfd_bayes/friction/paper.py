@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -126,7 +127,7 @@ def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
     FitError
         When the shape does not fit, or a value is negative or not finite, or F_s < F_c.
     """
-    values = np.asarray(theta, dtype=np.float64)
+    values = real_numbers("theta", theta, FitError)
     width = len(model.parameters)
     if values.ndim == 2 and values.shape[1] == len(PARAMETERS) != width:
         values = values[:, [PARAMETERS.index(name) for name in model.parameters]]

@@ -111,6 +111,7 @@ class State:
         state = self._referred(actuation)
         friction = _actuated(state.damper, actuation, scales)
         if np.isnan(self.displacement):
+            _check("dt", dt, isfinite(dt) and dt >= 0, "0 or more, in seconds, at the first sample")
             return state._first(friction, displacement, velocity)
         _check("dt", dt, isfinite(dt) and dt > 0, "finite and positive, in seconds")
         # the path to the sample, through the vertex if the motion turns before it
@@ -197,7 +198,7 @@ class Stepped(PaperModel):
             From `start` or the previous step; it is not changed and may be used again.
         displacement, velocity : in, in/s
         dt : s
-            Time since the previous sample; ignored at the first.
+            Time since the previous sample; 0 or any other at the first, where it does not matter.
         actuation : ksi or kip, optional
             Friction is proportional to it; when left out, theta is used unchanged. To get
             a record's `force`, give the record's `reference_actuation` to `start`.

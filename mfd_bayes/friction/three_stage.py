@@ -15,6 +15,7 @@ from mfd_bayes.friction.gap import Gap, blend, follow, travel
 from mfd_bayes.friction.paper import PARAMETERS, actuate, check_theta, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -85,7 +86,7 @@ class ThreeStage(Stepped):
 def _check_start(start: ArrayLike | None, n: int) -> Array:
     if start is None:
         return np.full(n, 0.5)
-    w0 = np.asarray(start, dtype=np.float64)
+    w0 = real_numbers("start", start, FitError)
     if w0.shape not in ((), (n,)) or not np.all((w0 >= 0) & (w0 <= 1)):
         raise FitError(f"start must be a fraction of the gap in [0, 1] with shape ({n},)")
     return np.broadcast_to(w0, (n,))

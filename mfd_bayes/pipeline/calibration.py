@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from mfd_bayes.runs.folder import (
     CAMPAIGN,
     POPULATION,
     PRIORS,
+    check_apart,
     hash_stored,
     pooled_of,
     posterior_of,
@@ -55,24 +56,46 @@ def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
     MfdError
         When an input cannot be used; nothing is written then.
     """
-    options = plan.options
+    with working_in(plan, out):
+        return calibrate_locked(plan, out, observe)
+
+
+@contextmanager
+def working_in(plan: Plan, out: Path) -> Iterator[None]:
+    """Check that a plan may be carried out in a run folder, and lock it until the end.
+
+    Raises
+    ------
+    StoreError
+        When the options contradict each other, the run would remove its own inputs, or another
+        process works in the folder.
+    """
+    options, campaign = plan.options, plan.campaign
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
     check_workers(options)
+    inputs = (campaign.path, plan.priors.path, *(test.path for test in campaign.tests))
+    check_apart(out, inputs, force=options.force)
     with alone_in(out):
-        manifest, before = prepare_folder(
-            plan.manifest, plan.campaign.folder, out, resume=options.resume, force=options.force
-        )
-        try:
-            manifest, anew = _calibrate_tests(plan, manifest, out, observe)
-            results = _results(plan, manifest, out)
-            if before is not None and not anew:
-                manifest = _with_population(manifest, before, out)
-            if not set(_POPULATION) <= manifest.model_fields_set:
-                manifest = _infer_population(plan, manifest, results, out, observe)
-            manifest = _finish(manifest, out)
-        finally:
-            remove_partial_files(out)
+        yield
+
+
+def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
+    """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
+    options = plan.options
+    manifest, before = prepare_folder(
+        plan.manifest, plan.campaign.folder, out, resume=options.resume, force=options.force
+    )
+    try:
+        manifest, anew = _calibrate_tests(plan, manifest, out, observe)
+        results = _results(plan, manifest, out)
+        if before is not None and not anew:
+            manifest = _with_population(manifest, before, out)
+        if not set(_POPULATION) <= manifest.model_fields_set:
+            manifest = _infer_population(plan, manifest, results, out, observe)
+        manifest = _finish(manifest, out)
+    finally:
+        remove_partial_files(out)
     return Run(out, manifest, plan.priors, results, plan.held_out)
 
 

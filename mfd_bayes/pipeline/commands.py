@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.assessment import fails
+from mfd_bayes.assessment import fails, is_whole
 from mfd_bayes.assessment.views import (
     CampaignView,
 )
@@ -15,7 +15,7 @@ from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.dispatch import check_workers
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
@@ -23,6 +23,7 @@ from mfd_bayes.pipeline.prediction import Question, predict
 from mfd_bayes.pipeline.preparation import init, inspect, prior_check
 from mfd_bayes.pipeline.report import check, report, write_report
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
+from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Truth, read_begun
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "gaps",
     "init",
     "inspect",
+    "is_whole",
     "plan_campaign",
     "predict",
     "prior_check",
@@ -71,8 +73,9 @@ def calibrate_plan(plan: Plan, out: Path, observe: Observe) -> CampaignView:
     MfdError
         When the folder cannot be used; nothing is written then.
     """
-    run = calibrate(plan, out, observe)
-    return write_report(run, observe, jobs=plan.options.jobs)
+    with working_in(plan, out):
+        run = calibrate_locked(plan, out, observe)
+        return write_report(run, observe, jobs=plan.options.jobs)
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
@@ -85,16 +88,18 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     """
     check_workers(options)
     check_links(out, ["campaign"])
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        if not options.force:
-            raise StoreError(f"{out} exists: give --force to replace it")
-        discard(out)
-    truth = write_campaign(out / "campaign", options.seed)
-    options = replace(options, force=False, resume=False)
-    plan = plan_campaign(out / "campaign" / "campaign.toml", options)
-    manifest = plan.manifest.changed(truth=Truth(**truth))
-    run = calibrate(replace(plan, manifest=manifest), out, observe)
-    return write_report(run, observe, jobs=options.jobs)
+    used = out.exists() and (not out.is_dir() or any(out.iterdir()))
+    if used and not options.force:
+        raise StoreError(f"{out} exists: give --force to replace it")
+    with alone_in(out):
+        if used:
+            discard(out)
+        truth = write_campaign(out / "campaign", options.seed)
+        options = replace(options, force=False, resume=False)
+        plan = plan_campaign(out / "campaign" / "campaign.toml", options)
+        manifest = plan.manifest.changed(truth=Truth(**truth))
+        run = calibrate_locked(replace(plan, manifest=manifest), out, observe)
+        return write_report(run, observe, jobs=options.jobs)
 
 
 def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +13,15 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.campaign.schema import ModelName
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.crossvalidation import check_parts, leave_out_parts
+from mfd_bayes.pipeline.outputs import Output, check_outputs, table_with
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.reporting.tables import (
     comparison_csv,
 )
+from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.results import Comparison
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_text
@@ -61,10 +64,21 @@ def compare(
     for model, plan in plans.items():
         for task in plan.tasks:
             observe(Step(f"{model}/{task.id}", State.WAITING))
+    with ExitStack() as locks:
+        locks.enter_context(alone_in(out))
+        for model, plan in plans.items():
+            locks.enter_context(working_in(plan, out / model))
+        return _compare_plans(plans, out, options, observe)
+
+
+def _compare_plans(
+    plans: Mapping[str, Plan], out: Path, options: Options, observe: Observe
+) -> tuple[Comparison, dict[str, LeftOutView]]:
+    """Carry out every model's plan, and compare; all folders must be locked."""
     runs: dict[str, Run] = {}
     for model, plan in plans.items():
         tell = _named(observe, model)
-        runs[model] = calibrate(plan, out / model, tell)
+        runs[model] = calibrate_locked(plan, out / model, tell)
         if options.by:
             runs[model] = leave_out_parts(runs[model], options, tell)
     observe(Step("comparison", "leaving out one cycle after another"))
@@ -85,10 +99,13 @@ def _plan_models(
 ) -> dict[str, Plan]:
     """Plan of a campaign under each model, checked for what the comparison needs."""
     plans: dict[str, Plan] = {}
+    table = Output(out / "comparison.csv", table_with("test", "model", "cycles", "elpd"))
+    check_outputs([table], [campaign], force=options.force)
     for model in models:
         plans[model] = plan = plan_campaign(campaign, replace(options, model=model))
         if options.by:
             check_parts(plan)
+        check_outputs([table], [t.path for t in plan.campaign.tests], force=options.force)
         for task in plan.tasks:
             check_cycles(task)
         folder = out / model

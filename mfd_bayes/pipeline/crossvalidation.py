@@ -9,12 +9,11 @@ from mfd_bayes.assessment.views import (
     CampaignView,
 )
 from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.runs.folder import remove_partial_files
-from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.results import CampaignCrossValidation
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.folds import fold_id, folds_of, part_kind, parts_of, run_folds
@@ -41,8 +40,9 @@ def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe)
     parts = check_parts(plan)
     for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
         observe(Step(name, State.WAITING))
-    run = leave_out_parts(calibrate(plan, out, observe), options, observe)
-    return write_report(run, observe, jobs=options.jobs)
+    with working_in(plan, out):
+        run = leave_out_parts(calibrate_locked(plan, out, observe), options, observe)
+        return write_report(run, observe, jobs=options.jobs)
 
 
 def check_parts(plan: Plan) -> Collection[str]:
@@ -55,11 +55,10 @@ def check_parts(plan: Plan) -> Collection[str]:
 
 
 def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
-    """The run with predictions of every part from all others in its manifest."""
+    """The run with predictions of every part from all others; its folder must be locked."""
     kind = part_kind(options.by)
-    with alone_in(run.folder):
-        try:
-            found = run_folds(run, folds_of(run, kind, options.effort), options, observe)
-            return run.rewrite(crossvalidation=CampaignCrossValidation(kind, found))
-        finally:
-            remove_partial_files(run.folder)
+    try:
+        found = run_folds(run, folds_of(run, kind, options.effort), options, observe)
+        return run.rewrite(crossvalidation=CampaignCrossValidation(kind, found))
+    finally:
+        remove_partial_files(run.folder)

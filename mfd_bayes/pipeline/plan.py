@@ -27,12 +27,22 @@ from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.storage import check_storable
 from mfd_bayes.records.faults import Fault
-from mfd_bayes.records.record import Record, hash_file
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.together import Tested
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
-from mfd_bayes.runs.manifest import FORMAT, Entry, Manifest, Settings, Status, TestSettings
+from mfd_bayes.runs.manifest import (
+    FORMAT,
+    Entry,
+    Manifest,
+    Settings,
+    Status,
+    TestSettings,
+    check_readable,
+)
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -122,6 +132,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     )
     faults += findings_together(tested, priors, campaign.model)
     layout = layout_of(tasks, settings)
+    check_storable(layout, campaign.path)
     held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     manifest = Manifest(
         title=campaign.title,
@@ -132,6 +143,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         warnings=findings_of(faults, layout, [task.id for task in tasks]),
         **_session(options),
     )
+    check_readable(manifest)
     return Plan(campaign, options, priors, tasks, held_out, manifest)
 
 

@@ -12,6 +12,15 @@ from mfd_bayes.assessment.views import (
     Interval,
 )
 from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.pipeline.outputs import (
+    Output,
+    check_outputs,
+    is_marked,
+    is_picture,
+    known,
+    table_with,
+    write_picture,
+)
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
@@ -19,8 +28,9 @@ from mfd_bayes.reporting.tables import (
     bands_csv,
     predicted_csv,
 )
+from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import open_run
-from mfd_bayes.store.files import write_bytes, write_text
+from mfd_bayes.store.files import write_text
 from mfd_bayes.units import parse_actuation
 
 
@@ -43,6 +53,8 @@ class Question:
         Id of the calibrated test, for the kind `this_test`.
     whole, recalibrate, explain : bool
         As in `Run.predict`.
+    force : bool
+        Whether files of other programs are replaced.
     """
 
     motion: Path
@@ -55,6 +67,12 @@ class Question:
     whole: bool = False
     recalibrate: bool = False
     explain: bool = False
+    force: bool = False
+
+    @property
+    def picture(self) -> Path:
+        """PNG of the band."""
+        return self.bands.with_suffix(".png")
 
     @property
     def derived(self) -> Path:
@@ -74,6 +92,7 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"
         )
+    check_question(question)
     run = open_run(out)
     level, unit = parse_actuation(question.actuation, of="--actuation")
     if unit != run.actuation_unit:
@@ -84,17 +103,18 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     record = read_record(question.motion)
     motion = record.trace(gap=run.priors.gap)
     trace = Trace.from_arrays(motion.time, motion.displacement, level, velocity=motion.velocity)
-    band = run.predict(
-        trace,
-        question.kind,
-        question.probability,
-        test=question.test,
-        whole=question.whole,
-        recalibrate=question.recalibrate,
-        explain=question.explain,
-    )
     drawn = replace(trace, force=motion.force if question.compare else None)
-    rows = predicted_rows(run, drawn, band)
+    with reading(run.folder, run.manifest):
+        band = run.predict(
+            trace,
+            question.kind,
+            question.probability,
+            test=question.test,
+            whole=question.whole,
+            recalibrate=question.recalibrate,
+            explain=question.explain,
+        )
+        rows = predicted_rows(run, drawn, band)
     write_text(question.bands, bands_csv(trace, band, question.actuation))
     write_text(question.derived, predicted_csv(rows, question.actuation, question.probability))
     from mfd_bayes.reporting.figures import draw_loops, to_png
@@ -106,5 +126,15 @@ def predict(out: Path, question: Question) -> tuple[Band, tuple[DerivedRow, ...]
     fan = Fan(band.kind, band.median, tuple(intervals))
     title = f"Predicted force at {question.actuation}"
     png = to_png(draw_loops(title, drawn, [fan]))
-    write_bytes(question.bands.with_suffix(".png"), png)
+    write_picture(question.picture, png)
     return band, rows
+
+
+def check_question(question: Question) -> None:
+    """Refuse to write over anything but what an earlier prediction wrote there."""
+    bands = Output(question.bands, table_with("time_s", "displacement_in", "lower_kip"))
+    check_outputs([bands], [question.motion], force=question.force)
+    again = known(bands)
+    picture = Output(question.picture, is_picture if again else is_marked)
+    derived = Output(question.derived, table_with("quantity", "unit", "mean"))
+    check_outputs([picture, derived], [question.motion], force=question.force)

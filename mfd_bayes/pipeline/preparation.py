@@ -11,10 +11,11 @@ from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.pipeline.findings import findings_together, tested_of
+from mfd_bayes.pipeline.outputs import Output, check_outputs, is_picture, write_picture
 from mfd_bayes.records.inspection import Inspection, inspect_record
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.together import Tested
-from mfd_bayes.store.files import write_bytes, write_text
+from mfd_bayes.store.files import write_text
 
 
 def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
@@ -34,8 +35,10 @@ def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
     return path, draft
 
 
-def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
+def inspect(path: Path, folder: Path, *, force: bool = False) -> list[tuple[Inspection, Path]]:
     """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
+
+    With `force`, a file of another program in the place of a PNG is replaced.
 
     Raises
     ------
@@ -48,12 +51,13 @@ def inspect(path: Path, folder: Path) -> list[tuple[Inspection, Path]]:
         found = [(inspect_record(path.name, read_record(path)), path.stem)]
     from mfd_bayes.reporting.figures import draw_inspection, to_png
 
+    places = [folder / f"{name}_inspect.png" for _, name in found]
+    check_outputs([Output(place, is_picture) for place in places], [path], force=force)
     pictures = []
-    for inspection, name in found:
-        picture = folder / f"{name}_inspect.png"
+    for (inspection, _), picture in zip(found, places, strict=True):
         title = f"{inspection.name}: as read"
         figure = draw_inspection(title, inspection.trace, inspection.loops, inspection.faults)
-        write_bytes(picture, to_png(figure))
+        write_picture(picture, to_png(figure))
         pictures.append((inspection, picture))
     return pictures
 
@@ -76,8 +80,10 @@ def inspect_campaign(path: Path) -> list[Inspection]:
     ]
 
 
-def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:
+def prior_check(path: Path, folder: Path, *, force: bool = False) -> list[tuple[str, float, Path]]:
     """Prior predictive loops compared with the data of every test, with a PNG each in `folder`.
+
+    With `force`, a file of another program in the place of a PNG is replaced.
 
     Returns
     -------
@@ -92,14 +98,16 @@ def prior_check(path: Path, folder: Path) -> list[tuple[str, float, Path]]:
     priors = load_priors(campaign.priors, campaign.folder)
     from mfd_bayes.reporting.figures import draw_loops, to_png
 
+    places = {test.id: folder / f"{path.stem}_{test.id}_prior.png" for test in campaign.tests}
+    outputs = [Output(place, is_picture) for place in places.values()]
+    check_outputs(outputs, [path, *(test.path for test in campaign.tests)], force=force)
     found = []
     for test in campaign.tests:
         trace = test.read().trace(campaign.rate, gap=priors.gap)
         if trace.force is None:
             raise RecordError(f"test {test.id!r} of {path} has no force to compare with")
         fan = prior_fan(campaign, priors, trace)
-        picture = folder / f"{path.stem}_{test.id}_prior.png"
         figure = draw_loops(f"{test.id}: data over what the priors allow", trace, [fan])
-        write_bytes(picture, to_png(figure))
-        found.append((test.id, share_inside(fan, trace), picture))
+        write_picture(places[test.id], to_png(figure))
+        found.append((test.id, share_inside(fan, trace), places[test.id]))
     return found

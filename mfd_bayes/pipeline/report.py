@@ -16,6 +16,10 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.reporting.tables import (
     CROSSVALIDATION,
 )
+from mfd_bayes.runs.folder import check_places
+from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.verdict import Verdict
 
@@ -49,11 +53,14 @@ def report(
 
     if pdf:
         find_browser()
-    return write_report(open_run(out), observe, jobs=jobs, pdf=pdf)
+    read_manifest(out)  # a folder that is no finished run is refused before it is locked
+    with alone_in(out):
+        check_places(out)
+        return write_report(open_run(out), observe, jobs=jobs, pdf=pdf)
 
 
 def write_report(run: Run, observe: Observe, *, jobs: int, pdf: bool = False) -> CampaignView:
-    """Write the tables, figures and report of an open run."""
+    """Write the tables, figures and report of an open run, whose folder must be locked."""
     from mfd_bayes.reporting.publication import publish
 
     observe(Step("report", "checks and bands"))
@@ -67,6 +74,8 @@ def write_report(run: Run, observe: Observe, *, jobs: int, pdf: bool = False) ->
 
 def check(out: Path) -> CampaignView:
     """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing."""
-    view = assess(open_run(out))
+    run = open_run(out)
+    with reading(run.folder, run.manifest):
+        view = assess(run)
     told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
     return replace(view, checks=tuple(told))

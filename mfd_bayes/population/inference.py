@@ -17,7 +17,6 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
 from mfd_bayes.population.apart import set_apart
-from mfd_bayes.population.common import share
 from mfd_bayes.population.law_scores import (
     COVARIATES,
     TESTS,
@@ -33,6 +32,7 @@ from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.sharing import share
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 
 Array = NDArray[np.float64]

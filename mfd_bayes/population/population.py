@@ -95,11 +95,20 @@ class Population:
 
     @property
     def scatters(self) -> dict[str, Array]:
-        """Test-to-test scatter of each quantity, (chain, draw).
+        """Test-to-test scatter of each quantity that differs between tests, (chain, draw).
 
         It is the sd of the logarithm of a positive quantity, and in kip for the offset.
         """
-        return {name: np.exp(self.h[..., k]) for k, name in enumerate(self.layout.names)}
+        return {
+            name: np.exp(self.h[..., k])
+            for k, name in enumerate(self.layout.names)
+            if name not in self.common
+        }
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Quantities that are the same in all tests."""
+        return tuple(self.layout.names[k] for k in np.flatnonzero(self.layout.common))
 
     @property
     def effect_sds(self) -> dict[str, Array]:

@@ -19,6 +19,7 @@ from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
 from mfd_bayes.population.whole import whole_band
+from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
@@ -67,8 +68,10 @@ class Forecast:
             raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
         if not 0.0 < self.probability < 1.0:
             raise FitError(f"probability must lie between 0 and 1, got {self.probability}")
-        if self.draws < 10:
+        if whole_number("draws", self.draws, 0, FitError) < 10:
             raise FitError(f"a band needs at least 10 draws, got {self.draws}")
+        whole_number("seed", self.seed, 0, FitError)
+        whole_number("permutations", self.permutations, 0, FitError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +204,7 @@ class Predictor:
         source = "posterior draws of this test"
         return self._band(trace, forecast, parts, index, rng, source)
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _band(
         self,
         trace: Trace,
@@ -210,18 +214,17 @@ class Predictor:
         rng: np.random.Generator,
         source: str,
     ) -> Band:
-        """Band of drawn tests (n, d)."""
+        """Band of drawn tests (n, d); parameters and forces that are no numbers are refused."""
         unknown = _unknown(self.population, forecast.draws, rng)
         scales = _scales(self.population, trace, index) if trace.varying else {}
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, forecast.draws)
         drawn = Drawn(parts, unknown, scales, discrepancy=learned)
         values = self._values(drawn)
-        with np.errstate(over="ignore", invalid="ignore"):  # refused right below
-            damper = self._force(trace, drawn)
-            if forecast.kind == "observation":
-                drawn = replace(drawn, noise=self._noise(rng, trace, values))
-            force, _ = self._total(trace, drawn, damper)
+        damper = self._force(trace, drawn)
+        if forecast.kind == "observation":
+            drawn = replace(drawn, noise=self._noise(rng, trace, values))
+        force, _ = self._total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
         band = band_of(trace.time, force, forecast, source, values)
         return replace(band, shares=self._shares(trace, drawn, forecast))
@@ -252,7 +255,9 @@ class Predictor:
         values = self._values(drawn)
         theta = self.model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
-        force = self.model.force(theta, trace, values.get("start"), scales=drawn.scales or None)
+        force = self.model.force_unbounded(
+            theta, trace, values.get("start"), scales=drawn.scales or None
+        )
         residual = self.population.residual
         if residual is None or drawn.discrepancy is None:
             return force

@@ -15,6 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.units import percent
+
 Array = NDArray[np.float64]
 
 PROBABILITIES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
@@ -78,7 +80,7 @@ def promise(scores: Sequence[float], probability: float, by: str) -> str:
         What was left out at a time: "test", "level" or "session".
     """
     factor, share = chosen_factor(scores, probability)
-    count, asked = len(scores), f"{100 * probability:g} %"
+    count, asked = len(scores), f"{percent(probability)} %"
     text = (
         f"recalibrated: the band is {factor:.3g} times as wide as the population says, after "
         f"{count} tests that were left out, by {by}; it covers {asked} of the samples of about "

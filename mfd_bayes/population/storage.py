@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.effects import Effect
 from mfd_bayes.population.laws import LAWS
@@ -22,13 +23,20 @@ from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.stored import check_draws, check_facts
 from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
 Array = NDArray[np.float64]
 
 
 def save_population(path: Path, population: Population) -> None:
-    """Write the draws of a population: slopes and intercepts, levels, shapes and scatter."""
+    """Write the draws of a population: slopes and intercepts, levels, shapes and scatter.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be written, or `load_population` would refuse it; nothing is written then.
+    """
     convergence = population.convergence
     arrays: dict[str, Array] = {
         **population.slopes,
@@ -50,7 +58,28 @@ def save_population(path: Path, population: Population) -> None:
         "ess_tail": convergence.ess_tail.tolist(),
         "residual": _residual_facts(population.residual),
     }
+    check_facts(json.loads(json_text(facts)), path)
+    check_draws(population, path)
     save_arrays(path, arrays, facts)
+
+
+def check_storable(layout: Layout, where: object) -> None:
+    """Refuse a layout whose population could not be read once it is stored.
+
+    `where` is the campaign file, for the message.
+
+    Raises
+    ------
+    FitError
+        When a figure of the tests is out of the range that is read.
+    """
+    rest = {"actuation_unit": "ksi", "walkers": 1, "r_hat": [], "ess_bulk": [], "ess_tail": []}
+    try:
+        check_facts(json.loads(json_text({**_facts(layout), **rest})), where)
+    except StoreError as error:
+        raise FitError(
+            f"the tests of {where} have figures too large or too small to be stored: {error}"
+        ) from error
 
 
 def load_population(path: Path, priors: PriorFile) -> Population:

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.population.chains import Accepted, Chains
-from mfd_bayes.population.common import draw_common
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import draw_shape
 from mfd_bayes.population.layout import NONE
@@ -36,6 +35,7 @@ from mfd_bayes.population.moves.one_test import (
     step_near,
 )
 from mfd_bayes.population.moves.shared import rescale, shift
+from mfd_bayes.population.sharing import draw_common
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,9 @@ import numpy as np
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record
+from mfd_bayes.records.roles import header_unit
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import factor, parse_actuation
+from mfd_bayes.units import factor, measure, parse_actuation, same_unit
 
 TOLERANCE = 0.1
 """A name and its record agree if they differ by no more than this share of the name's value."""
@@ -30,7 +31,7 @@ _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
 
 
 def contradictions(record: Record, trace: Trace | None = None) -> tuple[Fault, ...]:
-    """Amplitude, frequency and actuation in a file's name that its record does not have.
+    """Units in columns' names, and figures in a file's name, that its record does not have.
 
     Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
     stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
@@ -39,7 +40,18 @@ def contradictions(record: Record, trace: Trace | None = None) -> tuple[Fault, .
     compared.
     """
     trace = record.trace() if trace is None else trace
-    return (*_of_motion(record, trace), *_of_actuation(record, trace))
+    return (*_of_columns(record), *_of_motion(record, trace), *_of_actuation(record, trace))
+
+
+def _of_columns(record: Record) -> Iterator[Fault]:
+    """Columns that have one unit in their name, and are read in another of the same measure."""
+    for name, unit in record.columns.values():
+        own = header_unit(name)
+        if own and measure(own) == measure(unit) and not same_unit(own, unit):
+            yield Fault(
+                "column unit",
+                f"column {name!r} is read in {unit!r}, and its name says {own!r}: which is it?",
+            )
 
 
 def _of_motion(record: Record, trace: Trace) -> Iterator[Fault]:

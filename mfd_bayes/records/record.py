@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +15,10 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
 from mfd_bayes.records.readers import Table, read_table
+from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.roles import ROLES, roles_of, unit_of
-from mfd_bayes.records.trace import Trace, check_magnitude
+from mfd_bayes.records.trace import Trace, check_size
 from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
 
 Window = tuple[float, float]
@@ -114,7 +114,7 @@ class Record:
         grid, signals = self._uniform()
         inside = np.flatnonzero((grid >= start) & (grid <= end))
         first, last = int(inside[0]), int(inside[-1])
-        share = 1 / Fraction(self.rate / rate).limit_denominator(1000)
+        share = 1 / Fraction(min(self.rate / rate, 1e9)).limit_denominator(1000)
         count = (last - first) * share.numerator // share.denominator + 1
         if count < SAMPLES:
             raise RecordError(f"{rate:g} Hz leaves fewer than {SAMPLES} samples of {self.path}")
@@ -222,7 +222,7 @@ def _signals_of(
             scale = factor(unit, role, of=of)
         with np.errstate(over="ignore"):  # check_magnitude refuses infinity
             signals[role] = values[name] * scale
-        check_magnitude(of, signals[role])
+        check_size(of, role, signals[role])
     if "actuation" in signals:
         if np.mean(signals["actuation"]) < 0:
             raise RecordError(f"the actuation of {table.path} is negative on average")
@@ -290,9 +290,3 @@ def _slice(record: Record, window: Window | None) -> slice:
 
 def _turns(displacement: Array) -> NDArray[np.intp]:
     return turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -41,8 +41,8 @@ def roles_of(
     Raises
     ------
     RecordError
-        When a role is unknown, no column or several could be time or displacement, or the
-        actuation is given twice.
+        When a role is unknown, a column has two roles, no column or several could be time or
+        displacement, or the actuation is given twice.
     """
     for role in (*columns, *units):
         if role not in ROLES:
@@ -53,6 +53,10 @@ def roles_of(
         roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
+    for role, name in roles.items():
+        twice = [other for other in ROLES if roles.get(other) == name and other != role]
+        if twice:
+            raise RecordError(f"column {name!r} of {table.path} is given for {role} and {twice[0]}")
     missing = [role for role in ("time", "displacement") if role not in roles]
     if missing:
         raise RecordError(

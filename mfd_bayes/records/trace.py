@@ -17,7 +17,9 @@ from mfd_bayes.records.motion import (
     motion_path,
     turning_points,
 )
+from mfd_bayes.records.numbers import real_numbers
 
+SMALLEST = 1e-9  # the largest force of a record is above it, kip, or the record has none
 LARGEST = 1e10  # largest number of a trace, in internal units; times since 1970 in s are below it
 
 
@@ -88,6 +90,8 @@ class Trace:
         _check_increasing(t)
         v = _differences(t, x) if velocity is None else _column("velocity", velocity, t.size)
         span = HYSTERESIS * float(np.ptp(x)) if hysteresis is None else hysteresis
+        if not 0.0 <= span <= LARGEST:
+            raise RecordError(f"hysteresis must be a length in in, 0 or more, got {hysteresis}")
         turns = turning_points(x, span)
         return cls(
             time=t,
@@ -137,7 +141,7 @@ def _differences(time: Array, displacement: Array) -> Array:
 
 
 def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
-    column = np.array(values, dtype=np.float64)
+    column = np.array(real_numbers(name, values))
     if column.ndim != 1:
         raise RecordError(f"{name} must be one-dimensional (T,), got shape {column.shape}")
     if size is not None and column.size != size:
@@ -164,11 +168,28 @@ def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
         )
 
 
+def check_size(name: str, role: str, values: Array) -> None:
+    """Refuse numbers that are too large, and a force that is too small but not zero.
+
+    Raises
+    ------
+    RecordError
+        When the size of one is above `LARGEST`, or every force is below `SMALLEST`.
+    """
+    check_magnitude(name, values)
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if role == "force" and 0.0 < largest < SMALLEST:
+        raise RecordError(
+            f"{name} holds numbers too small to use: the largest is {largest:.3g} kip, and at "
+            f"least {SMALLEST:g} kip is expected; check its unit"
+        )
+
+
 def _actuation(values: ArrayLike | None, size: int) -> float | Array:
     if values is None:
         return float("nan")
     if np.ndim(values) == 0:
-        level = float(np.asarray(values, dtype=np.float64))
+        level = float(real_numbers("actuation", values))
         if not np.isfinite(level) or level < 0:
             raise RecordError(f"actuation must be finite and not negative, got {level}")
         check_magnitude("actuation", np.array([level]))

@@ -8,6 +8,7 @@ import numpy as np
 
 from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
 from mfd_bayes.reporting.tables import csv_text
+from mfd_bayes.units import percent
 
 DRAWS = 2000
 """Most draws in the table of a joint posterior."""
@@ -61,9 +62,9 @@ def _bands(fan: Fan, name: str = "") -> dict[str, Array]:
     """Median and bounds of a fan by column."""
     columns = {f"{name}median_kip": fan.median}
     for interval in fan.intervals:
-        percent = f"{100 * interval.probability:g}"
-        columns[f"{name}lower_{percent}_kip"] = interval.lower
-        columns[f"{name}upper_{percent}_kip"] = interval.upper
+        share = percent(interval.probability)
+        columns[f"{name}lower_{share}_kip"] = interval.lower
+        columns[f"{name}upper_{share}_kip"] = interval.upper
     return columns
 
 
@@ -118,7 +119,7 @@ def _laws(view: CampaignView) -> str:
         for what, fan in (("median over tests", law.median), ("another test", law.new_test)):
             widest = max(fan.intervals, key=lambda interval: interval.probability)
             curve = zip(law.actuation, widest.lower, fan.median, widest.upper, strict=True)
-            about = f"{what}, {100 * widest.probability:g} %"
+            about = f"{what}, {percent(widest.probability)} %"
             lines += [(law.name, law.unit, law.law, about, *point) for point in curve]
         lines += [(law.name, law.unit, law.law, f"test {n}, 95 %", *at) for n, *at in law.tested]
     return csv_text(head, lines)

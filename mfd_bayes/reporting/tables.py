@@ -22,6 +22,7 @@ from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow
+from mfd_bayes.units import percent
 
 _DIGITS = 6
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
@@ -118,7 +119,7 @@ def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float
     shown = tuple(rows)
     about = (
         f"# derived quantities of the damper, without offset and noise, of kind {shown[0].role}: "
-        f"equal-tailed {100 * probability:g} % intervals\n"
+        f"equal-tailed {percent(probability)} % intervals\n"
         f"# actuation {actuation}; measured: of the force in the motion's file, as it is\n"
     )
     return about + csv_text(head, map(_derived_cells, shown))
@@ -129,7 +130,7 @@ def bands_csv(trace: Trace, band: Band, actuation: str) -> str:
     whole = [bound for bound in (band.whole_lower, band.whole_upper) if bound is not None]
     more = ",whole_lower_kip,whole_upper_kip" if whole else ""
     about = (
-        f"# {band.interval} {100 * band.probability:g} % band of kind {band.kind}, for each "
+        f"# {band.interval} {percent(band.probability)} % band of kind {band.kind}, for each "
         f"sample by itself; from {band.source}\n"
         + ("# whole: band of the whole history, of the same probability\n" if whole else "")
         + "".join(f"# warning: {' '.join(remark.split())}\n" for remark in band.remarks)

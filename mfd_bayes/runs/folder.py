@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.records.record import hash_file
-from mfd_bayes.store.files import PART
+from mfd_bayes.records.regular import hash_file
+from mfd_bayes.store.files import PART, check_place
 
 MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"
@@ -67,6 +67,18 @@ def _check_inside(path: Path, home: Path) -> None:
         raise StoreError(f"{path} is a link to outside of the run folder")
 
 
+def check_places(out: Path) -> None:
+    """Refuse to write a run into a folder in which a file of it would replace a device or a link.
+
+    Raises
+    ------
+    StoreError
+        When the place of one of its files is a device, a pipe, or a link out of the folder.
+    """
+    for name in (MANIFEST, *_OUTPUTS):
+        check_place(out / name)
+
+
 def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
     """Path of a stored file, checked: it is in the run folder and its hash, if known, is unchanged.
 
@@ -113,6 +125,55 @@ _OUTPUTS = (POPULATION, *_TABLES, "report.html", "report.pdf", CAMPAIGN, PRIORS)
 
 
 DISCARDED = f".{MANIFEST}.discarded"
+
+
+def name_in_run(path: Path) -> Path | None:
+    """Name of a file in the run folder that it lies in, as `manifest.json`; None outside of any.
+
+    Links are followed.
+    """
+    found = path.resolve()
+    for folder in found.parents:
+        if (folder / MANIFEST).is_file() or (folder / DISCARDED).is_file():
+            return found.relative_to(folder)
+    return None
+
+
+def is_of_run(name: Path) -> bool:
+    """Whether a name in a run folder is that of a file which the run writes, or of its folders."""
+    first = name.parts[0] if name.parts else ""
+    return first in FOLDERS or name.as_posix() in (*_OUTPUTS, MANIFEST, DISCARDED)
+
+
+def check_apart(out: Path, inputs: Iterable[Path], *, force: bool) -> None:
+    """Refuse a run that would remove or replace one of its own inputs.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    inputs : iterable of Path
+        Campaign file, priors and records.
+    force : bool
+        Whether what an earlier run wrote will be removed.
+
+    Raises
+    ------
+    StoreError
+        When an input lies where the run writes.
+    """
+    home = out.resolve()
+    for path in inputs:
+        found = path.resolve()
+        if not found.is_relative_to(home):
+            continue
+        name = found.relative_to(home)
+        copied = name.as_posix() in (CAMPAIGN, PRIORS) and not force  # written as it was read
+        if is_of_run(name) and not copied and (force or name.parts[0] not in FOLDERS):
+            raise StoreError(
+                f"{path} is an input of this run and lies where {out} is written: it would be "
+                "lost; give another folder"
+            )
 
 
 def discard(out: Path) -> None:

@@ -155,7 +155,14 @@ def _refusal(out: Path, owner: Owner | None) -> str:
     """Sentence that refuses a second process; it names the owner unless that has ended."""
     alive = owner is not None and (not owner.on_this_machine or owner.alive)
     named = f": {owner}" if alive else ""
-    return f"another process is calibrating into {out}{named}: let it end"
+    return f"another process is working in {out}{named}: let it end"
+
+
+def worker_in(out: Path) -> str:
+    """Words that name another process which works in a folder: ": …"; "" where none is known."""
+    owner = _owner_of(out)
+    known = owner is not None and owner.pid != os.getpid()
+    return f": {owner}" if known and owner is not None else ""
 
 
 def _owner_of(out: Path) -> Owner | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
@@ -12,15 +13,15 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.campaign.schema import LawName, check_id
-from mfd_bayes.errors import StoreError
+from mfd_bayes.campaign.schema import Area, LawName, check_id
+from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.inference import InferenceSettings
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.runs.results import CampaignCrossValidation, Comparison, Prediction
-from mfd_bayes.store.files import read_json, write_json
+from mfd_bayes.store.files import json_text, read_json, write_json
 from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Part, Positive, Three, check
 
 Id = Annotated[str, AfterValidator(check_id)]
@@ -88,7 +89,7 @@ class Settings(Part):
     dependence: Mapping[str, tuple[str, ...]] | None = None
     tolerances: Mapping[str, Positive] | None = None
     rate: Any = None
-    area: Annotated[float, Field(gt=0, le=1e10)] | None = None
+    area: Area | None = None
     actuation_unit: Literal["ksi", "kip"]
     tests: Mapping[Id, TestSettings]
 
@@ -204,6 +205,25 @@ class Manifest(Part):
             When it cannot be written.
         """
         write_json(folder / MANIFEST, self._content)
+
+
+def check_readable(manifest: Manifest) -> None:
+    """Refuse a manifest that could not be read once it is written.
+
+    Raises
+    ------
+    CampaignError
+        When a key has a value that the run folder may not hold, or another one once it is read.
+    """
+    written = json.loads(json_text(manifest.content))
+    try:
+        again = check(Manifest, written, "the manifest")
+    except StoreError as error:
+        raise CampaignError(
+            f"this campaign could not be opened once it is stored: {error}"
+        ) from error
+    if json.loads(json_text(again.content)) != written:
+        raise CampaignError("this campaign would not be the same once it is stored and read")
 
 
 class _Predictions(Part):

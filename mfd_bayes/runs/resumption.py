@@ -13,6 +13,7 @@ from mfd_bayes.runs.folder import (
     MANIFEST,
     POPULATION,
     check_links,
+    check_places,
     check_stored,
     discard,
     posterior_of,
@@ -57,6 +58,7 @@ def prepare_folder(
         When the folder may not be used, or holds something other than this run.
     """
     check_links(out)
+    check_places(out)
     if _is_free(home, out):
         return manifest, None
     if not (resume or force):

@@ -30,6 +30,7 @@ from mfd_bayes.runs.folder import (
     record_of,
 )
 from mfd_bayes.runs.manifest import Manifest, read_manifest
+from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.netcdf import load_trace
 
@@ -59,8 +60,9 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        path = check_stored(self.folder, POPULATION, self.manifest.files or {})
-        return load_population(path, self.priors)
+        with reading(self.folder, self.manifest):
+            path = check_stored(self.folder, POPULATION, self.manifest.files or {})
+            return load_population(path, self.priors)
 
     @cached_property
     def offset(self) -> float:
@@ -230,11 +232,17 @@ def open_run(folder: str | Path) -> Run:
     Raises
     ------
     StoreError
-        When the folder is no finished run, or a file in it is not what the run wrote.
+        When the folder is no finished run, a file in it is not what the run wrote, or another
+        process changes it meanwhile.
     """
     folder = Path(folder)
     check_links(folder)
     manifest = read_manifest(folder)
+    with reading(folder, manifest):
+        return _opened(folder, manifest)
+
+
+def _opened(folder: Path, manifest: Manifest) -> Run:
     digests = manifest.files or {}
     priors = load_priors(check_stored(folder, PRIORS, digests).name, folder)
     tests, held_out = {}, {}
@@ -243,8 +251,9 @@ def open_run(folder: str | Path) -> Run:
             path = check_stored(folder, record_of(test_id), digests)
             held_out[test_id] = load_trace(path)[0]
         elif entry.status == State.DONE:
-            path = check_stored(folder, posterior_of(test_id), digests)
-            tests[test_id] = load_result(test_id, path, priors)
+            name = posterior_of(test_id)
+            found = load_result(test_id, check_stored(folder, name, digests), priors)
+            tests[test_id] = replace(found, sha256=digests.get(name, ""))
     if not tests:
         raise StoreError(f"the run in {folder} has no calibrated test")
     return Run(folder, manifest, priors, tests, held_out)

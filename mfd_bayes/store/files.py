@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import StoreError
+from mfd_bayes.records.numbers import why_invalid
+from mfd_bayes.records.regular import why_no_file
 
 PART = ".part"
 _LARGEST_JSON = 64 * 2**20
@@ -25,8 +28,9 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     Raises
     ------
     StoreError
-        When the folder cannot be written to.
+        When the folder cannot be written to, or the place is no place for a file.
     """
+    check_place(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=PART)
@@ -45,6 +49,28 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     finally:
         with suppress(OSError):  # the folder became read-only; the next run removes it
             part.unlink(missing_ok=True)
+
+
+def check_place(path: Path) -> None:
+    """Refuse a place in which a file would replace something that is no file of its folder.
+
+    Raises
+    ------
+    StoreError
+        When it is a device, a pipe, a socket, or a link out of its folder.
+    """
+    try:
+        if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
+            raise StoreError(f"cannot write {path}: it is a link out of its folder")
+        mode = path.stat().st_mode if path.exists() else stat.S_IFREG
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, too long a name
+        raise StoreError(f"cannot write {path}: {_reason(error)}") from error
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a folder is refused by the system
+        raise StoreError(f"cannot write {path}: it is a device or a pipe, and would be replaced")
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def is_part(path: Path, name: str) -> bool:
@@ -81,6 +107,8 @@ def read_json(path: Path) -> dict[str, Any]:
         When the file is missing, too large, or holds no JSON object.
     """
     try:
+        if reason := why_no_file(path):
+            raise StoreError(f"{path} {reason}")
         if path.stat().st_size > _LARGEST_JSON:
             raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: not of this program")
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -88,7 +116,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise StoreError(f"{path} is not valid JSON: {error}") from error
+        raise StoreError(f"{path} is not valid JSON: {why_invalid(error)}") from error
     if not isinstance(content, dict):
         raise StoreError(f"{path} must hold a JSON object")
     return content

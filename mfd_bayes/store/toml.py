@@ -6,6 +6,9 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from mfd_bayes.records.numbers import why_invalid
+from mfd_bayes.records.regular import why_no_file
+
 LARGEST = 2**20  # largest file, bytes: ten times a campaign of 500 tests
 DOTS = 200  # most dots of a line: parsing takes the square of the number of a key's parts
 
@@ -24,6 +27,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     TomlError
         When it is too large, or not TOML.
     """
+    if reason := why_no_file(path):
+        raise TomlError(reason)
     with path.open("rb") as file:
         content = file.read(LARGEST + 1)
     if len(content) > LARGEST:
@@ -32,6 +37,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         if line.count(b".") > DOTS:
             raise TomlError(f"has more than {DOTS} dots in line {number}, the most that is read")
     try:
-        return tomllib.loads(content.decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # also thousands of digits
-        raise TomlError(f"is not valid TOML: {str(error)[:200]}") from error
+        raise TomlError(f"is not valid TOML: {why_invalid(error)}") from error

@@ -1,8 +1,16 @@
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
-from mfd_bayes.calibration.mixture import ANCHORED, Either, Mixture, Warp, Warped, learn
+from mfd_bayes.calibration.mixture import (
+    ANCHORED,
+    Either,
+    Mixture,
+    Warp,
+    Warped,
+    learn,
+    log_sum_exp,
+)
 
 RNG = np.random.default_rng(0)
 DIM = 3
@@ -21,6 +29,21 @@ def test_density_is_that_of_scipy():
         )
     ]
     np.testing.assert_allclose(np.exp(MIXTURE.log_density(points)), sum(parts), rtol=1e-10)
+
+
+@pytest.mark.parametrize("scale", [0.1, 30.0, 2000.0])
+def test_the_log_of_a_sum_is_that_of_scipy(scale):
+    rng = np.random.default_rng(3)
+    terms = scale * rng.normal(size=(5, 400))
+    terms[rng.random(terms.shape) < 0.2] = -np.inf
+    terms[:, 0] = -np.inf  # a sum of nothing
+    terms[:, 1] = 7.0  # all alike
+    terms[2, 2:5] = np.nan, np.inf, -np.inf
+    for weights in (rng.dirichlet(np.ones(5)), np.array([0.0, 0.2, 0.3, 0.1, 0.4])):
+        with np.errstate(over="ignore"):
+            known = special.logsumexp(terms, axis=0, b=weights[:, None])
+        np.testing.assert_allclose(log_sum_exp(terms, weights), known, rtol=1e-14, atol=1e-15)
+    assert log_sum_exp(terms, weights)[0] == -np.inf
 
 
 def test_draws_have_the_density():

@@ -39,11 +39,11 @@ def environment():
     return {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
 
 
-def mfd(*arguments):
-    """Outcome of the installed command."""
-    command = [COMMAND, *map(str, arguments)]
+def mfd(command, *arguments):
+    """Outcome of the command that some words start."""
+    words = [*command, *map(str, arguments)]
     return subprocess.run(
-        command, capture_output=True, text=True, env=environment(), timeout=300, check=False
+        words, capture_output=True, text=True, env=environment(), timeout=300, check=False
     )
 
 
@@ -468,7 +468,11 @@ def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished_run):
     assert look.startswith(f"look next at {folder}/report.html")
 
 
-def test_report_remakes_the_report_without_sampling_and_quietly_says_the_verdict_alone(copied):
+def test_report_remakes_the_report_without_sampling_and_quietly_says_the_verdict_alone(
+    copied, monkeypatch
+):
+    # the figures that all tests share are enough here
+    monkeypatch.setattr("mfd_bayes.reporting.publication.draw_test", lambda *_: iter(()))
     sentence = json.loads((copied / "manifest.json").read_text())["verdicts"]["sentence"]
     stored = copied / "tests" / TESTS[0] / "posterior.nc"
     before = stored.stat().st_mtime_ns, hashlib.sha256(stored.read_bytes()).hexdigest()
@@ -670,11 +674,11 @@ def test_the_truth_of_the_scatter_is_that_of_its_coordinate(campaign):
 
 
 @pytest.fixture(scope="module")
-def crossed(campaign, out, tmp_path_factory):
+def crossed(campaign, out, without_figures, tmp_path_factory):
     """Copy of the run, cross-validated by level, and what was printed."""
     copy = Path(shutil.copytree(out, tmp_path_factory.mktemp("crossed") / "out"))
     arguments = ("crossvalidate", campaign[0], "-o", copy, "--by", "level", "--effort", "quick")
-    return copy, mfd(*arguments, "--jobs", 2, "--resume"), arguments
+    return copy, mfd(without_figures, *arguments, "--jobs", 2, "--resume"), arguments
 
 
 @pytest.mark.slow
@@ -714,12 +718,12 @@ def test_the_report_shows_what_was_left_out_beside_the_test_held_out(crossed):
 
 
 @pytest.mark.slow
-def test_parts_that_were_predicted_are_not_predicted_again(crossed, tmp_path):
+def test_parts_that_were_predicted_are_not_predicted_again(crossed, without_figures, tmp_path):
     folder, _, arguments = crossed
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "crossvalidation" / "level_2.json").unlink()
     again = [str(copy) if a == folder else a for a in arguments]
-    outcome = mfd(*again, "--jobs", 2, "--resume")
+    outcome = mfd(without_figures, *again, "--jobs", 2, "--resume")
     assert outcome.returncode == 0, outcome.stderr
     assert "without 1000 psi: done" in outcome.stdout
     assert "without 500 psi: done before" in outcome.stdout
@@ -825,7 +829,7 @@ def test_an_interrupt_while_processes_start_is_one_sentence_too(campaign, tmp_pa
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
+def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied, without_figures):
     """Replace a run, interrupt that, give back what could be finished by then, and go on."""
     (copied / "mine.txt").write_text("keep me")
     process = start(*calibrate(campaign[0], copied, "--force", "--jobs", 2))
@@ -859,7 +863,7 @@ def test_an_interrupted_run_is_resumed_to_the_same_bits(campaign, out, copied):
         home = copied / "tests" / test
         home.mkdir(parents=True, exist_ok=True)
         shutil.copy(out / "tests" / test / "posterior.nc", home)
-    outcome = mfd(*calibrate(campaign[0], copied, "--resume", "--jobs", 1))
+    outcome = mfd(without_figures, *calibrate(campaign[0], copied, "--resume", "--jobs", 1))
     assert outcome.returncode == 0, outcome.stderr
     assert f"{TESTS[2]}: done" in outcome.stdout
     assert f"{TESTS[0]}: done before" in outcome.stdout

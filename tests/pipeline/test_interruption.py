@@ -10,7 +10,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 from types import ModuleType
@@ -34,27 +33,13 @@ pytestmark = [
     ),
 ]
 
-# The command as installed, but for the pictures, which take half of the time.
-DRIVER = """\
-from mfd_bayes.cli.commands import main
-
-if __name__ == "__main__":
-    from mfd_bayes.reporting import figures
-
-    figures.draw_shared = lambda view: iter(())
-    figures.draw_test = lambda test, system, unit: iter(())
-    main()
-"""
-
 
 @pytest.fixture(scope="module")
-def study(benchmark_module, tmp_path_factory) -> ModuleType:
-    """The benchmark's harness, running the driver."""
+def study(benchmark_module, without_figures) -> ModuleType:
+    """The benchmark's harness, running the command without figures."""
     module = benchmark_module("interruption.harness")
-    driver = tmp_path_factory.mktemp("driver") / "driver.py"
-    driver.write_text(DRIVER)
     module.heed_interrupts()
-    module.COMMAND = [sys.executable, str(driver)]
+    module.COMMAND = without_figures
     return module
 
 

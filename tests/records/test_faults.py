@@ -248,3 +248,38 @@ def test_faults_come_the_gravest_first():
 def test_real_records_raise_no_false_alarm(data_folder):
     for path in sorted(data_folder.glob("20*.csv")):
         assert find_faults(read_record(path).trace(), 0.2) == (), path.name
+
+
+# --- the velocity
+
+
+def velocity_trace(change):
+    """A trace with a noisy displacement in coarse steps, and its own velocity, changed."""
+    time = np.arange(801) / 100.0
+    noise = np.random.default_rng(3).normal(0.0, 2e-3, time.size)
+    motion = np.round((np.sin(np.pi * time) + noise) * 500) / 500
+    velocity = np.pi * np.cos(np.pi * time) + 0.05  # with a zero that is a little off
+    return Trace.from_arrays(time, motion, 0.5, np.sign(velocity), change(velocity))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda v: -100 * v,
+        lambda v: -v,
+        lambda v: 25.4 * v,
+        lambda v: v / 2,
+        np.zeros_like,
+        lambda v: v[::-1].copy() ** 2,
+    ],
+    ids=["-100 times", "sign", "mm/s as in/s", "half", "zero", "another channel"],
+)
+def test_a_velocity_that_contradicts_the_displacement_is_a_fault(change):
+    faults = [f for f in find_faults(velocity_trace(change)) if f.name == "velocity"]
+    assert len(faults) == 1
+    assert "not that of the displacement" in faults[0].sentence
+
+
+@pytest.mark.parametrize("change", [lambda v: v, lambda v: 1.1 * v, lambda v: None])
+def test_a_velocity_that_agrees_or_is_not_there_is_none(change):
+    assert "velocity" not in {f.name for f in find_faults(velocity_trace(change))}

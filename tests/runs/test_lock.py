@@ -3,7 +3,9 @@
 import errno
 import fcntl
 import json
+import math
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -13,9 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs import lock
+from mfd_bayes.pipeline import prediction, report
+from mfd_bayes.population import storage
+from mfd_bayes.runs import lock, run
 from mfd_bayes.runs.lock import OWNER, Owner, alone_in
 
 HOLD = """\
@@ -62,7 +68,7 @@ def leave(out, **changes):
 def test_a_second_process_is_refused_with_the_owners_name(out):
     with held(out) as process:
         with (
-            pytest.raises(StoreError, match="another process is calibrating into") as caught,
+            pytest.raises(StoreError, match="another process is working in") as caught,
             alone_in(out),
         ):
             pytest.fail("two are at work")
@@ -214,3 +220,114 @@ def test_an_owners_file_with_wrong_values_is_no_lock(out, key, value):
     (out / OWNER).write_text(json.dumps(named))
     with alone_in(out):
         pass
+
+
+# --- everything that writes into a run folder takes the lock; what reads notices a change
+
+WRITERS = {
+    "report": ("report", "{out}"),
+    "calibrate": ("calibrate", "{campaign}", "-o", "{out}", "--force"),
+    "resume": ("calibrate", "{campaign}", "-o", "{out}", "--resume"),
+    "crossvalidate": ("crossvalidate", "{campaign}", "-o", "{out}", "--resume"),
+    "demo": ("demo", "{out}", "--force"),
+    "compare": ("compare", "{campaign}", "-o", "{above}", "--models", "lugre,bouc_wen", "--resume"),
+}
+
+CAMPAIGN = '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n'
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory, benchmark_module):
+    """A finished run folder that no sampler has seen, named as a model of a comparison."""
+    folder = tmp_path_factory.mktemp("stored") / "lugre"
+    benchmark_module("fuzz.runs").write_run(folder, small=True)
+    return folder
+
+
+@pytest.fixture
+def run_folder(stored, tmp_path, benchmark_module):
+    shutil.copytree(stored, tmp_path / "lugre")
+    text = CAMPAIGN + CAMPAIGN.replace('"a"', '"b"').replace("500", "900")
+    (tmp_path / "campaign.toml").write_text(text)
+    time = [i / 50 for i in range(401)]
+    rows = [f"{t},{math.sin(math.pi * t)},{math.tanh(4 * math.cos(math.pi * t))}" for t in time]
+    (tmp_path / "a.csv").write_text("time_s,displacement_in,force_kip\n" + "\n".join(rows))
+    return tmp_path / "lugre"
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_command_that_writes_into_a_run_takes_its_lock(run_folder, name):
+    home = run_folder.parent
+    places = {"out": run_folder, "above": home, "campaign": home / "campaign.toml"}
+    before = {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()}
+    with held(run_folder) as owner:
+        words = [word.format(**places) for word in WRITERS[name]]
+        outcome = CliRunner().invoke(app, words)
+        assert outcome.exit_code == 2, outcome.output
+        (sentence,) = outcome.stderr.splitlines()
+        assert "another process is working in" in sentence
+        assert f"process {owner.pid} " in sentence
+    after = {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()}
+    after.pop(run_folder / OWNER, None)  # of the owner, who was killed
+    assert after == before
+
+
+def test_a_report_keeps_its_lock_to_the_end(run_folder):
+    held_by = []
+
+    def look(step):
+        done = subprocess.run(
+            [sys.executable, "-c", HOLD, str(run_folder)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        held_by.append(done.stderr)
+
+    report.report(run_folder, look, jobs=1)
+    assert len(held_by) >= 3
+    assert all("another process is working in" in words for words in held_by)
+
+
+def test_a_report_of_what_is_no_run_makes_no_folder(tmp_path):
+    outcome = CliRunner().invoke(app, ["report", str(tmp_path / "none")])
+    assert outcome.exit_code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def change(out):
+    """What another process does to a run: the files of another seed, and its manifest."""
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest |= {"seed": 2, "status": "running"}
+    (out / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize("moment", ["opened", "population", "whole"])
+@pytest.mark.parametrize("command", ["check", "predict"])
+def test_a_run_that_changes_while_it_is_read_is_told(run_folder, monkeypatch, command, moment):
+    home = run_folder.parent
+    asked = ("--motion", home / "a.csv", "--actuation", "500 psi", "-o", home / "b.csv")
+    words = [command, run_folder, *(asked if command == "predict" else ())]
+    place = {"opened": run, "population": storage, "whole": report}[moment]
+    name = {"opened": "load_result", "population": "load_population", "whole": "open_run"}[moment]
+    place = prediction if (moment, command) == ("whole", "predict") else place
+    real = getattr(place, name)
+
+    def then_changed(*given):
+        found = real(*given)
+        change(run_folder)
+        return found
+
+    monkeypatch.setattr(place, name, then_changed)
+    outcome = CliRunner().invoke(app, [str(word) for word in words])
+    assert outcome.exit_code == 2, outcome.output
+    assert "was changed by another process while it was read" in outcome.stderr
+    assert not (home / "b.csv").exists()
+
+
+def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(run_folder):
+    found = run.open_run(run_folder)
+    path = run_folder / "tests" / "a" / "posterior.nc"
+    path.write_bytes(path.read_bytes() + b"\0")
+    with pytest.raises(StoreError, match="was changed by another process"):
+        _ = found.tests["a"].draws

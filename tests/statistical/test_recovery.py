@@ -64,7 +64,7 @@ def synthesize(priors: PriorFile, rng: np.random.Generator) -> tuple[Posterior, 
 def quantile_ranks() -> np.ndarray:
     """Share of the posterior below the truth, (tests, watched)."""
     priors, rng = narrow_priors(), np.random.default_rng(11)
-    effort = Effort(ess=80, limit=400, r_hat=1.05, length=1.0, ensembles=2)
+    effort = Effort(ess=80, limit=400, r_hat=1.05, length=1.0, ensembles=2, starts=6)
     ranks = np.empty((TESTS, len(WATCHED)))
     for i in range(TESTS):
         posterior, truth = synthesize(priors, rng)

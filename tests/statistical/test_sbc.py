@@ -34,7 +34,7 @@ def ranks(sbc: ModuleType) -> dict[str, dict[str, list[int]]]:
     study = sbc.Study(
         priors=sbc.narrow_priors(SAMPLED, noise_time=0.4),
         motion=Trace.from_arrays(time, 0.5 * np.sin(2 * np.pi * 0.25 * time)),
-        effort=replace(EFFORTS["quick"], ess=90, limit=800, r_hat=1.05, ensembles=2),
+        effort=replace(EFFORTS["quick"], ess=90, limit=800, r_hat=1.05, ensembles=2, starts=6),
         draws=DRAWS,
         seed=5,
     )

@@ -56,7 +56,7 @@ def level_in_header(path: Path, names: Sequence[str]) -> Level | None:
     A pressure without that word, as ``Brake at 500 psi``, gets a doubt.
     """
     lines = list(names)
-    if path.suffix.lower() in _TEXT_SUFFIXES:
+    if path.suffix.lower() in _TEXT_SUFFIXES and path.is_file():
         with path.open("rb") as file:
             head = file.read(_HEADER_BYTES).decode("utf-8", "replace")
         lines += [

@@ -10,13 +10,29 @@ from mfd_bayes.records.trace import Trace
 __all__ = ["NAMES", "Fault", "find_faults", "seems_milliseconds"]
 
 NAMES = (
-    *("no force", "force sign", "time unit", "short record", "stroke", "clipping", "lag"),
+    *(
+        "no force",
+        "force sign",
+        "velocity",
+        "time unit",
+        "short record",
+        "stroke",
+        "clipping",
+        "lag",
+    ),
     *("spikes", "dropped samples", "repeated samples", "resolution", "rate", "drift"),
 )
 """Names of the faults, the most serious first."""
 
 _OF_RECORD = (
-    *(signals.no_force, signals.force_sign, signals.clipping, signals.lag, signals.spikes),
+    *(
+        signals.no_force,
+        signals.force_sign,
+        signals.velocity,
+        signals.clipping,
+        signals.lag,
+        signals.spikes,
+    ),
     *(signals.drift, clock.time_unit, clock.short_record, clock.dropped, clock.repeated),
 )
 _OF_GAP = (clock.stroke, clock.rate)

@@ -17,6 +17,9 @@ CLIPPED = 5  # fewest samples in a row at the extreme of the force that show a l
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
 """A lag is reported above all three: s, samples, and share of a cycle."""
 
+ALIKE, SCALE = 0.9, 1.25
+"""Least correlation, and largest factor, between a displacement and its velocity's integral."""
+
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
 SPIKE = 0.10  # an isolated sample that stands out by this share of the signal's range is a spike
 DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero
@@ -40,6 +43,28 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
             "force sign",
             f"the force does negative work in the loops ({np.median(energy):.3g} kip·in a loop): "
             "the sign of the force or of the displacement is swapped",
+        )
+
+
+def velocity(trace: Trace) -> Iterator[Fault]:
+    """A velocity that is not that of the displacement.
+
+    Both are compared as displacements, without their lines in time: the integral of a velocity is
+    smooth, where the derivative of a displacement is noise.
+    """
+    steps = np.diff(trace.time) * 0.5 * (trace.velocity[1:] + trace.velocity[:-1])
+    line = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, trace.samples), 1)
+    basis = np.linalg.qr(line)[0]
+    both = np.column_stack([trace.displacement, np.concatenate([[0.0], np.cumsum(steps)])])
+    moved, integral = (both - basis @ (basis.T @ both)).T
+    share = float(integral @ moved / max(moved @ moved, 1e-300))
+    size = float(np.sqrt((integral @ integral) * (moved @ moved)))
+    alike = float(integral @ moved) / size if size > 0.0 else 0.0
+    if alike < ALIKE or abs(np.log(share)) > np.log(SCALE):
+        yield Fault(
+            "velocity",
+            f"the velocity is not that of the displacement: its integral moves {share:.3g} times "
+            f"as far (correlation {alike:.2f}); check its column, unit and sign, or leave it out",
         )
 
 

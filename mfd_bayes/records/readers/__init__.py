@@ -15,6 +15,7 @@ from mfd_bayes.records.readers.matlab import read_matlab
 from mfd_bayes.records.readers.table import Table
 from mfd_bayes.records.readers.tdms import read_tdms
 from mfd_bayes.records.readers.text import read_text
+from mfd_bayes.records.regular import why_no_file
 
 __all__ = ["SUFFIXES", "Table", "read_table"]
 
@@ -49,6 +50,8 @@ def read_table(path: Path) -> Table:
             f"{path} has the unknown suffix {suffix!r}; expected {', '.join(SUFFIXES)}"
         )
     try:
+        if reason := why_no_file(path):
+            raise RecordError(f"{path} {reason}")
         if path.stat().st_size == 0:
             raise RecordError(f"{path} is empty")
         return FORMATS[suffix](path)

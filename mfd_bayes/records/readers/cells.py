@@ -20,8 +20,9 @@ def is_number(cell: object, *, decimal: str = ".", finite: bool = False) -> bool
         value = float(cell)  # type: ignore[arg-type]  # TypeError is caught
     except (TypeError, ValueError, OverflowError):
         return False
-    # Python's float accepts 1_000; a table's number has no underscore.
-    return "_" not in str(cell) and (not finite or math.isfinite(value))
+    # Python's float accepts 1_000, and digits of other scripts, which no other reader does.
+    plain = all(c.isascii() or not c.isdigit() for c in str(cell))
+    return plain and "_" not in str(cell) and (not finite or math.isfinite(value))
 
 
 def bare_unit(text: str) -> str:

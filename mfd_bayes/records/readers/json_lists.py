@@ -11,6 +11,7 @@ import numpy as np
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
+from mfd_bayes.records.numbers import why_invalid
 from mfd_bayes.records.readers.bounds import CELLS, check_columns, read_json_text
 from mfd_bayes.records.readers.cells import bad_cell, is_number, sample
 from mfd_bayes.records.readers.table import Table
@@ -23,7 +24,7 @@ def read_json(path: Path) -> Table:
     except UnicodeDecodeError as error:
         raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
     except (ValueError, RecursionError) as error:
-        raise RecordError(f"{path} is not valid JSON: {str(error)[:200]}") from error
+        raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
     columns = _columns(path, content)
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")

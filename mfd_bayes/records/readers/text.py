@@ -119,6 +119,14 @@ class _Text:
         )
         return next(bad, len(column))
 
+    def _unread(self, columns: dict[str, list[str]]) -> RecordError:
+        """Error for the first cell with a sign that numbers do not have."""
+        for name, column in columns.items():
+            for row, cell in enumerate(column):
+                if not cell.strip().isascii():
+                    return bad_cell(self.place(row), self.path, name, cell)
+        return RecordError(f"{self.path} holds numbers that cannot be read")
+
     def _mixed(self, columns: dict[str, list[str]]) -> RecordError:
         """Error for columns that hold both decimal points and decimal commas."""
         seen = {
@@ -129,7 +137,7 @@ class _Text:
             if sign in cell
         }
         if len(seen) < 2:
-            return RecordError(f"{self.path} holds numbers that cannot be read")
+            return self._unread(columns)
         return RecordError(
             f"{self.path} holds both points and commas, {seen['.']} and {seen[',']}: expected one "
             "sign of decimals, and no thousands separators"

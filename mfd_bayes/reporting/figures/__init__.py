@@ -1,8 +1,17 @@
 """Every figure. Only these files import matplotlib and corner, so import them late."""
 
+from mfd_bayes.reporting.figures.backend import mpl
 from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_shared, draw_test
 from mfd_bayes.reporting.figures.inspection import draw_inspection
 from mfd_bayes.reporting.figures.loops import draw_loops
 from mfd_bayes.reporting.figures.style import to_png
 
-__all__ = ["OF_TEST", "draw_inspection", "draw_loops", "draw_shared", "draw_test", "to_png"]
+__all__ = [
+    "OF_TEST",
+    "draw_inspection",
+    "draw_loops",
+    "draw_shared",
+    "draw_test",
+    "mpl",
+    "to_png",
+]

@@ -12,6 +12,7 @@ from mfd_bayes.assessment.views import Fan, LawView
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
+from mfd_bayes.units import percent
 
 _ACTUATION = {
     "ksi": "pressure, ksi",
@@ -73,7 +74,7 @@ def _draw_law(axes: Axes, law: LawView) -> None:
 def _fill(axes: Axes, law: LawView, fan: Fan, colour: str, name: str) -> None:
     widest = max(fan.intervals, key=lambda interval: interval.probability, default=None)
     if widest is not None:
-        text = f"{name}, {100 * widest.probability:g} %"
+        text = f"{name}, {percent(widest.probability)} %"
         axes.fill_between(
             law.actuation, widest.lower, widest.upper, color=colour, linewidth=0, label=text
         )

@@ -15,6 +15,7 @@ from PIL import Image
 
 from mfd_bayes.assessment.views import Fan, Interval
 from mfd_bayes.reporting.colours import BANDS
+from mfd_bayes.units import percent
 
 DPI = 105
 FEW = 160
@@ -89,7 +90,7 @@ def percents(fan: Fan) -> str:
     """Probabilities of a fan's intervals: "50 and 95 %"."""
     chances = sorted(i.probability for i in fan.intervals if not i.whole)
     pale = "; pale: of the whole history" if any(i.whole for i in fan.intervals) else ""
-    return " and ".join(f"{100 * chance:g}" for chance in chances) + f" %{pale}"
+    return " and ".join(percent(chance) for chance in chances) + f" %{pale}"
 
 
 def no_ticks(axes: Axes) -> None:

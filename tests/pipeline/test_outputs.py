@@ -1,0 +1,230 @@
+"""What a command writes replaces nothing but what the same command wrote before."""
+
+import os
+import shutil
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes.cli.commands import app
+from mfd_bayes.errors import StoreError
+from mfd_bayes.store.files import write_text
+
+CAMPAIGN = """\
+[[test]]
+id = "p500"
+file = "{file}"
+actuation = "500 psi"
+"""
+
+
+def here(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def state(folder):
+    """Every file of a folder with its content, and every other thing with its kind."""
+    return {
+        p.relative_to(folder): p.read_bytes() if p.is_file() else p.lstat().st_mode
+        for p in folder.rglob("*")
+    }
+
+
+def refused(outcome, words):
+    assert outcome.exit_code == 2, outcome.output
+    (sentence,) = outcome.stderr.splitlines()
+    assert sentence.startswith("mfd-bayes: ")
+    assert words in sentence
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory, benchmark_module):
+    """A finished run folder that no sampler has seen."""
+    folder = tmp_path_factory.mktemp("stored") / "out"
+    benchmark_module("fuzz.runs").write_run(folder, small=True)
+    return folder
+
+
+@pytest.fixture
+def home(stored, tmp_path):
+    """A folder with a run, a motion, a record with its campaign, and a table of another program."""
+    shutil.copytree(stored, tmp_path / "out")
+    time = np.arange(201) / 50
+    motion = np.sin(np.pi * time)
+    table = np.column_stack([time, motion, np.tanh(4 * np.cos(np.pi * time))])
+    for name in ("m.csv", "x_derived.csv"):
+        write_text(tmp_path / name, csv(table))
+    (tmp_path / "mine.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(file="m.csv"))
+    return tmp_path
+
+
+def csv(table):
+    lines = "".join(",".join(f"{x:.6f}" for x in row) + "\n" for row in table)
+    return "time_s,displacement_in,force_kip\n" + lines
+
+
+def make_device(path):
+    os.mknod(path, 0o20666, os.makedev(1, 3))  # as /dev/null
+
+
+def make_socket(path):
+    with socket.socket(socket.AF_UNIX) as found:
+        found.bind(str(path))
+
+
+def predict(home, bands, *options, motion="m.csv"):
+    asked = ("--motion", home / motion, "--actuation", "500 psi", "-o", home / bands, "-q")
+    return here("predict", home / "out", *asked, *options)
+
+
+@pytest.mark.parametrize("options", [(), ("--force",)], ids=["plain", "forced"])
+@pytest.mark.parametrize(
+    ("bands", "motion", "words"),
+    [
+        ("m.csv", "m.csv", "is an input of this command"),
+        ("out/../m.csv", "m.csv", "is an input of this command"),
+        ("x.csv", "x_derived.csv", "is an input of this command"),
+        ("out/manifest.json", "m.csv", "is a file of the run"),
+        ("out/manifest", "m.csv", None),
+        ("out/laws.csv", "m.csv", "is a file of the run"),
+        ("out/tests/a/posterior.nc", "m.csv", "is a file of the run"),
+        ("out/population.nc", "m.csv", "is a file of the run"),
+        ("..", "m.csv", "name of a file"),
+    ],
+)
+def test_a_prediction_is_not_written_over_inputs_or_a_run(home, bands, motion, words, options):
+    before = state(home)
+    outcome = predict(home, bands, *options, motion=motion)
+    if words is None:  # a new file in a run folder loses nothing
+        assert outcome.exit_code == 0, outcome.output
+        assert all(state(home)[name] == content for name, content in before.items())
+    else:
+        refused(outcome, words)
+        assert state(home) == before
+
+
+@pytest.mark.parametrize("name", ["band.csv", "band.png", "band_derived.csv"])
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device", "link"])
+def test_a_prediction_is_not_written_over_what_is_no_file(home, kind, name):
+    if kind == "device" and os.geteuid() != 0:
+        pytest.skip("only root makes a device")
+    (home / "there").mkdir()
+    place = home / "there" / name
+    make = {"pipe": os.mkfifo, "socket": make_socket, "device": make_device}
+    make.get(kind, lambda path: path.symlink_to(home / "mine.csv"))(place)
+    before = state(home)
+    outcome = predict(home, "there/band.csv", "--force")
+    refused(outcome, "link out of its folder" if kind == "link" else "a device or a pipe")
+    assert state(home) == before
+
+
+@pytest.mark.parametrize("name", ["mine.csv", "mine.png", "mine_derived.csv"])
+def test_a_file_of_another_program_is_replaced_only_by_force(home, name):
+    shutil.copy(home / "mine.csv", home / "content")
+    (home / "mine.csv").unlink()
+    shutil.copy(home / "content", home / name)
+    before = state(home)
+    refused(predict(home, "mine.csv"), "--force")
+    assert state(home) == before
+    assert predict(home, "mine.csv", "--force").exit_code == 0
+    assert (home / name).read_bytes() != before[Path(name)]
+
+
+def test_a_prediction_is_written_again_over_its_own_files(home):
+    for _ in range(2):
+        outcome = predict(home, "band.csv")
+        assert outcome.exit_code == 0, outcome.output
+    picture = home / "band.png"  # of an older version, which did not mark it
+    content = picture.read_bytes()
+    assert content[37:41] == b"tEXt"
+    picture.write_bytes(content[:33] + content[33 + 12 + len(b"Software\0mfd-bayes") :])
+    assert predict(home, "band.csv").exit_code == 0
+    assert predict(home, "band", "--force").exit_code == 0  # without a suffix
+
+
+@pytest.mark.parametrize("command", ["inspect", "prior-check"])
+def test_pictures_replace_pictures_of_the_same_command_alone(home, command):
+    looks, campaign = home / "looks", home / "campaign.toml"
+    for _ in range(2):
+        outcome = here(command, campaign, "-o", looks)
+        assert outcome.exit_code == 0, outcome.output
+    (picture,) = looks.iterdir()
+    picture.write_bytes(b"\x89PNG of a camera")
+    refused(here(command, campaign, "-o", looks), "--force")
+    assert picture.read_bytes() == b"\x89PNG of a camera"
+    assert here(command, campaign, "-o", looks, "--force").exit_code == 0
+    picture.unlink()
+    os.mkfifo(picture)
+    refused(here(command, campaign, "-o", looks, "--force"), "a device or a pipe")
+    assert picture.is_fifo()
+
+
+def test_a_comparison_does_not_replace_a_table_of_another_program(home):
+    (home / "models").mkdir()
+    shutil.copy(home / "mine.csv", home / "models" / "comparison.csv")
+    before = state(home)
+    refused(here("compare", home / "campaign.toml", "-o", home / "models"), "--force")
+    assert state(home) == before
+
+
+@pytest.mark.parametrize("name", ["tests/m.csv", "figures/campaign.toml", "campaign.toml"])
+def test_a_run_is_not_replaced_with_its_inputs_in_it(home, name):
+    place = home / "out" / name
+    place.parent.mkdir(exist_ok=True)
+    if place.suffix == ".csv":
+        shutil.copy(home / "m.csv", place)
+        campaign = home / "campaign.toml"
+        campaign.write_text(CAMPAIGN.format(file=f"out/{name}"))
+    else:
+        shutil.copy(home / "m.csv", place.parent)
+        shutil.copy(home / "campaign.toml", place)
+        campaign = place
+    before = state(home)
+    refused(here("calibrate", campaign, "-o", home / "out", "--force"), "would be lost")
+    assert state(home) == before
+
+
+@pytest.mark.parametrize("name", ["report.html", "manifest.json", "campaign.toml"])
+def test_a_run_does_not_replace_a_pipe_or_a_link_out_of_its_folder(home, name):
+    place = home / "out" / name
+    place.unlink(missing_ok=True)
+    place.symlink_to(home / "mine.csv")
+    if name != "manifest.json":
+        outcome = here("calibrate", home / "campaign.toml", "-o", home / "out", "--force")
+        refused(outcome, "link out of its folder")
+    with pytest.raises(StoreError, match="link out of its folder"):
+        write_text(place, "{}")
+    assert place.is_symlink()
+    assert (home / "mine.csv").read_text() == "a,b\n1,2\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("calibrate", "campaign.toml", "-o", ""),
+        ("calibrate", "", "-o", "out"),
+        ("compare", "campaign.toml", "-o", ""),
+        ("crossvalidate", "campaign.toml", "--out", ""),
+        ("demo", ""),
+        ("report", ""),
+        ("check", " "),
+        ("init", ""),
+        ("inspect", ""),
+        ("inspect", "m.csv", "-o", ""),
+        ("prior-check", "campaign.toml", "-o", ""),
+        ("predict", "out", "--motion", "", "--actuation", "1 ksi", "-o", "b.csv"),
+        ("predict", "out", "--motion", "m.csv", "--actuation", "1 ksi", "-o", ""),
+    ],
+    ids=" ".join,
+)
+def test_an_empty_path_is_not_this_folder(home, monkeypatch, arguments):
+    monkeypatch.chdir(home)
+    before = state(home)
+    outcome = here(*arguments)
+    assert outcome.exit_code == 2, outcome.output
+    assert "got an empty text" in " ".join(outcome.stderr.split())
+    assert state(home) == before
