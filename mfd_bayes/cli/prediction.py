@@ -48,7 +48,7 @@ def predict(
 
     Writes the band as CSV where -o says, a PNG beside it, and what derives from
     the force, such as energy and peaks, as ..._derived.csv. Where the actuation
-    was never tested, or the run did not pass its checks, it warns. --recalibrate
+    was never tested, or the run is not usable, it warns. --recalibrate
     is for --kind observation and needs a run of crossvalidate; --explain takes
     some seconds.
 

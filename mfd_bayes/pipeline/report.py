@@ -65,7 +65,7 @@ def write_report(run: Run, observe: Observe, *, jobs: int, pdf: bool = False) ->
 
     observe(Step("report", "checks and bands"))
     view = assess(run)
-    run.rewrite(verdicts=verdicts(view))
+    run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     publish(view, run.folder, Workplace(jobs).processes, observe, pdf=pdf)

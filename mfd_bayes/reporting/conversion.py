@@ -13,15 +13,16 @@ from mfd_bayes.assessment.views import (
     Interval,
     LawView,
     Marginal,
+    ReadingRow,
     Row,
     TestView,
     TruthRow,
 )
 from mfd_bayes.records.trace import Trace
 
-_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth")
+_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "value")
 
-AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow)
+AnyRow = TypeVar("AnyRow", Row, DerivedRow, ReadingRow, TruthRow)
 
 
 def shown_in(view: CampaignView) -> System:
@@ -62,6 +63,7 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
         observation=_fan(test.observation, force),
         rows=tuple(_row(row, system) for row in test.rows),
         derived=tuple(_row(row, system) for row in test.derived),
+        readings=tuple(_row(row, system) for row in test.readings),
         marginals=tuple(_marginal(marginal, system) for marginal in test.marginals),
         chains={
             name: draws * system.factor(units.get(name, "1")) for name, draws in test.chains.items()

@@ -31,7 +31,7 @@ from mfd_bayes.runs.folder import (
 )
 from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.netcdf import load_trace
 
 Array = NDArray[np.float64]
@@ -221,8 +221,8 @@ class Run:
                 "there the band relies only on the form of the laws"
             )
         verdicts = self.manifest.verdicts
-        if verdicts.get("campaign") == Verdict.FAIL:
-            remarks.append(f"the run did not pass its checks: {verdicts.get('sentence', '')}")
+        if verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote it
+            remarks.append(f"the run is not usable as it is: {verdicts.get('sentence', '')}")
         return tuple(remarks)
 
 
