@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ActuationUnit = Literal["ksi", "kip"]
 
-SMALLEST, LARGEST = 1e-9, 1e10
+SMALLEST, LARGEST = 1e-20, 1e10
 """Range of the sizes of a force or a pressure, kip or ksi, other than 0."""
 
 
@@ -200,7 +200,7 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     if (level != 0.0 and not SMALLEST <= level <= LARGEST) or (value > 0.0) != (level > 0.0):
         raise UnitError(
             f"{f'{of}: ' if of else ''}expected an actuation of 0, or of {SMALLEST:g} to "
-            f"{LARGEST:g} {internal}, got {text!r}"
+            f"{LARGEST:g} {internal}, got {text!r}: too small or too large to use"
         )
     return level, internal
 

@@ -51,6 +51,10 @@ FIRST = ("report", "force", "cross", "compare", "demo")
 
 PREDICT = ("predict", "above/lugre", "--motion", "m.csv", "--actuation", "500 psi", "-o", "b.csv")
 LIMIT = 120.0
+REFUSALS = (
+    *("another process is working in", " is not finished; finish it with: "),
+    " is not a run folder: it has no manifest.json",  # --force has just removed it
+)
 
 
 @dataclass
@@ -131,7 +135,7 @@ def refused(home: Path, words: tuple[str, ...]) -> str:
     before = state(home)
     code, _, told = ran(home, words)
     lines = told.splitlines()
-    if code != 2 or len(lines) != 1 or "another process is working in" not in lines[0]:
+    if code != 2 or len(lines) != 1 or not any(words in lines[0] for words in REFUSALS):
         return f"exit code {code}: {told[-300:]}"
     return "" if state(home) == before else "it changed something"
 

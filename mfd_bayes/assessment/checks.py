@@ -8,20 +8,25 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.assessment.read_off import reading_check
 from mfd_bayes.assessment.views import (
     CONTRACTION,
+    COVERAGE,
     DIRECTIONS,
     FREE_EXPONENT,
     LIKELIHOOD_SENSITIVITY,
+    PREDICTIVE,
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
     Check,
+    ReadingRow,
     Row,
 )
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.predictive import PredictiveCheck, Replicas, check_predictive
 from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.campaign.tolerances import complete_tolerances
 from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.netcdf import StoredTest
 
@@ -34,8 +39,16 @@ NOT_INFORMED = "the data do not inform it: the posterior is about the prior"
 EXTREME = 0.005
 """A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
 
+GROSS = 5.0
+"""A feature that is missed by more than this many tolerances says that something is wrong."""
+
 LENGTH = "autocorrelation times kept"
-PREDICTIVE = "posterior predictive p-value"
+CALIBRATION = "calibration"
+MODES = "modes found"
+
+SECOND_MODE = 0.1
+"""A second mode with this share of the draws makes the parameters of a test two sets."""
+
 SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""
 
@@ -65,21 +78,65 @@ def length_check(subject: str, facts: Mapping[str, Any], effort: Effort) -> Chec
     return Check(subject, LENGTH, slowest, lengths, f">= {effort.length:g}", good)
 
 
-def predictive_check(subject: str, check: PredictiveCheck) -> Check:
-    """Posterior predictive p-value against its limits."""
-    good = EXTREME <= check.p_value <= 1.0 - EXTREME
+def predictive_check(
+    subject: str, check: PredictiveCheck, tolerances: Mapping[str, float] | None = None
+) -> Check:
+    """A feature of the record against the model's, judged by p-value and size together.
+
+    A p-value that is not extreme passes: artificial records differ by as much. So does a size
+    within the tolerance: nobody minds it. Beyond both, the figure is to be used with care, and
+    beyond `GROSS` tolerances not at all. A band is judged by its coverage (`coverage_check`).
+    """
+    tolerance = complete_tolerances(tolerances).get(check.kind, np.inf)
+    if check.kind == "coverage":
+        return coverage_check(subject, check, tolerance)
+    likely = EXTREME <= check.p_value <= 1.0 - EXTREME
+    verdict = Verdict.PASS if likely else _of_size(abs(check.size), tolerance)
+    if verdict == Verdict.CARE and check.kind == "energy" and check.observed < 0.0:
+        verdict = Verdict.FAIL  # no damper makes energy
+    seen = f"observed {check.observed:.3g}, expected {check.expected:.3g}, off by {check.size:+.2g}"
     return Check(
         subject,
         PREDICTIVE,
-        f"{check.name} (observed {check.observed:.3g}, expected {check.expected:.3g})",
+        f"{check.name} ({seen})",
         check.p_value,
-        f"in [{EXTREME:g}, {1 - EXTREME:g}]",
-        Verdict.of(good),
+        f"in [{EXTREME:g}, {1 - EXTREME:g}], or within its tolerance",
+        verdict,
+        check.size,
+        tolerance,
     )
 
 
+def coverage_check(subject: str, check: PredictiveCheck, tolerance: float) -> Check:
+    """Share of samples inside a band: too few are a fault, many only a wide band."""
+    verdict = _of_size(-check.size, tolerance)
+    if verdict == Verdict.PASS and check.size > tolerance:
+        verdict = Verdict.NOTE
+    seen = f"observed {check.observed:.3g}, {check.size:+.2g} from the band's probability"
+    wide = "; the band is wider than it need be" if verdict == Verdict.NOTE else ""
+    return Check(
+        subject,
+        COVERAGE,
+        f"{check.name} ({seen}{wide})",
+        check.observed,
+        "below the band's probability by no more than its tolerance",
+        verdict,
+        check.size,
+        tolerance,
+    )
+
+
+def _of_size(size: float, tolerance: float) -> Verdict:
+    if size <= tolerance:
+        return Verdict.PASS
+    return Verdict.CARE if size <= GROSS * tolerance else Verdict.FAIL
+
+
 def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Check]:
-    """Checks that cannot fail: how well each parameter is informed, and several modes."""
+    """Checks that cannot fail: how well each parameter is informed, and several modes.
+
+    A second mode with `SECOND_MODE` of the draws is to be used with care.
+    """
     found = []
     for row in (row for row in rows if np.isfinite(row.contraction)):
         verdict = Verdict.noted(row.contraction >= INFORMED)
@@ -87,9 +144,12 @@ def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[C
         found.append(Check(subject, CONTRACTION, row.name, row.contraction, limit, verdict))
     if facts["modes"] > 1:
         shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
-        held = ", ".join(f"{100 * share:.0f} %" for share in sorted(shares)[::-1] if share >= 0.005)
+        ranked = sorted(shares)[::-1]
+        held = ", ".join(f"{100 * share:.0f} %" for share in ranked if share >= 0.005)
         target = f"posterior (they hold {held} of the draws)" if held else "posterior"
-        found.append(Check(subject, "modes found", target, facts["modes"], "1", Verdict.NOTE))
+        two = len(ranked) > 1 and ranked[1] >= SECOND_MODE
+        verdict = Verdict.CARE if two else Verdict.NOTE
+        found.append(Check(subject, MODES, target, facts["modes"], "1", verdict))
     return found
 
 
@@ -127,7 +187,7 @@ def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     """
     checks = []
     for name, (low, middle, high) in exponents.items():
-        verdict = Verdict.of(low <= 1.0 <= high)
+        verdict = Verdict.PASS if low <= 1.0 <= high else Verdict.CARE
         target = f"{name} (95 % interval {low:.2f} to {high:.2f})"
         checks.append(
             Check("population", FREE_EXPONENT, target, middle, "interval holds 1", verdict)
@@ -149,6 +209,9 @@ class CheckedTest:
         Artificial records that the posterior predicts.
     effort : Effort
         Targets of the sampling.
+    tolerances : mapping of str to float, optional
+        Those that the campaign gives.
+    readings : tuple of ReadingRow
     """
 
     test: TestResult
@@ -157,6 +220,8 @@ class CheckedTest:
     replicas: Replicas
     known: Identifiability
     effort: Effort
+    tolerances: Mapping[str, float] | None = None
+    readings: tuple[ReadingRow, ...] = ()
 
     @property
     def id(self) -> str:
@@ -176,7 +241,11 @@ def _predictive(found: CheckedTest) -> list[Check]:
     posterior, values = found.test.posterior, found.stored.values()
     gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
     checks = check_predictive(posterior, found.replicas, gap)
-    return [predictive_check(found.id, check) for check in checks]
+    return [predictive_check(found.id, check, found.tolerances) for check in checks]
+
+
+def _readings(found: CheckedTest) -> list[Check]:
+    return [reading_check(row) for row in found.readings]
 
 
 def _notes(found: CheckedTest) -> list[Check]:
@@ -191,6 +260,7 @@ OF_TEST: tuple[Callable[[CheckedTest], Iterable[Check]], ...] = (
     _convergence,
     _length,
     _predictive,
+    _readings,
     _notes,
     _identifiability,
 )

@@ -11,20 +11,25 @@ from mfd_bayes.assessment.bands import spread_of
 from mfd_bayes.assessment.views import DerivedRow
 from mfd_bayes.calibration.derived import (
     UNITS,
-    count_cycles,
     derive_from_force,
     derive_from_parameters,
+    full_strokes,
 )
 from mfd_bayes.calibration.predictive import Replicas
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.predict import Band
+from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 
 NO_CYCLE = "the motion has no full cycle"
-_OF_CYCLES = ("energy_per_cycle", "c_eq")
+
+
+def _basis(count: int, which: str) -> str:
+    """Over how many cycles a quantity is a mean."""
+    return f"over {count} full cycle{'' if count == 1 else 's'} {which}" if count else NO_CYCLE
 
 
 def calibrated_rows(run: Run, test: TestResult, replicas: Replicas) -> tuple[DerivedRow, ...]:
@@ -34,8 +39,9 @@ def calibrated_rows(run: Run, test: TestResult, replicas: Replicas) -> tuple[Der
     drawn = derive_from_force(force, trace, first=first)
     level, model = trace.reference_actuation, test.posterior.model
     drawn |= derive_from_parameters(model, values, level, _area(run))
-    known = _measured(trace, float(np.median(values["offset"])), first)
-    cycles = count_cycles(trace, first=first)
+    offset = float(np.median(values["offset"]))
+    known = _measured(trace, offset, first) | {"gap": read_off(trace, offset).gap}
+    cycles = full_strokes(trace, first=first)
     return _rows((test.id, "calibrate"), drawn, known, cycles)
 
 
@@ -55,7 +61,7 @@ def held_out_rows(run: Run, name: str, trace: Trace, damper: Band) -> tuple[Deri
     """
     known = _measured(trace, run.offset)
     drawn = _drawn(run, trace, damper)
-    return _rows((name, "validate"), drawn, known, count_cycles(trace))
+    return _rows((name, "validate"), drawn, known, full_strokes(trace))
 
 
 def predicted_rows(run: Run, trace: Trace, band: Band) -> tuple[DerivedRow, ...]:
@@ -68,7 +74,7 @@ def predicted_rows(run: Run, trace: Trace, band: Band) -> tuple[DerivedRow, ...]
     if band.kind == "observation":
         band = run.predict(trace, "new_test", band.probability)
     drawn, known = _drawn(run, trace, band), _measured(trace)
-    return _rows(("", band.kind), drawn, known, count_cycles(trace), band.probability)
+    return _rows(("", band.kind), drawn, known, full_strokes(trace), band.probability)
 
 
 def _drawn(run: Run, trace: Trace, band: Band) -> dict[str, Array]:
@@ -95,7 +101,7 @@ def _rows(
     head: tuple[str, str],
     drawn: Mapping[str, Array],
     known: Mapping[str, float],
-    cycles: int,
+    cycles: NDArray[np.bool_],
     probability: float = 0.95,
 ) -> tuple[DerivedRow, ...]:
     """Rows of derived quantities, in the order of `UNITS`.
@@ -108,13 +114,18 @@ def _rows(
         Draws by name.
     known : mapping of str to float
         Values of the record itself.
-    cycles : int
-        Full cycles of the motion.
+    cycles : (L,) bool
+        Full cycles of the motion, whether at full stroke.
     probability : float
         Of the equal-tailed interval.
     """
     subject, role = head
-    basis = f"over {cycles} full cycle{'' if cycles == 1 else 's'}" if cycles else NO_CYCLE
+    strong = int(np.count_nonzero(cycles))
+    basis = {
+        "energy_per_cycle": _basis(strong, "at full stroke"),
+        "energy_of_ramps": _basis(cycles.size - strong, "of smaller stroke"),
+        "c_eq": _basis(cycles.size, "in all"),
+    }
     return tuple(
         DerivedRow(
             subject=subject,
@@ -123,8 +134,8 @@ def _rows(
             unit=unit,
             **spread_of(drawn[name], 0.5 * (1.0 - probability)),
             measured=known.get(name, float("nan")),
-            note=basis if name in _OF_CYCLES else "",
+            note=basis.get(name, ""),
         )
         for name, unit in UNITS.items()
-        if name in drawn
+        if name in drawn and not (name == "energy_of_ramps" and cycles.all())
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from mfd_bayes.assessment.checks import (
     checks_of_test,
 )
 from mfd_bayes.assessment.derived_rows import calibrated_rows, held_out_rows
+from mfd_bayes.assessment.read_off import reading_rows
 from mfd_bayes.assessment.views import Marginal, Row, TestView
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
@@ -31,6 +33,9 @@ Array = NDArray[np.float64]
 
 SCALE_ONLY = frozenset({"gamma1", "gamma2"})
 SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
+LEAST = 0.005
+"""Share of the draws from which a mode is told of."""
+
 SHOWN = 2000
 """Most draws of a quantity in figures."""
 
@@ -48,7 +53,12 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     prior = _prior_values(test)
     rows = _rows(test.id, stored, prior)
     known = _identifiability(posterior, stored, prior)
-    checked = CheckedTest(test, stored, rows, replicas, known, run.manifest.effort)
+    manifest = run.manifest
+    tolerances = manifest.settings.tolerances
+    readings = reading_rows(test.id, posterior, values, tolerances)
+    checked = CheckedTest(
+        test, stored, rows, replicas, known, manifest.effort, tolerances, readings
+    )
     stage, travel = _stages(test, values)
     informed = {row.name for row in rows if row.contraction >= INFORMED}
     return TestView(
@@ -67,9 +77,21 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
         identifiability=known,
         derived=calibrated_rows(run, test, replicas),
+        readings=readings,
+        modes=_modes(stored.facts),
         stage=stage,
         travel=travel,
     )
+
+
+def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
+    """Medians and share of each mode with draws, the largest first; empty with one mode."""
+    shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
+    kept = [k for k in np.argsort(-shares).tolist() if shares[k] >= LEAST]
+    values = facts.get("mode_values", [])
+    if len(kept) < 2 or len(values) != len(shares):  # as earlier versions wrote it
+        return ()
+    return tuple({**values[k], "share": float(shares[k])} for k in kept)
 
 
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from mfd_bayes.population.layout import Layout
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import pooled_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.netcdf import load_arrays
@@ -25,8 +26,8 @@ DRAWS = 400
 """Draws of the population by which its median is known well enough."""
 
 
-def odd_tests(run: Run) -> list[str]:
-    """A sentence for every test and quantity that stand apart.
+def odd_tests(run: Run) -> list[Finding]:
+    """A warning for every test and quantity that stand apart.
 
     A test's deviation from the law is compared with the deviations of the others: a Student-t
     statistic that leaves the test out, with Bonferroni's correction for tests and quantities.
@@ -41,12 +42,13 @@ def odd_tests(run: Run) -> list[str]:
     for j, i, away in stand_apart(deviations[:, columns]):
         k = columns[i]
         others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
-        found.append(
+        sentence = (
             f"{names[j]} stands apart from the other tests: {_subject(layout, k)} "
             f"{np.exp(places[j, k]):.3g}, where the others let expect {np.exp(others):.3g}, "
-            f"{away:.1f} of their standard deviations away. Check its displacement, units and "
-            "actuation before you use its campaign."
+            f"{away:.1f} of their standard deviations away; check its displacement, units and "
+            "actuation before you use its campaign"
         )
+        found.append(Finding(names[j], "stands apart", sentence, stage="results"))
     return found
 
 

@@ -5,32 +5,60 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from mfd_bayes.assessment.checks import INFORMED, PREDICTIVE, SAMPLING
+from mfd_bayes.assessment.checks import INFORMED, SAMPLING
 from mfd_bayes.assessment.fits import SCALE_NOTE
-from mfd_bayes.assessment.odd_tests import odd_tests
-from mfd_bayes.assessment.views import FREE_EXPONENT, Check, TestView
+from mfd_bayes.assessment.judgement import least_believed
+from mfd_bayes.assessment.views import FREE_EXPONENT, Check, Judgement, TestView
 from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use, Verdict
+
+NAMED = 4
+"""Most tests that the verdict names with their reasons."""
 
 
-def verdict_sentence(manifest: Manifest, checks: list[Check], calibrated: int) -> str:
-    """Why a run with so many calibrated tests passes or fails."""
+def verdict_sentence(
+    manifest: Manifest, checks: Sequence[Check], judged: Sequence[Judgement]
+) -> str:
+    """What a run may be used for, and why: by test, the worst first."""
     failed = [check for check in checks if check.verdict == Verdict.FAIL]
-    lost = sum(c.name == "calibration" for c in failed)
-    parts = [f"{lost} test(s) could not be calibrated"] if lost else []
-    parts.append(_of_sampling(failed, manifest.effort, calibrated))
-    parts.append(_of_fit(failed, sum(c.name == PREDICTIVE for c in checks)))
-    bent = [c for c in failed if c.name == FREE_EXPONENT]
+    wrong = [j for j in judged if j.wrong]
+    careful = [j for j in judged if j.use == Use.WITH_CARE]
+    parts = []
+    if wrong:
+        parts.append(_named(f"something is wrong with {_of(wrong, judged)}", wrong))
+    if careful:
+        parts.append(_named(f"to be used with care: {_of(careful, judged)}", careful))
+    if all(j.use == Use.USABLE for j in judged):
+        parts.append(f"nothing of {_tests(len(judged))} is missed by more than its tolerance")
+    parts.append(_of_sampling(failed, manifest.effort, len(judged)))
+    if least := least_believed(judged):
+        parts.append(least)
+    bent = [c for c in checks if c.name == FREE_EXPONENT and c.verdict == Verdict.CARE]
     if bent:
         what = ", ".join(f"{_subject_of(c)}: exponent {c.value:.2f}" for c in bent)
         parts.append(
             f"the proportional law is not supported ({what}, not 1): do not extrapolate with it"
         )
-    text = "; ".join(parts) + "."
-    return text[0].upper() + text[1:]
+    sentences = (text[0].upper() + text[1:] for text in parts)
+    return ". ".join(text.rstrip(".") for text in sentences) + "."
+
+
+def _of(some: Sequence[Judgement], judged: Sequence[Judgement]) -> str:
+    return f"{len(some)} of {_tests(len(judged))}"
+
+
+def _tests(count: int) -> str:
+    return f"{count} test{'' if count == 1 else 's'}"
+
+
+def _named(lead: str, judged: Sequence[Judgement]) -> str:
+    """Tests with their reasons, and how many more there are."""
+    told = [f"{j.subject}: {j.sentence.rstrip('.')}" for j in judged[:NAMED]]
+    more = [f"And {len(judged) - NAMED} more"] if judged[NAMED:] else []
+    return ". ".join([lead, *told, *more])
 
 
 def _subject_of(check: Check) -> str:
@@ -38,7 +66,7 @@ def _subject_of(check: Check) -> str:
     return check.target.split(" (")[0]
 
 
-def _of_sampling(failed: list[Check], effort: Effort, calibrated: int) -> str:
+def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int) -> str:
     limits = f"R-hat <= {effort.r_hat:g}, bulk and tail ESS >= {effort.ess:g}"
     where: dict[str, list[str]] = {}
     for c in failed:
@@ -54,17 +82,6 @@ def _of_sampling(failed: list[Check], effort: Effort, calibrated: int) -> str:
     return (
         f"the sampling did not reach its targets ({limits}, and chains that are long enough) in "
         f"{', '.join(told)}: do not use these figures, give a larger --effort or look at the test"
-    )
-
-
-def _of_fit(failed: list[Check], total: int) -> str:
-    extreme = [c for c in failed if c.name == PREDICTIVE]
-    if not extreme:
-        return f"none of {total} predictive checks is extreme"
-    what = _counted(_subject_of(c).split(",")[0] for c in extreme)
-    return (
-        f"{len(extreme)} of {total} predictive checks are extreme, so the model does not "
-        f"reproduce everything: {what}"
     )
 
 
@@ -92,7 +109,6 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     found += _of_identifiability(tests)
     if any(r.name == "gamma1" for view in tests for r in view.rows):
         found.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
-    found += odd_tests(run)
     found += _of_dependence(run)
     found += zero_sentences(run.population.layout, run.tests)
     if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
-from mfd_bayes.assessment.checks import convergence_checks, exponent_checks
+from mfd_bayes.assessment.checks import CALIBRATION, convergence_checks, exponent_checks
+from mfd_bayes.assessment.judgement import judge, use_of
 from mfd_bayes.assessment.law_choices import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.left_out import left_out_view
+from mfd_bayes.assessment.odd_tests import odd_tests
 from mfd_bayes.assessment.sentences import remarks, verdict_sentence
 from mfd_bayes.assessment.shown import unshown, views_of_tests, with_lost
 from mfd_bayes.assessment.views import (
@@ -18,10 +20,11 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import SI
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use, Verdict
 
 
 def assess(run: Run) -> CampaignView:
@@ -44,22 +47,21 @@ def put_together(
     manifest = run.manifest
     lost = lost or {}
     failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
-    checks = [check for view in tests for check in view.checks]
-    checks += convergence_checks("population", table, manifest.effort)
-    checks += exponent_checks(manifest.free_exponents)
-    checks += [Check(n, "calibration", "finished", 0.0, "finished", Verdict.FAIL) for n in failures]
-    checks += unshown(lost)
+    checks = (*_all_checks(manifest, tests, table, failures), *unshown(lost))
+    warnings = _warnings(run)
+    judged = judge([*run.tests, *failures], checks, warnings)
+    whole = use_of(judged, checks)
     compared = manifest.comparison
     return CampaignView(
         title=manifest.title,
-        verdict=Verdict.of(all(check.verdict != Verdict.FAIL for check in checks)),
-        sentence=with_lost(verdict_sentence(manifest, checks, len(run.tests)), lost),
+        verdict=whole,
+        sentence=with_lost(verdict_sentence(manifest, checks, judged), lost),
         actuation_unit=run.actuation_unit,
         tests=tuple(tests),
         failures={**failures, **lost},
         laws=laws,
         law_rows=table,
-        checks=tuple(checks),
+        checks=checks,
         scores=tuple(view.score for view in tests),
         truth=_truth_rows(manifest, tests, table),
         provenance=_provenance(manifest),
@@ -68,20 +70,44 @@ def put_together(
         left_out=left_out_view(manifest.crossvalidation),
         comparison=compared.rows if compared else (),
         comparison_sentence=compared.sentence if compared else "",
+        judgements=judged,
+        warnings=warnings,
         metric=run.system is SI,
         tested=run.tested,
     )
 
 
-def fails(view: CampaignView) -> tuple[Check, ...]:
-    """The checks that failed."""
-    return tuple(check for check in view.checks if check.verdict == Verdict.FAIL)
+def _all_checks(
+    manifest: Manifest, tests: list[TestView], table: tuple[Row, ...], failures: Iterable[str]
+) -> tuple[Check, ...]:
+    """Checks of tests and laws, and one that fails for each test without a result."""
+    return (
+        *(check for view in tests for check in view.checks),
+        *convergence_checks("population", table, manifest.effort),
+        *exponent_checks(manifest.free_exponents),
+        *(Check(n, CALIBRATION, "finished", 0.0, "finished", Verdict.FAIL) for n in failures),
+    )
+
+
+def _warnings(run: Run) -> tuple[Finding, ...]:
+    """Warnings about the records, and tests that stand apart in the results."""
+    before = [found for found in run.manifest.warnings if found.stage == "records"]
+    return (*before, *odd_tests(run))
+
+
+def fails(view: CampaignView) -> bool:
+    """Whether a run must not be used: a check failed, or something is wrong with a test."""
+    return view.verdict == Use.NOT_USABLE
 
 
 def verdicts(view: CampaignView) -> dict[str, str]:
     """Verdict of the campaign with its sentence, and of every subject of a check."""
-    found: dict[str, str] = {check.subject: Verdict.PASS for check in view.checks}
-    found |= {check.subject: Verdict.FAIL for check in fails(view)}
+    found: dict[str, str] = {}
+    for check in view.checks:
+        worse = {Verdict.CARE: Use.WITH_CARE, Verdict.FAIL: Use.NOT_USABLE}.get(check.verdict)
+        if worse != Use.WITH_CARE or found.get(check.subject) != Use.NOT_USABLE:
+            found[check.subject] = worse or found.get(check.subject, Use.USABLE)
+    found |= {judged.subject: judged.use for judged in view.judgements}
     return {"campaign": view.verdict, "sentence": view.sentence} | found
 
 

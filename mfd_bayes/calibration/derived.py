@@ -5,9 +5,10 @@ The force is the damper's own: without the load cell's offset, and without noise
 A **full cycle** runs from one turning point to the second one after it. Cycles follow each other
 from the first turning point; the motion before it and after the last full cycle is left out.
 Where the amplitude changes, a cycle does not close exactly; the next one starts where it ends.
-Turning points of small reversals count too: in an earthquake record the mean cycle is smaller
-than the largest. A record with fewer than three turning points has no full cycle, and its
-cycle quantities are NaN.
+Cycles **at full stroke** have at least `STRONG` of the largest amplitude; the energy of a cycle is
+their mean, here as in every table, check and inspection. The others ramp in or out, or are the
+small ones of an earthquake, and have a mean of their own. A record with fewer than three turning
+points has no full cycle, and its cycle quantities are NaN; the energy in all it always has.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
+from mfd_bayes.records.loops import STRONG
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
 UNITS: Mapping[str, str] = {
     "energy_per_cycle": "kip*in",
+    "energy_of_ramps": "kip*in",
+    "energy_in_all": "kip*in",
     "c_eq": "kip*s/in",
     "peak_fwd": "kip",
     "peak_bwd": "kip",
@@ -54,9 +58,12 @@ def derive_from_force(force: ArrayLike, trace: Trace, *, first: int = 0) -> dict
     """
     forward, backward = peak_forces(force, trace, first=first)
     energies = cycle_energies(force, trace, first=first)
+    strong = full_strokes(trace, first=first)
     none = np.full(len(energies), np.nan)
     return {
-        "energy_per_cycle": energies.mean(axis=1) if energies.shape[1] else none,
+        "energy_per_cycle": energies[:, strong].mean(axis=1) if strong.any() else none,
+        "energy_of_ramps": none if strong.all() else energies[:, ~strong].mean(axis=1),
+        "energy_in_all": total_energy(force, trace, first=first),
         "c_eq": equivalent_damping(force, trace, first=first),
         "peak_fwd": forward,
         "peak_bwd": backward,
@@ -108,6 +115,22 @@ def cycle_energies(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
     steps = np.diff(trace.displacement[bounds[0] : bounds[-1] + 1])
     work = 0.5 * (draws[:, 1:] + draws[:, :-1]) * steps
     return np.add.reduceat(work, bounds[:-1] - bounds[0], axis=1)
+
+
+def total_energy(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
+    """Energy dissipated from sample `first` to the end, ∫ F dx, (n,), kip·in."""
+    draws = _of_motion(force, trace)
+    return np.asarray(np.trapezoid(draws[:, first:], trace.displacement[first:], axis=1))
+
+
+def full_strokes(trace: Trace, *, first: int = 0) -> NDArray[np.bool_]:
+    """Whether each of the full cycles from sample `first` on is at full stroke, (L,)."""
+    bounds = _bounds(trace, first)
+    if bounds.size < 2:
+        return np.empty(0, dtype=bool)
+    x, begins = trace.displacement[bounds[0] : bounds[-1] + 1], bounds[:-1] - bounds[0]
+    stroke = np.maximum.reduceat(x, begins) - np.minimum.reduceat(x, begins)
+    return np.asarray(stroke >= STRONG * stroke.max())
 
 
 def equivalent_damping(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:

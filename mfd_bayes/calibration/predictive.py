@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.derived import cycle_energies, full_strokes, total_energy
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.records.trace import Trace, check_magnitude
 
@@ -38,12 +39,18 @@ class Replicas:
 
 @dataclass(frozen=True)
 class PredictiveCheck:
-    """A test statistic: observed value, mean and p-value under the posterior predictive."""
+    """A test statistic: observed value, mean and p-value under the posterior predictive.
+
+    `kind` is what it measures, as `campaign.tolerances` names it, and `size` by how much the model
+    misses it: expected minus observed, as a share of what is measured.
+    """
 
     name: str
     observed: float
     expected: float
     p_value: float
+    kind: str = ""
+    size: float = float("nan")
 
 
 def replicate(
@@ -84,28 +91,50 @@ def check_predictive(
     kept = slice(posterior.first, None)
     force, replica = replicas.force[:, kept], replicas.observed[:, kept]
     record = np.broadcast_to(np.asarray(posterior.trace.force)[kept], force.shape)
-    x = posterior.trace.displacement[kept]
-    cycles = max(posterior.trace.turning_points.size / 2.0, 0.5)
-    pairs = {
-        "residual rms, kip": (_rms(record - force), _rms(replica - force)),
-        "lag-one residual correlation": (_lag_one(record - force), _lag_one(replica - force)),
-        "energy per cycle, kip·in": (_energy(record, x) / cycles, _energy(replica, x) / cycles),
-        "peak force forward, kip": (record.max(axis=1), replica.max(axis=1)),
-        "peak force backward, kip": (-record.min(axis=1), -replica.min(axis=1)),
-    }
+    half = 0.5 * float(np.ptp(record[0]))
+    rests = record - force, replica - force
+    lags = _lag_one(rests[0]), _lag_one(rests[1])
+    found = [
+        _check("residual rms, kip", "residual", _rms(rests[0]), _rms(rests[1])),
+        _check("lag-one residual correlation", "correlation", *lags, scale=1.0),
+        *_energy_checks(posterior, replicas),
+        _check("peak force forward, kip", "peak", record.max(axis=1), replica.max(axis=1)),
+        _check("peak force backward, kip", "peak", -record.min(axis=1), -replica.min(axis=1)),
+    ]
     if gap is not None:
         at = _mid_gap(posterior.trace, gap) - posterior.first
         at = at[at >= 0]
         if at.size:
-            pairs["force at mid-gap, kip"] = (_rms(record[:, at]), _rms(replica[:, at]))
-    checks = [_check(name, *pair) for name, pair in pairs.items()]
-    return (*checks, *_coverage_checks(record[0], replica))
+            sides = _rms(record[:, at]), _rms(replica[:, at])
+            found.append(_check("force at mid-gap, kip", "mid_gap", *sides, scale=half))
+    return (*found, *_coverage_checks(record[0], replica))
 
 
-def _check(name: str, observed: Array, replicated: Array) -> PredictiveCheck:
+def _check(
+    name: str, kind: str, observed: Array, replicated: Array, scale: float | None = None
+) -> PredictiveCheck:
+    """Check of a statistic; `scale` is what its size is a share of, by default the observed."""
     ties = np.mean(replicated == observed)
     p_value = float(np.mean(replicated > observed) + 0.5 * ties)
-    return PredictiveCheck(name, float(observed.mean()), float(replicated.mean()), p_value)
+    seen, expected = float(observed.mean()), float(replicated.mean())
+    whole = max(abs(seen) if scale is None else scale, 1e-12)
+    return PredictiveCheck(name, seen, expected, p_value, kind, (expected - seen) / whole)
+
+
+def _energy_checks(posterior: Posterior, replicas: Replicas) -> list[PredictiveCheck]:
+    """Energy of a cycle at full stroke, and in all where other cycles have a part in it."""
+    trace, first = posterior.trace, posterior.first
+    forces = np.asarray(trace.force)[None], replicas.observed
+    strong = full_strokes(trace, first=first)
+    found = []
+    if strong.any():
+        seen, drawn = (cycle_energies(f, trace, first=first)[:, strong] for f in forces)
+        name = "energy per cycle, kip·in"
+        found.append(_check(name, "energy", seen.mean(axis=1), drawn.mean(axis=1)))
+    if not strong.all() or not strong.any():
+        seen, drawn = (total_energy(f, trace, first=first) for f in forces)
+        found.append(_check("energy in all, kip·in", "energy", seen, drawn))
+    return found
 
 
 def _coverage_checks(record: Array, replica: Array) -> list[PredictiveCheck]:
@@ -118,7 +147,8 @@ def _coverage_checks(record: Array, replica: Array) -> list[PredictiveCheck]:
         observed = np.mean((record >= lower) & (record <= upper))
         replicated = np.mean((held >= lower) & (held <= upper), axis=1)
         name = f"coverage of the {probability:.0%} band".replace("%", " %")
-        checks.append(_check(name, np.full(len(held), observed), replicated))
+        found = _check(name, "coverage", np.full(len(held), observed), replicated)
+        checks.append(replace(found, size=float(observed) - probability))
     return checks
 
 
@@ -131,10 +161,6 @@ def _lag_one(values: Array) -> Array:
     products = np.sum(centred[:, 1:] * centred[:, :-1], axis=1)
     correlation: Array = products / np.maximum(np.sum(centred**2, axis=1), 1e-300)
     return correlation
-
-
-def _energy(force: Array, displacement: Array) -> Array:
-    return np.asarray(np.trapezoid(force, displacement, axis=1))
 
 
 def _mid_gap(trace: Trace, gap: float) -> NDArray[np.intp]:

@@ -59,6 +59,18 @@ class Draws:
         return self.chains.convergence
 
     @property
+    def mode_values(self) -> list[dict[str, float]]:
+        """Median of every quantity among the draws nearest to each mode; NaN without draws."""
+        belongs = nearest_modes(self.modes, self.q)
+        return [
+            {
+                name: float(np.median(values[belongs == k])) if np.any(belongs == k) else np.nan
+                for name, values in self.values.items()
+            }
+            for k in range(len(self.modes))
+        ]
+
+    @property
     def mode_shares(self) -> Array:
         """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
         return mode_shares(self.modes, self.q)
@@ -130,8 +142,8 @@ def check_seed(seed: int | Sequence[int]) -> int | Sequence[int]:
     return seed
 
 
-def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
-    """Share of each chain's draws that is nearest to each mode, (chain, mode).
+def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
+    """Number of the mode that each draw is nearest to, (chain, draw).
 
     The nearest mode is the one whose Laplace approximation has the greatest density.
 
@@ -145,6 +157,12 @@ def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
         for mode in modes
     ]
     nearest = np.argmax([part.log_density(flat) for part in near], axis=0)
-    belongs = nearest.reshape(q.shape[:2])[..., None] == np.arange(len(modes))
+    found: NDArray[np.intp] = nearest.reshape(q.shape[:2])
+    return found
+
+
+def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
+    """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
+    belongs = nearest_modes(modes, q)[..., None] == np.arange(len(modes))
     shares: Array = belongs.mean(axis=1)
     return shares

@@ -31,6 +31,7 @@ class _Facts(Part):
     seed: list[Index]
     modes: Annotated[int, Field(ge=1, le=1000)]
     mode_shares: list[list[_Share]] = Field(default_factory=list, max_length=1000)
+    mode_values: list[dict[str, float | None]] = Field(default_factory=list, max_length=1000)
     autocorrelation: Annotated[dict[str, Positive | None], Field(min_length=1)]
     convergence: dict[str, Annotated[list[float | None], Field(min_length=3, max_length=3)]]
 

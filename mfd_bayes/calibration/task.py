@@ -150,6 +150,7 @@ def _facts(task: Task, draws: Draws) -> dict[str, Any]:
         "modes": len(draws.modes),
         "log_evidences": [mode.log_evidence for mode in draws.modes],
         "mode_shares": draws.mode_shares.tolist(),
+        "mode_values": draws.mode_values if len(draws.modes) > 1 else [],
         "wall_time": draws.wall_time,
     }
 

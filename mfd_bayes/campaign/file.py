@@ -73,6 +73,8 @@ class Campaign:
     """Law of every name that may have one, given or by default."""
     dependence: dict[str, tuple[str, ...]]
     """Parameter to the covariates, "velocity" or "amplitude", that it depends on."""
+    tolerances: dict[str, float]
+    """By how much the model may miss each figure, where the file says so."""
     tests: tuple[Test, ...]
     actuation_unit: ActuationUnit
     """The same for all tests."""
@@ -119,6 +121,7 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
         area=content.campaign.area,
         laws=complete_laws(content.laws),
         dependence={name: chosen for name, chosen in content.dependence if chosen},
+        tolerances=dict(content.tolerances),
         tests=tests,
         actuation_unit=tests[0].actuation_unit,
     )

@@ -18,6 +18,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from mfd_bayes.calibration import noises
+from mfd_bayes.campaign.tolerances import DEFAULTS
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws
@@ -41,6 +42,12 @@ def _one_of(known: Callable[[], Iterable[str]]) -> BeforeValidator:
         return value
 
     return BeforeValidator(validate)
+
+
+def _known_tolerance(name: str) -> str:
+    if name not in DEFAULTS:
+        raise PydanticCustomError("extra_forbidden", "Extra inputs are not permitted")
+    return name
 
 
 def _known_key(name: str) -> str:
@@ -135,6 +142,16 @@ class Dependence(Part):
     d2: Covariates = ()
 
 
+def _percent(value: object) -> object:
+    """Share of a text such as "5 %"; any other value unchanged."""
+    found = _PERCENT.fullmatch(value.strip()) if isinstance(value, str) else None
+    return float(found[1]) / 100.0 if found else value
+
+
+_PERCENT = re.compile(r"(\d+(?:\.\d+)?)\s*%")
+Tolerance = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_percent)]
+
+
 class Settings(Part):
     """The table `[campaign]`; `rate` in Hz, `area` in in²."""
 
@@ -170,6 +187,7 @@ class Content(Part):
     columns: Columns = Columns()
     laws: dict[Annotated[str, AfterValidator(_known_key)], LawName] = {}
     dependence: Dependence = Dependence()
+    tolerances: dict[Annotated[str, AfterValidator(_known_tolerance)], Tolerance] = {}
     test: Annotated[tuple[Entry, ...], Field(min_length=1)]
 
 
@@ -177,6 +195,8 @@ def known_keys(table: str) -> list[str]:
     """Keys of a table of a campaign file; "" is the file itself."""
     if table == "laws":
         return list(complete_laws({}))
+    if table == "tolerances":
+        return list(DEFAULTS)
     tables: dict[str, type[Part]] = {
         "": Content,
         "campaign": Settings,

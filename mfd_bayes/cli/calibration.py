@@ -21,7 +21,9 @@ def calibrate(
     seed: arguments.Seed = 1,
     effort: arguments.Effort = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check only.")] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit 1 if a check fails.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit 1 if the run is not usable.")
+    ] = False,
     quiet: arguments.Quiet = False,
 ) -> None:
     """Calibrate every test of a campaign, infer the laws, and write the report.
@@ -43,12 +45,14 @@ def calibrate(
             out,
             effort,
         )
+        plan = pipeline.plan_campaign(campaign, options)
         if dry_run:
-            plan = pipeline.plan_campaign(campaign, options, keep_records=True)
-            console.print_plan(plan, pipeline.find_warnings(plan))
+            console.print_plan(plan)
             return
+        if not quiet:
+            console.print_warnings(plan.manifest.warnings)
         with progress.watch(quiet=quiet) as observe:
-            view = pipeline.calibrate_campaign(campaign, out, options, observe)
+            view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view) or (strict and pipeline.fails(view)):
         raise typer.Exit(1)
@@ -59,10 +63,11 @@ def check(
     every: Annotated[bool, typer.Option("--all", help="Show every check.")] = False,
     quiet: arguments.Quiet = False,
 ) -> None:
-    """Show convergence and predictive checks as a table; exit 1 where one fails.
+    """Show checks, warnings and the verdict on every test; exit 1 where the run is not usable.
 
-    Shows how many checks of each kind passed, and every check that failed; --all
-    shows every check. Writes nothing; OUT/checks.csv holds them all.
+    Shows how many checks of each kind passed, and every check that failed or needs
+    care; --all shows every check. The verdict is "usable", "usable with care" or
+    "not usable". Writes nothing; OUT/checks.csv holds every check.
 
     Example:
       mfd-bayes check out

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mfd_bayes.assessment.design import DesignRow
     from mfd_bayes.assessment.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
+    from mfd_bayes.runs.findings import Finding
     from mfd_bayes.runs.results import Comparison
 
 _ESCAPES = re.compile(
@@ -78,13 +79,18 @@ def _add(table: Table, *cells: object) -> None:
     table.add_row(*map(clean, cells))
 
 
-def print_plan(plan: Plan, warnings: Iterable[tuple[str, str]]) -> None:
+def print_warnings(warnings: Iterable[Finding]) -> None:
+    """Print what was found that a reader must know, a line each."""
+    for found in warnings:
+        say(f"warning: {found.subject}: {found.sentence}")
+
+
+def print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
     samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
     say(f"{plan.campaign.path} is fine: would calibrate {samples}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
-    for name, sentence in warnings:
-        say(f"warning: {name}: {sentence}")
+    print_warnings(plan.manifest.warnings)
 
 
 def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
@@ -209,17 +215,24 @@ def _left_out_table(found: LeftOutView) -> Table:
 
 
 def print_checks(view: CampaignView, *, every: bool) -> None:
-    """Print how many checks of each kind passed, and those that failed; or every check."""
+    """Print how many checks of each kind passed, and those that did not; or every check."""
     if not every:
         _print_kinds(view.checks)
-    shown = [c for c in view.checks if every or c.verdict == Verdict.FAIL]
-    if not shown:
-        return
-    heads = ("subject", "check", "target", "value", "limit", "verdict")
-    table = _table("Checks" if every else "Checks that failed", heads)
-    for c in shown:
-        _add(table, c.subject, c.name, c.target, f"{c.value:.4g}", c.limit, c.verdict)
-    open_console().print(table)
+    shown = [c for c in view.checks if every or c.verdict in (Verdict.FAIL, Verdict.CARE)]
+    if shown:
+        heads = ("subject", "check", "target", "value", "limit", "verdict")
+        table = _table("Checks" if every else "Checks that failed or need care", heads)
+        for c in shown:
+            _add(table, c.subject, c.name, c.target, f"{c.value:.4g}", _limit(c), c.verdict)
+        open_console().print(table)
+    print_warnings(view.warnings)
+    _print_verdicts(view)
+
+
+def _limit(check: Check) -> str:
+    """Limit of a check, with its tolerance where it has one."""
+    known = math.isfinite(check.tolerance)
+    return f"{check.limit} ({check.tolerance:.0%})" if known else check.limit
 
 
 def _print_kinds(checks: Iterable[Check]) -> None:
@@ -236,8 +249,9 @@ def _print_kinds(checks: Iterable[Check]) -> None:
 
 
 def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
-    """Print the verdicts of a run, and where to look next; quiet: only the verdict on the run."""
+    """Print warnings and verdicts of a run, and where to look; quiet: only the run's verdict."""
     if not quiet:
+        print_warnings(view.warnings)
         _print_verdicts(view)
     say(f"{view.verdict.upper()}: {view.sentence}")
     if not quiet:
@@ -246,16 +260,13 @@ def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
 
 
 def _print_verdicts(view: CampaignView) -> None:
-    """Print each test's verdict; of many tests, how many pass and which do not."""
-    failed = {
-        test: Counter(c.name for c in view.checks if (c.subject, c.verdict) == (test, Verdict.FAIL))
-        for test in (*(t.id for t in view.tests if t.role == "calibrate"), *view.failures)
-    }
-    many = len(failed) > LISTED
+    """Print each test's verdict with its reasons; of many tests, those that are not just usable."""
+    judged = view.judgements
+    many = len(judged) > LISTED
     if many:
-        say(f"{sum(not names for names in failed.values())} of {len(failed)} tests pass all checks")
-    width = max(map(len, failed), default=0)
-    for test, names in failed.items():
-        if names or not many:
-            what = ", ".join(f"{name} ({times})" for name, times in names.items())
-            say(f"  {test:{width}}  {f'FAIL: {what}' if names else Verdict.PASS}")
+        usable = sum(j.use == Use.USABLE for j in judged)
+        say(f"{usable} of {len(judged)} tests are usable without more")
+    width = max((len(j.subject) for j in judged), default=0)
+    for j in judged:
+        if not many or j.use != Use.USABLE:
+            say(f"  {j.subject:{width}}  {j.use}{f': {j.told}' if j.told else ''}")

@@ -62,7 +62,7 @@ def predict(
     Writes the band as CSV where -o says, a PNG of the loops beside it, one of the
     history (..._history.png), and what derives from the force, such as energy and
     peaks (..._derived.csv). It warns where stroke, speed, frequency or actuation
-    leave what was tested, or the run did not pass its checks; far outside it
+    leave what was tested, or the run is not usable; far outside it
     refuses unless --extrapolate is given. --compare prints the share of the
     measured force inside the band, and keeps it in the CSV. --design prints mean
     and bounding properties (slip force, energy, peaks), for the mean property,

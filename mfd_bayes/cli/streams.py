@@ -32,7 +32,7 @@ class _Stream:
         self._number = number
 
     def write(self, text: str) -> int:
-        return self._done(self._stream.write, text)
+        return int(self._done(self._stream.write, text))
 
     def flush(self) -> None:
         if not self._closed:
@@ -61,7 +61,7 @@ def checked_streams() -> Iterator[None]:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-    sys.stdout, sys.stderr = _Stream(sys.stdout, 1), _Stream(sys.stderr, 2)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = _Stream(sys.stdout, 1), _Stream(sys.stderr, 2)
     try:
         try:
             yield

@@ -18,9 +18,9 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.prediction import predict
-from mfd_bayes.pipeline.preparation import find_warnings, init, inspect, prior_check
+from mfd_bayes.pipeline.preparation import init, inspect, prior_check
 from mfd_bayes.pipeline.question import Question
 from mfd_bayes.pipeline.report import check, report, write_report
 from mfd_bayes.reporting.forms import Forms
@@ -34,6 +34,7 @@ __all__ = [
     "Question",
     "Step",
     "calibrate_campaign",
+    "calibrate_plan",
     "check",
     "compare",
     "crossvalidate",
@@ -41,7 +42,6 @@ __all__ = [
     "doubts",
     "effort_of",
     "fails",
-    "find_warnings",
     "gaps",
     "init",
     "inspect",
@@ -65,10 +65,20 @@ def calibrate_campaign(
     MfdError
         When an input cannot be used; nothing is written then.
     """
-    plan = plan_campaign(campaign, options)
+    return calibrate_plan(plan_campaign(campaign, options), out, observe)
+
+
+def calibrate_plan(plan: Plan, out: Path, observe: Observe) -> CampaignView:
+    """Calibrate a campaign that was planned, and whose warnings were shown, and write its report.
+
+    Raises
+    ------
+    MfdError
+        When the folder cannot be used; nothing is written then.
+    """
     with working_in(plan, out):
         run = calibrate_locked(plan, out, observe)
-        return write_report(run, observe, jobs=options.jobs)
+        return write_report(run, observe, jobs=plan.options.jobs)
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:

@@ -22,13 +22,16 @@ from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
+from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.storage import check_storable
+from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
+from mfd_bayes.records.together import Tested
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
 from mfd_bayes.runs.manifest import (
@@ -81,9 +84,7 @@ class Plan:
     held_out : mapping of str to Trace
         Tests that are predicted, by id.
     manifest : Manifest
-        What is known before the first draw.
-    records : mapping of str to Record
-        Every test's record, if they are to be kept.
+        What is known before the first draw, with the warnings about the records.
     """
 
     campaign: Campaign
@@ -92,18 +93,15 @@ class Plan:
     tasks: tuple[Task, ...]
     held_out: Mapping[str, Trace]
     manifest: Manifest
-    records: Mapping[str, Record]
 
 
-def plan_campaign(path: Path, options: Options, *, keep_records: bool = False) -> Plan:
+def plan_campaign(path: Path, options: Options) -> Plan:
     """Plan of a campaign, after all checks; nothing is written.
 
     Parameters
     ----------
     path : Path
         Campaign file.
-    keep_records : bool
-        Whether the plan also holds the records as they were read.
 
     Raises
     ------
@@ -116,20 +114,25 @@ def plan_campaign(path: Path, options: Options, *, keep_records: bool = False) -
     settings = _settings(campaign, priors)
     inputs = {campaign.path.name: hash_file(campaign.path)}
     inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
-    traces, entries, records = {}, {}, {}
+    traces, entries = {}, {}
+    faults: list[tuple[str, Fault]] = []
+    tested: list[Tested] = []
     for test in campaign.tests:
         record = _read(campaign, test)
         traces[test.id] = trace = record.trace(campaign.rate, gap=priors.gap)
         entries[test.id] = _entry(test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
-        if keep_records:
-            records[test.id] = record
+        whole = record.trace()
+        faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
+        tested += [found] if (found := tested_of(test, record, whole)) else []
     tasks = tuple(
         _task(campaign, priors, test, traces[test.id], options)
         for test in campaign.tests
         if test.role == "calibrate"
     )
-    check_storable(layout_of(tasks, settings), campaign.path)
+    faults += findings_together(tested, priors, campaign.model)
+    layout = layout_of(tasks, settings)
+    check_storable(layout, campaign.path)
     held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     manifest = Manifest(
         title=campaign.title,
@@ -137,10 +140,11 @@ def plan_campaign(path: Path, options: Options, *, keep_records: bool = False) -
         settings=settings,
         inputs=inputs,
         tests=entries,
+        warnings=findings_of(faults, layout, [task.id for task in tasks]),
         **_session(options),
     )
     check_readable(manifest)
-    return Plan(campaign, options, priors, tasks, held_out, manifest, records)
+    return Plan(campaign, options, priors, tasks, held_out, manifest)
 
 
 def _session(options: Options) -> dict[str, Any]:
@@ -175,6 +179,7 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
         priors=f"{priors.title} ({priors.path.name})",
         laws=_laws(campaign),
         dependence=campaign.dependence,
+        tolerances=campaign.tolerances,
         rate=campaign.rate,
         area=campaign.area,
         actuation_unit=campaign.actuation_unit,

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.assessment.prior_check import prior_fan, share_inside
-from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
+from mfd_bayes.pipeline.findings import findings_together, tested_of
 from mfd_bayes.pipeline.outputs import Output, check_outputs, is_picture, write_picture
-from mfd_bayes.pipeline.plan import Plan, layout_of
-from mfd_bayes.records.declared import contradictions
-from mfd_bayes.records.faults import find_faults
-from mfd_bayes.records.inspection import Inspection, inspect_record, same_record
+from mfd_bayes.records.inspection import Inspection, inspect_record
 from mfd_bayes.records.record import read_record
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.together import Tested
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
 from mfd_bayes.runs.systems import system_of
 from mfd_bayes.store.files import write_text
@@ -50,11 +48,7 @@ def inspect(path: Path, folder: Path, *, force: bool = False) -> list[tuple[Insp
         When the file cannot be read or used.
     """
     if path.suffix.lower() == ".toml":
-        campaign = load_campaign(path)
-        gap = load_priors(campaign.priors, campaign.folder).gap
-        found = [
-            (inspect_record(t.id, t.read(), gap), f"{path.stem}_{t.id}") for t in campaign.tests
-        ]
+        found = [(one, f"{path.stem}_{one.name}") for one in inspect_campaign(path)]
     else:
         found = [(inspect_record(path.name, read_record(path)), path.stem)]
     from mfd_bayes.reporting.figures import draw_inspection, to_png
@@ -70,25 +64,22 @@ def inspect(path: Path, folder: Path, *, force: bool = False) -> list[tuple[Insp
     return pictures
 
 
-def find_warnings(plan: Plan) -> list[tuple[str, str]]:
-    """Faults that would spoil the fit of a test, for all tests of a campaign: test id and sentence.
-
-    And what tests at zero actuation do not tell, for "laws". The plan must hold the records.
-    """
-    gap = plan.priors.gap
-    found: list[tuple[str, str]] = []
-    known: dict[str, Trace] = {}
-    for test in plan.campaign.tests:
-        trace = plan.records[test.id].trace()
-        faults = (*contradictions(plan.records[test.id], trace), *find_faults(trace, gap))
-        found += [(test.id, fault.sentence) for fault in faults]
-        twin = next((name for name, other in known.items() if same_record(trace, other)), None)
-        if twin is not None:
-            found.append((test.id, f"same record as {twin}: it would count twice"))
-        known[test.id] = trace
-    layout = layout_of(plan.tasks, plan.manifest.settings)
-    sentences = zero_sentences(layout, [task.id for task in plan.tasks])
-    return found + [("laws", sentence) for sentence in sentences]
+def inspect_campaign(path: Path) -> list[Inspection]:
+    """Inspections of the tests of a campaign, with what their comparison shows."""
+    campaign = load_campaign(path)
+    priors = load_priors(campaign.priors, campaign.folder)
+    found: list[Inspection] = []
+    tested: list[Tested] = []
+    for test in campaign.tests:
+        record = test.read()
+        found.append(inspect_record(test.id, record, priors.gap))
+        if (one := tested_of(test, record, found[-1].trace)) is not None:
+            tested.append(one)
+    together = findings_together(tested, priors, campaign.model)
+    return [
+        replace(one, faults=(*one.faults, *(f for name, f in together if name == one.name)))
+        for one in found
+    ]
 
 
 def prior_check(path: Path, folder: Path, *, force: bool = False) -> list[tuple[str, float, Path]]:

@@ -75,7 +75,7 @@ def write_report(
     system = named_system(units, run.system)
     observe(Step("report", "checks and bands"))
     view = replace(assess(run), metric=system is SI)
-    run.rewrite(verdicts=verdicts(view))
+    run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     publish(view, run.folder, Workplace(jobs).processes, observe, forms)

@@ -64,7 +64,6 @@ class Forecast:
         if whole_number("draws", self.draws, 0, FitError) < 10:
             raise FitError(f"a band needs at least 10 draws, got {self.draws}")
         whole_number("seed", self.seed, 0, FitError)
-        whole_number("permutations", self.permutations, 0, FitError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +158,7 @@ class Predictor:
         FitError
             When the trace has no actuation.
         RecordError
-            When the force is too large for a number, as far from what was tested.
+            When the force is too large for a number.
         """
         rng = np.random.default_rng(forecast.seed)
         index = rng.choice(self.population.size, size=forecast.draws)
@@ -207,7 +206,7 @@ class Predictor:
         rng: np.random.Generator,
         source: str,
     ) -> Band:
-        """Band of drawn tests (n, d); parameters and forces that are no numbers are refused."""
+        """Band of drawn tests (n, d); what is no number is refused."""
         unknown = _unknown(self.population, forecast.draws, rng)
         scales = _scales(self.population, trace, index) if trace.varying else {}
         residual = self.population.residual

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.motion import Array
+from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
-
-SAME = 1e-4  # two signals are the same if they differ by less than this share of their range
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,19 +25,6 @@ class Inspection:
     trace: Trace  # at the record's own rate
     loops: Loops
     faults: tuple[Fault, ...]
-
-
-def same_record(one: Trace, other: Trace) -> bool:
-    """Whether two traces are the same record, read from files of other units or formats."""
-    if one.samples != other.samples or one.force is None or other.force is None:
-        return False
-    pairs = ((one.displacement, other.displacement), (one.force, other.force))
-    few = slice(None, None, max(1, one.samples // 20))  # enough to tell most records apart
-    return all(_same(a[few], b[few]) and _same(a, b) for a, b in pairs)
-
-
-def _same(a: Array, b: Array) -> bool:
-    return bool(np.max(np.abs(a - b)) <= SAME * max(float(np.ptp(a)), 1e-300))
 
 
 def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspection:
@@ -67,7 +54,7 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
         history = " (mean of a history)" if trace.varying else ""
         facts["actuation"] = f"{level:.4g} {record.actuation_unit}{history}"
     if trace.force is not None:
-        facts |= _force_facts(trace.force, loops)
+        facts |= _force_facts(trace.force, loops) | _reading_facts(trace)
     faults = (*contradictions(record, trace), *find_faults(trace, gap))
     return Inspection(name, facts, trace, loops, faults)
 
@@ -88,17 +75,40 @@ def _force_facts(force: Array, loops: Loops) -> dict[str, str]:
     facts = {"force": f"{force.min():.4g} to {force.max():.4g} kip, samples at a peak: {at_peak}"}
     if loops.energy is None or loops.offset is None or not loops.energy.size:
         return facts
-    energy = loops.energy
-    facts["energy per full loop"] = (
-        f"{np.median(energy):.4g} kip·in (median of {energy.size}, "
-        f"{energy.min():.4g} to {energy.max():.4g})"
-    )
+    facts |= _energy_facts(loops.energy, loops.strong)
     if loops.energy_drift is not None:
         facts["energy drift"] = f"{loops.energy_drift:+.1%} from the first loops to the last"
     facts["force offset"] = f"{np.median(loops.offset):.3g} kip, mean along a loop"
     if loops.offset_drift is not None:
         facts["force drift"] = f"{loops.offset_drift:+.3g} kip from the first loops to the last"
     return facts
+
+
+def _energy_facts(energy: Array, strong: NDArray[np.bool_]) -> dict[str, str]:
+    """Mean energy of the loops at full stroke, and of the others, kip·in."""
+    named = {
+        "energy per cycle": (strong, "at full stroke"),
+        "energy of ramps": (~strong, "smaller"),
+    }
+    return {
+        name: (
+            f"{energy[kept].mean():.4g} kip·in (mean of {np.count_nonzero(kept)} {which}, "
+            f"{energy[kept].min():.4g} to {energy[kept].max():.4g})"
+        )
+        for name, (kept, which) in named.items()
+        if kept.any()
+    }
+
+
+def _reading_facts(trace: Trace) -> dict[str, str]:
+    """What a person reads off the full strokes, where it can be read."""
+    read = read_off(trace)
+    facts = {
+        "slip force, read off": f"{read.plateau_fwd:.3g} kip forward, "
+        f"{read.plateau_bwd:.3g} kip backward",
+        "build-up, read off": f"{read.slope:.3g} kip/in, gap {read.gap:.3g} in",
+    }
+    return {name: text for name, text in facts.items() if "nan" not in text}
 
 
 def _range(values: Array) -> str:

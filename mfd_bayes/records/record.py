@@ -17,7 +17,7 @@ from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
 from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.resampling import decimate, default_rate
-from mfd_bayes.records.roles import ROLES, roles_of, unit_of
+from mfd_bayes.records.roles import ROLES, check_once, roles_of, unit_of
 from mfd_bayes.records.trace import Trace, check_size
 from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
 
@@ -184,6 +184,7 @@ def read_record(
     roles = roles_of(table, columns or {}, units or {}, actuation=actuation)
     named = {role: (name, unit_of(table, role, name, units or {})) for role, name in roles.items()}
     signals, unit = _signals_of(table, named)
+    check_once(table, roles)
     level: float | Array | None = signals.get("actuation")
     if actuation is not None:
         level, unit = parse_actuation(actuation, of=f"the actuation of {path}")

@@ -41,8 +41,8 @@ def roles_of(
     Raises
     ------
     RecordError
-        When a role is unknown, a column has two roles, no column or several could be time or
-        displacement, or the actuation is given twice.
+        When a role is unknown, no column or several could be time or displacement, or the
+        actuation is given twice.
     """
     for role in (*columns, *units):
         if role not in ROLES:
@@ -53,10 +53,6 @@ def roles_of(
         roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
-    for role, name in roles.items():
-        twice = [other for other in ROLES if roles.get(other) == name and other != role]
-        if twice:
-            raise RecordError(f"column {name!r} of {table.path} is given for {role} and {twice[0]}")
     missing = [role for role in ("time", "displacement") if role not in roles]
     if missing:
         raise RecordError(
@@ -64,6 +60,21 @@ def roles_of(
             f"{_EXAMPLES[missing[0]]!r}; it has {', '.join(table.names[:20])}"
         )
     return {role: roles[role] for role in ROLES if role in roles}
+
+
+def check_once(table: Table, roles: Mapping[str, str]) -> None:
+    """Refuse a column that is given for two roles.
+
+    Raises
+    ------
+    RecordError
+        When there is one.
+    """
+    seen: dict[str, str] = {}
+    for role, name in roles.items():
+        other = seen.setdefault(name, role)
+        if other != role:
+            raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
 
 
 def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str:

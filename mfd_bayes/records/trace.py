@@ -19,7 +19,7 @@ from mfd_bayes.records.motion import (
 )
 from mfd_bayes.records.numbers import real_numbers
 
-SMALLEST = 1e-9  # the largest force of a record is above it, kip, or the record has none
+SMALLEST = 1e-20  # the largest force of a record is above it, kip, or the record has none
 LARGEST = 1e10  # largest number of a trace, in internal units; times since 1970 in s are below it
 
 

@@ -14,6 +14,7 @@ from mfd_bayes.assessment.views import (
     LeftOutRow,
     LeftOutView,
     Marginal,
+    ReadingRow,
     Row,
     ScoreRow,
     TestView,
@@ -23,11 +24,11 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SI, US, System
 from mfd_bayes.runs.tested import Span
 
-_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal")
+_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value")
 _SCORES = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
 
 AnyScores = TypeVar("AnyScores", ScoreRow, LeftOutRow)
-AnyRow = TypeVar("AnyRow", Row, DerivedRow, TruthRow, DesignRow)
+AnyRow = TypeVar("AnyRow", Row, DerivedRow, ReadingRow, TruthRow, DesignRow)
 
 
 def shown_in(view: CampaignView) -> System:
@@ -93,6 +94,7 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
         observation=convert_fan(test.observation, force),
         rows=tuple(convert_row(row, system) for row in test.rows),
         derived=tuple(convert_row(row, system) for row in test.derived),
+        readings=tuple(convert_row(row, system) for row in test.readings),
         marginals=tuple(_marginal(marginal, system) for marginal in test.marginals),
         chains={
             name: draws * system.factor(units.get(name, "1")) for name, draws in test.chains.items()

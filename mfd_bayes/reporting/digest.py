@@ -10,15 +10,16 @@ from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.views import (
     FREE_EXPONENT,
     IDENTIFIABILITY,
+    READING,
     CampaignView,
     Check,
     DerivedRow,
     Row,
 )
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use, Verdict
 
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = (*IDENTIFIABILITY, "calibration", FREE_EXPONENT)  # have sections of their own
+_ELSEWHERE = (*IDENTIFIABILITY, READING, "calibration", FREE_EXPONENT)  # have sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 
@@ -56,7 +57,9 @@ def _worst(subject: str, rows: tuple[Row, ...], checks: Iterable[Check]) -> Conv
     bulk = [row for row in rows if not math.isnan(row.ess_bulk)]
     tail = [row for row in rows if not math.isnan(row.ess_tail)]
     verdicts = {c.verdict for c in checks if c.subject == subject and is_of_sampler(c)}
-    worst = next((v for v in (Verdict.FAIL, Verdict.NOTE, Verdict.PASS) if v in verdicts), None)
+    worst = next(
+        (v for v in (Verdict.FAIL, Verdict.CARE, Verdict.NOTE, Verdict.PASS) if v in verdicts), None
+    )
     return Convergence(
         subject=subject,
         r_hat=max(sampled, key=lambda row: row.r_hat, default=None),
@@ -66,10 +69,10 @@ def _worst(subject: str, rows: tuple[Row, ...], checks: Iterable[Check]) -> Conv
     )
 
 
-def verdicts_of(view: CampaignView) -> dict[str, Verdict | None]:
-    """FAIL of every subject with a check that failed, PASS of other tests, None without checks."""
-    found = {test.id: Verdict.PASS if test.checks else None for test in view.tests}
-    return found | {c.subject: Verdict.FAIL for c in view.checks if c.verdict == Verdict.FAIL}
+def verdicts_of(view: CampaignView) -> dict[str, Use | None]:
+    """Use of every test; None of tests that were only predicted."""
+    found: dict[str, Use | None] = {test.id: None for test in view.tests}
+    return found | {judged.subject: judged.use for judged in view.judgements}
 
 
 def is_weak(row: Row) -> bool:
@@ -80,7 +83,7 @@ def is_weak(row: Row) -> bool:
 
 def is_judged(check: Check) -> bool:
     """Whether a check can fail."""
-    return check.verdict != Verdict.NOTE and check.name not in IDENTIFIABILITY
+    return check.verdict != Verdict.NOTE and check.name not in (*IDENTIFIABILITY, READING)
 
 
 def is_of_fit(check: Check) -> bool:

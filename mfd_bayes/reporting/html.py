@@ -133,6 +133,7 @@ def _shared(view: CampaignView) -> dict[str, Any]:
         "units_of": {row.name: row.unit for test in view.tests for row in test.rows},
         "derived": derived_of(view),
         "cells": {(row.subject, row.name): row for test in view.tests for row in test.rows},
+        "readings": {(r.subject, r.name): r for test in view.tests for r in test.readings},
         "convergence": convergence_of(view),
         "judged": [check for check in view.checks if is_judged(check)],
         "fit": grid_of(check for check in view.checks if is_of_fit(check)),

@@ -15,6 +15,7 @@ from mfd_bayes.assessment.views import (
     DerivedRow,
     LawChoice,
     LeftOutView,
+    ReadingRow,
     Row,
     ScoreRow,
 )
@@ -40,6 +41,7 @@ def report_tables(view: CampaignView, system: System = US) -> dict[str, str]:
     found = {
         "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
         "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
+        "readings.csv": readings_csv(r for t in view.tests for r in t.readings),
         "laws.csv": laws_csv(view.law_rows),
         "law_scores.csv": law_scores_csv(view.law_choices),
         "checks.csv": checks_csv(view.checks),
@@ -60,6 +62,12 @@ def parameters_csv(rows: Iterable[Row]) -> str:
     return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), map(_cells, rows))
 
 
+def readings_csv(rows: Iterable[ReadingRow]) -> str:
+    """Figures read off the loops, each beside the quantity that should agree with it."""
+    head = ("test", "quantity", "unit", "read_off", "q2.5", "q50", "q97.5", "tolerance", "missed")
+    return csv_text((*head, "largest"), map(dataclasses.astuple, rows))
+
+
 def laws_csv(rows: Iterable[Row]) -> str:
     """Table II of the paper with uncertainty: slopes, shapes and scatter."""
     return csv_text(("group", "constant", "unit", *_QUANTILES, "note"), map(_cells, rows))
@@ -67,7 +75,7 @@ def laws_csv(rows: Iterable[Row]) -> str:
 
 def checks_csv(checks: Iterable[Check]) -> str:
     """Every check: its value, its limit and its verdict."""
-    head = ("subject", "check", "target", "value", "limit", "verdict")
+    head = ("subject", "check", "target", "value", "limit", "verdict", "size", "tolerance")
     return csv_text(head, map(dataclasses.astuple, checks))
 
 

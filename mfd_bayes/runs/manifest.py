@@ -18,6 +18,7 @@ from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.inference import InferenceSettings
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.runs.results import CampaignCrossValidation, Comparison, Prediction
 from mfd_bayes.store.files import json_text, read_json, write_json
@@ -86,6 +87,7 @@ class Settings(Part):
     priors: str
     laws: Mapping[str, Annotated[str, AfterValidator(_known_law)]]
     dependence: Mapping[str, tuple[str, ...]] | None = None
+    tolerances: Mapping[str, Positive] | None = None
     rate: Any = None
     area: Area | None = None
     actuation_unit: Literal["ksi", "kip"]
@@ -141,6 +143,8 @@ class Manifest(Part):
     finished: str = ""
     crossvalidation: CampaignCrossValidation | None = None
     comparison: Comparison | None = None
+    warnings: tuple[Finding, ...] = ()
+    """What the records, and then the results, gave cause to warn of."""
     verdicts: Mapping[str, str] = Field(default_factory=dict)
 
     _content: dict[str, Any] = PrivateAttr()

@@ -34,7 +34,7 @@ from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.systems import System, system_of
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.netcdf import load_trace
 
 Array = NDArray[np.float64]
@@ -232,8 +232,8 @@ class Run:
         left = self.departures(trace, test)
         remarks = [departure.sentence(self.system) for departure in left]
         verdicts = self.manifest.verdicts
-        if verdicts.get("campaign") == Verdict.FAIL:
-            remarks.append(f"the run did not pass its checks: {verdicts.get('sentence', '')}")
+        if verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote it
+            remarks.append(f"the run is not usable as it is: {verdicts.get('sentence', '')}")
         return tuple(remarks)
 
 

@@ -1,15 +1,19 @@
-"""What a check comes to."""
+"""What a check, a test or a whole run comes to."""
 
 from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """Verdict of a check, a test or a run, as its files hold it, with what it means."""
+    """Verdict of a check, as its files hold it, with what it means."""
 
     message: str
 
     PASS = "pass", "The value is within its limit."
     NOTE = "note", "The reader must know of it, but it is no fault of the run."
+    CARE = (
+        "care",
+        "The model misses this by more than its tolerance: what rests on it needs care.",
+    )
     FAIL = "fail", "The value is beyond its limit, and figures that rest on it must not be used."
 
     def __new__(cls, value: str, message: str) -> "Verdict":
@@ -28,3 +32,17 @@ class Verdict(StrEnum):
     def noted(cls, good: bool) -> "Verdict":
         """PASS or NOTE, of a check that cannot fail."""
         return cls.PASS if good else cls.NOTE
+
+
+class Use(StrEnum):
+    """What a test or a run may be used for, in the words of its verdict; the best first."""
+
+    USABLE = "usable"
+    WITH_CARE = "usable with care"
+    NOT_USABLE = "not usable"
+
+    @property
+    def mark(self) -> Verdict:
+        """The verdict of a check that looks like it."""
+        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.CARE}
+        return marks.get(self, Verdict.FAIL)

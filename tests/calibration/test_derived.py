@@ -98,7 +98,7 @@ def test_the_motion_before_the_first_turn_and_after_the_last_full_cycle_is_left_
     assert count_cycles(trace, first=int(begin) + 1) == 2
 
 
-def test_cycles_of_changing_amplitude_are_averaged():
+def test_cycles_of_changing_amplitude_are_told_apart():
     trace = decaying()
     force = np.sign(trace.velocity)[None, :]
     energies = cycle_energies(force, trace)[0]
@@ -107,9 +107,11 @@ def test_cycles_of_changing_amplitude_are_averaged():
     np.testing.assert_allclose(
         energies, [way[0] + way[1], way[2] + way[3], way[4] + way[5]], rtol=1e-2
     )
-    assert derive_from_force(force, trace)["energy_per_cycle"].item() == pytest.approx(
-        energies.mean()
-    )
+    derived = derive_from_force(force, trace)
+    assert derived["energy_per_cycle"].item() == pytest.approx(energies[0])  # at full stroke
+    assert derived["energy_of_ramps"].item() == pytest.approx(energies[1:].mean())
+    whole = np.abs(np.diff(trace.displacement)).sum()
+    assert derived["energy_in_all"].item() == pytest.approx(whole, rel=1e-2)
 
 
 def test_without_a_full_cycle_there_are_only_peaks():

@@ -4,7 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from mfd_bayes.assessment.views import Judgement
 from mfd_bayes.cli.console import LISTED, clean, open_console, print_checks, print_end, say
+from mfd_bayes.runs.findings import Finding
+from mfd_bayes.runs.verdict import Use
 
 
 @pytest.mark.parametrize(
@@ -48,7 +51,8 @@ def test_a_table_shows_names_as_they_are(capsys):
         subject="[red]p[/red]", name=":smile:", target="\x1b[31mk3", value=1.0, limit="<= 1"
     )
     check.verdict = "pass"
-    print_checks(SimpleNamespace(checks=[check]), every=True)
+    check.tolerance = float("nan")
+    print_checks(SimpleNamespace(checks=[check], warnings=(), judgements=()), every=True)
     out = capsys.readouterr().out
     assert "[red]p[/red]" in out
     assert ":smile:" in out
@@ -60,42 +64,37 @@ def test_a_console_takes_no_text_for_markup(capsys):
     assert capsys.readouterr().out == "[bold]a[/bold] :smile:\n"
 
 
-def view_of(count, failing=(), failures=()):
-    tests = [SimpleNamespace(id=f"p{i}", role="calibrate") for i in range(count)]
-    tests.append(SimpleNamespace(id="held", role="validate"))
-    checks = [
-        SimpleNamespace(subject=f"p{i}", name=name, verdict="fail" if i in failing else "pass")
-        for i in range(count)
-        for name in ("R-hat", "R-hat", "bulk ESS")
-    ]
+def view_of(count, bad=()):
+    told = {i: Judgement(f"p{i}", Use.NOT_USABLE, "the sign is swapped", 9.0) for i in bad}
+    judged = [told.get(i, Judgement(f"p{i}", Use.USABLE, "", 0.1)) for i in range(count)]
     return SimpleNamespace(
-        tests=tests,
-        checks=checks,
-        failures=dict.fromkeys(failures, "no mass"),
-        verdict="fail" if failing else "pass",
+        judgements=judged,
+        warnings=[Finding("p0", "lag", "it is late")],
+        verdict=Use.NOT_USABLE if bad else Use.USABLE,
         sentence="It is so.",
     )
 
 
 def test_a_run_ends_with_every_verdict_and_where_to_look(capsys, tmp_path):
-    print_end(view_of(2, failing=[1]), tmp_path / "my out")
+    print_end(view_of(2, bad=[1]), tmp_path / "my out")
     assert capsys.readouterr().out.splitlines() == [
-        "  p0  pass",
-        "  p1  FAIL: R-hat (2), bulk ESS (1)",
-        "FAIL: It is so.",
+        "warning: p0: it is late",
+        "  p0  usable",
+        "  p1  not usable: the sign is swapped",
+        "NOT USABLE: It is so.",
         f"look next at {tmp_path}/my out/report.html; every check: "
         f"mfd-bayes check '{tmp_path}/my out'",
     ]
 
 
-def test_of_many_tests_only_those_that_fail_are_listed(capsys, tmp_path):
-    print_end(view_of(LISTED + 1, failing=[3]), tmp_path)
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"{LISTED} of {LISTED + 1} tests pass all checks"
-    assert lines[1].split() == ["p3", "FAIL:", "R-hat", "(2),", "bulk", "ESS", "(1)"]
-    assert lines[2] == "FAIL: It is so."
+def test_of_many_tests_only_those_that_are_not_usable_are_listed(capsys, tmp_path):
+    print_end(view_of(LISTED + 1, bad=[3]), tmp_path)
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert lines[0] == f"{LISTED} of {LISTED + 1} tests are usable without more"
+    assert lines[1] == "  p3   not usable: the sign is swapped"
+    assert lines[2] == "NOT USABLE: It is so."
 
 
 def test_quiet_ends_with_the_verdict_alone(capsys, tmp_path):
-    print_end(view_of(3, failing=[1]), tmp_path, quiet=True)
-    assert capsys.readouterr().out == "FAIL: It is so.\n"
+    print_end(view_of(3, bad=[1]), tmp_path, quiet=True)
+    assert capsys.readouterr().out == "NOT USABLE: It is so.\n"

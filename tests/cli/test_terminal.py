@@ -30,7 +30,7 @@ from mfd_bayes.jobs.job import Progress, Step
 TESTS, PAUSE, LAST = {tests}, {pause}, {last}
 
 
-def work(campaign, out, options, observe):
+def work(plan, out, observe):
     names = [f"p{{500 + k}}[red]_f0.25" for k in range(TESTS)]
     for name in names:
         observe(Step(name, "waiting"))
@@ -42,7 +42,7 @@ def work(campaign, out, options, observe):
         observe(Step(name, "done", Progress(300, 300, 1.0123, 432.1, 3.0)))
     tests = [SimpleNamespace(id=name, role="calibrate") for name in names]
     return SimpleNamespace(
-        tests=tests, checks=[], failures={{}}, verdict="pass", sentence="It is so."
+        tests=tests, judgements=(), warnings=(), verdict="usable", sentence="It is so."
     )
 
 
@@ -60,7 +60,8 @@ class Options:
 commands = ModuleType("mfd_bayes.pipeline.commands")
 commands.Options = Options
 commands.effort_of = lambda out, effort, *, resume: "quick"
-commands.calibrate_campaign = work
+commands.calibrate_plan = work
+commands.plan_campaign = lambda *_: SimpleNamespace(manifest=SimpleNamespace(warnings=()))
 commands.is_whole = lambda view: True
 sys.modules[commands.__name__] = mfd_bayes.pipeline.commands = commands
 main()
@@ -162,7 +163,7 @@ def test_a_table_is_drawn_and_its_last_state_stays(terminal, columns, lines, tes
     assert top.startswith(f"{tests} of {tests} done, 0:0")
     last = screen[tables[0] + min(tests, lines - 5)]
     assert last.split()[:5] == [f"p{499 + tests}[red]_f0.25", "done", "300", "1.012", "432"]
-    assert screen[-2].startswith("PASS: It is so.")
+    assert screen[-2].startswith("USABLE: It is so.")
     assert "mfd-bayes check out" in screen[-1]
     assert written.rindex("\x1b[?25h") > written.rindex("\x1b[?25l")  # the cursor is back
 
@@ -194,7 +195,7 @@ def test_sigterm_is_named_in_the_last_line(terminal):
 
 def test_quiet_draws_nothing(terminal):
     one = terminal(80, 24, 3, 0.05, 0.05, "--quiet")
-    assert one.read() == "PASS: It is so.\r\n"
+    assert one.read() == "USABLE: It is so.\r\n"
     assert one.process.wait(timeout=10) == 0
 
 

@@ -166,7 +166,7 @@ def test_what_is_dissipated_is_what_was_measured(out, test, name):
     spread = 3 * row["sd"] if test == HELD_OUT else 0
     assert row["q50"] == pytest.approx(row["measured"], rel=0.03, abs=spread)
     assert row["q2.5"] < row["q50"] < row["q97.5"]
-    assert row["note"] == "over 1 full cycle"
+    assert row["note"].startswith("over 1 full cycle")
 
 
 @pytest.mark.parametrize("test", TESTS)
@@ -178,7 +178,10 @@ def test_gap_and_self_energizing_factors_find_the_truth(campaign, out, test):
     for name, value in truth.items():
         row = table.loc[(test, name)]
         assert row["q50"] == pytest.approx(value, abs=4 * row["sd"])
-        assert np.isnan(row["measured"])
+        if name == "gap":  # read off the loop, whose transitions are round
+            assert row["measured"] == pytest.approx(value, rel=0.35)
+        else:
+            assert np.isnan(row["measured"])
     assert str(table.loc[(test, "C_fwd"), "unit"]) == "1"
 
 
@@ -460,7 +463,7 @@ def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished_run):
     *_, whole, look = outcome.stdout.splitlines()
     for test in TESTS:
         (line,) = [text for text in outcome.stdout.splitlines() if text.startswith(f"  {test} ")]
-        assert line.split()[1].strip(":").lower() == verdicts[test]
+        assert line.split(maxsplit=1)[1].startswith(verdicts[test])
     assert whole.startswith(f"{verdicts['campaign'].upper()}: ")
     assert look.startswith(f"look next at {folder}/report.html")
 
@@ -568,10 +571,12 @@ def test_a_prediction_beyond_what_was_tested_is_told(out, run, motion, tmp_path)
 
 def test_a_prediction_of_a_run_that_failed_says_so(run):
     trace = mb.Trace.from_arrays(TIME, MOTION, 0.7)
-    failed = run.manifest.changed(verdicts={"campaign": "fail", "sentence": "It is bad."})
+    failed = run.manifest.changed(verdicts={"campaign": "not usable", "sentence": "It is bad."})
     remarks = replace(run, manifest=failed).predict(trace, draws=20).remarks
-    assert remarks == ("the run did not pass its checks: It is bad.",)
-    passed = run.manifest.changed(verdicts={"campaign": "pass", "sentence": "It is good."})
+    assert remarks == ("the run is not usable as it is: It is bad.",)
+    older = run.manifest.changed(verdicts={"campaign": "fail", "sentence": "It is bad."})
+    assert replace(run, manifest=older).predict(trace, draws=20).remarks == remarks
+    passed = run.manifest.changed(verdicts={"campaign": "usable", "sentence": "It is good."})
     assert replace(run, manifest=passed).predict(trace, draws=20).remarks == ()
 
 
@@ -625,7 +630,8 @@ def test_bands_that_cannot_be_written_are_refused(out, motion, tmp_path):
 
 def test_check_exits_by_the_verdicts(out):
     sentence = json.loads((out / "manifest.json").read_text())["verdicts"]["sentence"]
-    failed = (pd.read_csv(out / "checks.csv")["verdict"] == "fail").any()
+    verdicts = json.loads((out / "manifest.json").read_text())["verdicts"]
+    failed = verdicts["campaign"] == "not usable"
     outcome = here("check", out)
     assert outcome.exit_code == (1 if failed else 0), outcome.output
     assert "R-hat" in outcome.stdout

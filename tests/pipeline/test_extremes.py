@@ -119,7 +119,7 @@ def test_a_rate_that_leaves_too_few_samples_is_refused(home, rate):
         read_record(home / "a.csv").trace(rate)
 
 
-@pytest.mark.parametrize("scale", [1e-300, 1e-12, 1e11, 1e300])
+@pytest.mark.parametrize("scale", [1e-300, 1e-22, 1e11, 1e300])
 def test_a_force_too_small_or_large_is_refused_where_the_record_is_read(tmp_path, scale):
     write_record(tmp_path / "a.csv", scale)
     with pytest.raises(RecordError, match=f"too {'small' if scale < 1 else 'large'} to use"):
@@ -127,14 +127,14 @@ def test_a_force_too_small_or_large_is_refused_where_the_record_is_read(tmp_path
 
 
 def test_a_force_of_zero_and_a_small_one_are_read(tmp_path):
-    for scale in (0.0, 1e-8):
+    for scale in (0.0, 1e-12):
         write_record(tmp_path / "a.csv", scale)
         assert read_record(tmp_path / "a.csv").force.max() == pytest.approx(scale, rel=1e-3)
 
 
-@pytest.mark.parametrize("text", ["1e-300 psi", "1e-320 Pa", "1e-7 psi", "1e14 psi", "1e300 ksi"])
+@pytest.mark.parametrize("text", ["1e-300 psi", "1e-320 Pa", "1e14 psi", "1e300 ksi"])
 def test_an_actuation_that_no_run_may_hold_is_refused(text):
-    with pytest.raises(UnitError, match="expected an actuation of 0, or of 1e-09 to 1e\\+10"):
+    with pytest.raises(UnitError, match="expected an actuation of 0, or of 1e-20 to 1e\\+10"):
         parse_actuation(text)
 
 

@@ -66,7 +66,7 @@ def plans(monkeypatch):
         raise _StopError
 
     for module in (crossvalidation, comparison):
-        monkeypatch.setattr(module, "calibrate", stop)
+        monkeypatch.setattr(module, "calibrate_locked", stop)
     return found
 
 
@@ -95,7 +95,7 @@ def test_a_comparison_is_planned_once_for_each_model(campaign, tmp_path, reads, 
 
 def test_a_run_that_was_just_calibrated_is_not_opened_again(campaign, tmp_path, monkeypatch):
     seen = []
-    monkeypatch.setattr(commands, "calibrate", lambda plan, out, observe: "the run")
+    monkeypatch.setattr(commands, "calibrate_locked", lambda plan, out, observe: "the run")
     monkeypatch.setattr(commands, "write_report", lambda run, *_, **__: seen.append(run))
     monkeypatch.setattr(report, "open_run", lambda _: pytest.fail("opened again"))
     commands.calibrate_campaign(campaign, tmp_path / "out", Options(), lambda _: None)

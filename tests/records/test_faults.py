@@ -91,6 +91,28 @@ def test_a_clipped_force_is_told_with_its_samples():
     assert fault.samples.size > 0.8 * np.count_nonzero(force >= 0.9)
 
 
+def test_a_force_clipped_on_both_sides_is_told_of_both():
+    time, displacement, force = signals()
+    assert names(time, displacement, np.clip(force, -0.9, 0.9)) == ["clipping", "clipping"]
+
+
+def ramped():
+    """Eight cycles, of which the middle ones are at full stroke, and a force that follows them."""
+    time = np.arange(0.0, 20.0, 1 / 200)
+    size = np.clip(np.minimum(time, 20.0 - time) / 6.5, 0.0, 1.0)
+    displacement = size * np.sin(np.pi * time)
+    return time, displacement, size * np.tanh(8.0 * np.gradient(displacement, time))
+
+
+def test_a_drift_is_seen_although_most_cycles_ramp():
+    time, displacement, force = ramped()
+    noisy = force + 0.002 * np.random.default_rng(0).normal(size=time.size)
+    assert "drift" not in names(time, displacement, noisy)
+    assert "drift" in names(time, displacement, noisy + 0.8 * time / time[-1])
+    uneven = noisy + 0.4 * np.sin(np.pi * time / 20.0)  # it comes back: no drift
+    assert "drift" not in names(time, displacement, uneven)
+
+
 def test_a_coarse_force_is_not_clipped():
     time, displacement, force = signals()
     assert names(time, displacement, np.round(force / 0.1) * 0.1) == []

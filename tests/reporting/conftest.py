@@ -12,6 +12,7 @@ from mfd_bayes.assessment.views import (
     DerivedRow,
     Fan,
     Interval,
+    Judgement,
     LawChoice,
     LawScoreRow,
     LawView,
@@ -34,7 +35,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import shown_in
 from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
 from mfd_bayes.reporting.figures import draw_shared, draw_test
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use, Verdict
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
 UNITS = {"Fc_fwd": "kip", "k3": "kip/in", "gamma1": "1"}
@@ -146,7 +147,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     row = Row("population", "K_c_fwd", "in**2", 1.2, 0.1, 1.0, 1.2, 1.4, 1.001, 900.0, 800.0, 0.98)
     return CampaignView(
         title="Drum brake",
-        verdict=Verdict.PASS,
+        verdict=Use.USABLE,
         sentence="All checks passed.",
         actuation_unit="ksi",
         tests=tests,
@@ -164,6 +165,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         remarks=("The data are synthetic.",),
         law_choices=(make_choice(),),
         left_out=make_left_out(),
+        judgements=tuple(Judgement(test.id, Use.USABLE, "", 0.5) for test in tests if test.rows),
     )
 
 

@@ -9,14 +9,15 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 
-from mfd_bayes.assessment.views import DIRECTIONS, IDENTIFIABILITY, Check
+from mfd_bayes.assessment.views import DIRECTIONS, IDENTIFIABILITY, Check, Judgement, ReadingRow
 from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.digest import is_of_sampler
 from mfd_bayes.reporting.html import ONE_PAGE, render
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use, Verdict
 
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))
 HOSTILE = '"><script>alert(1)</script>{{ 7 * 7 }}'
@@ -132,10 +133,49 @@ def scrollers(page):
 
 
 def test_the_verdict_is_worded(campaign, images, text):
-    assert "✓ Passed" in text
-    failed = replace(campaign, verdict=Verdict.FAIL, sentence="R̂ is 1.2.")
-    assert "✗ Not passed" in first(failed, images)
-    assert "R̂ is 1.2." in first(failed, images)
+    assert "✓ Usable" in text
+    for use, words in ((Use.WITH_CARE, "! Usable with care"), (Use.NOT_USABLE, "✗ Not usable")):
+        other = first(replace(campaign, verdict=use, sentence="R̂ is 1.2."), images)
+        assert f"<strong>{words}</strong>" in other
+        assert "R̂ is 1.2." in other
+
+
+def test_every_warning_is_on_the_first_screen(campaign, images):
+    told = (Finding("a", "force sign", "the force does negative work"), Finding("b", "lag", "late"))
+    page = first(replace(campaign, warnings=told), images)
+    screen = page[: page.index('<nav aria-label="Contents">')]
+    assert "<li>a: the force does negative work</li>" in screen
+    assert "<li>b: late</li>" in screen
+    assert '<div class="verdict fail">' in screen
+    mild = first(replace(campaign, warnings=told[1:]), images)
+    assert '<div class="verdict care">' in mild[: mild.index("<nav aria")]
+
+
+def test_readings_stand_beside_their_parameters_and_misses_are_marked(campaign, images):
+    read = ReadingRow(campaign.tests[0].id, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True)
+    test = replace(campaign.tests[0], readings=(read,))
+    page = only(first(replace(campaign, tests=(test,)), images), "us")
+    assert '<small class="missed">read off 14.2 !</small>' in page
+    agreed = replace(test, readings=(replace(read, missed=False, largest=True),))
+    page = only(first(replace(campaign, tests=(agreed,)), images), "us")
+    assert "<small>largest 14.2</small>" in page
+
+
+def test_each_set_of_parameters_of_a_record_with_modes_is_in_a_table(campaign, images, text):
+    modes = ({"k3": 20.5, "share": 0.6}, {"k3": 41.5, "share": 0.4})
+    test = replace(campaign.tests[0], modes=modes)
+    page = only(first(replace(campaign, tests=(test,)), images), "us")
+    assert "Sets of parameters that explain a record" in page
+    for shown in ("<td>60\u00a0%</td>", "<td>40\u00a0%</td>", "20.50", "41.50"):
+        assert shown in page
+    assert "Sets of parameters" not in text
+
+
+def test_tests_are_ranked_with_their_reasons(campaign, images):
+    ranked = (Judgement("b", Use.NOT_USABLE, "sign <swapped>", 9.0),)
+    page = first(replace(campaign, judgements=ranked), images)
+    assert "✗ not usable" in page
+    assert "sign &lt;swapped&gt;" in page
 
 
 def test_the_page_says_what_the_data_do_not_inform(text):

@@ -331,7 +331,7 @@ def test_nothing_is_written_through_a_link(resumed, tmp_path, name):
     assert (out / "manifest.json").is_file()
 
 
-def test_a_file_that_is_a_link_out_of_the_folder_is_not_written_through(out, tmp_path):
+def test_a_link_out_of_the_folder_is_not_written_through_nor_replaced(out, tmp_path):
     (tmp_path / "mine.html").write_text("mine")
     (out / "report.html").symlink_to(tmp_path / "mine.html")
     with pytest.raises(StoreError, match="link out of its folder"):

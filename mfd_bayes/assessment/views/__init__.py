@@ -3,14 +3,18 @@
 from mfd_bayes.assessment.views.campaign import CampaignView, LeftOutRow, LeftOutView, TruthRow
 from mfd_bayes.assessment.views.check import (
     CONTRACTION,
+    COVERAGE,
     DIRECTIONS,
     FREE_EXPONENT,
     IDENTIFIABILITY,
     LIKELIHOOD_SENSITIVITY,
+    PREDICTIVE,
     PRIOR_SENSITIVITY,
+    READING,
     TRADE_OFFS,
     Check,
 )
+from mfd_bayes.assessment.views.judgement import Judgement
 from mfd_bayes.assessment.views.law import LawChoice, LawScoreRow, LawView
 from mfd_bayes.assessment.views.test import (
     Array,
@@ -18,6 +22,7 @@ from mfd_bayes.assessment.views.test import (
     Fan,
     Interval,
     Marginal,
+    ReadingRow,
     Row,
     ScoreRow,
     TestView,
@@ -25,11 +30,14 @@ from mfd_bayes.assessment.views.test import (
 
 __all__ = [
     "CONTRACTION",
+    "COVERAGE",
     "DIRECTIONS",
     "FREE_EXPONENT",
     "IDENTIFIABILITY",
     "LIKELIHOOD_SENSITIVITY",
+    "PREDICTIVE",
     "PRIOR_SENSITIVITY",
+    "READING",
     "TRADE_OFFS",
     "Array",
     "CampaignView",
@@ -37,12 +45,14 @@ __all__ = [
     "DerivedRow",
     "Fan",
     "Interval",
+    "Judgement",
     "LawChoice",
     "LawScoreRow",
     "LawView",
     "LeftOutRow",
     "LeftOutView",
     "Marginal",
+    "ReadingRow",
     "Row",
     "ScoreRow",
     "TestView",

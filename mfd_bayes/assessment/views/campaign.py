@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mfd_bayes.assessment.views.check import Check
+from mfd_bayes.assessment.views.judgement import Judgement
 from mfd_bayes.assessment.views.law import LawChoice, LawView
 from mfd_bayes.assessment.views.test import Row, ScoreRow, TestView
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.results import ComparisonRow
 from mfd_bayes.runs.tested import Span
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Use
 
 
 @dataclass(frozen=True)
@@ -79,10 +81,10 @@ class CampaignView:
 
     Attributes
     ----------
-    verdict : Verdict
-        FAIL where a check failed, else PASS.
+    verdict : Use
+        What the run may be used for.
     sentence : str
-        The verdict with its reason.
+        The verdict with its reasons, the worst first.
     actuation_unit : {"ksi", "kip"}
     failures : mapping of str to str
         Tests without a posterior, and why.
@@ -102,6 +104,10 @@ class CampaignView:
         Models that were compared on this campaign; empty where none were.
     comparison_sentence : str
         Result of that comparison.
+    judgements : tuple of Judgement
+        What each calibrated test may be used for, the one to believe least first.
+    warnings : tuple of Finding
+        What records and results gave cause to warn of.
     metric : bool
         Whether the records, and so the report, are in metric units.
     tested : tuple of Span
@@ -109,7 +115,7 @@ class CampaignView:
     """
 
     title: str
-    verdict: Verdict
+    verdict: Use
     sentence: str
     actuation_unit: str
     tests: tuple[TestView, ...]
@@ -125,5 +131,7 @@ class CampaignView:
     left_out: LeftOutView | None = None
     comparison: tuple[ComparisonRow, ...] = ()
     comparison_sentence: str = ""
+    judgements: tuple[Judgement, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     metric: bool = False
     tested: tuple[Span, ...] = ()

@@ -14,6 +14,9 @@ PRIOR_SENSITIVITY = "sensitivity to the prior"
 LIKELIHOOD_SENSITIVITY = "sensitivity to the likelihood"
 DIRECTIONS = "directions informed"
 TRADE_OFFS = "rank correlation of two parameters"
+PREDICTIVE = "posterior predictive p-value"
+READING = "reading off the loop"
+COVERAGE = "share of samples inside a band"
 IDENTIFIABILITY = (CONTRACTION, PRIOR_SENSITIVITY, LIKELIHOOD_SENSITIVITY, DIRECTIONS, TRADE_OFFS)
 """Names of the checks of what the data inform; beyond its limit such a check is a note."""
 
@@ -32,6 +35,10 @@ class Check:
         The parameter, or the feature of the record, that is checked.
     limit : str
         Such as "<= 1.01".
+    size : float
+        By how much the model misses the figure, as a share; NaN where it is not said.
+    tolerance : float
+        The size up to which nobody minds; NaN where there is none.
     """
 
     subject: str
@@ -40,3 +47,5 @@ class Check:
     value: float
     limit: str
     verdict: Verdict
+    size: float = float("nan")
+    tolerance: float = float("nan")

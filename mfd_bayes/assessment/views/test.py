@@ -60,6 +60,27 @@ class DerivedRow:
     note: str = ""
 
 
+@dataclass(frozen=True)
+class ReadingRow:
+    """A figure read off the loop, `value` in `unit`, beside the quantity that should agree.
+
+    `name` is the quantity, with the bounds and the median of its equal-tailed 95 % interval.
+    `missed` says that the interval misses the reading by more than the tolerance. Where `largest`,
+    the value is the largest measured force, and missed if the median is above it.
+    """
+
+    subject: str
+    name: str
+    unit: str
+    value: float
+    lower: float
+    median: float
+    upper: float
+    tolerance: float
+    missed: bool
+    largest: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Interval:
     """Equal-tailed band of one probability, (T,) each, kip; or the band of the whole history."""
@@ -136,6 +157,11 @@ class TestView:
         None where the test was predicted.
     derived : tuple of DerivedRow
         With 95 % intervals.
+    readings : tuple of ReadingRow
+        What is read off the loop of a fitted test.
+    modes : tuple of mapping of str to float
+        Median of each quantity among the draws of each mode, where there are several; the share of
+        the draws is under "share".
     stage : (T,) int or None
         Stage at each sample for the posterior medians: 1 slip, 2 stick, 3 build-up;
         None where the test was predicted or the model has no gap.
@@ -165,3 +191,5 @@ class TestView:
     stage: NDArray[np.int8] | None = None
     travel: Array | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
+    readings: tuple[ReadingRow, ...] = ()
+    modes: tuple[Mapping[str, float], ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 from mfd_bayes.records.faults.clock import CROSSING
 from mfd_bayes.records.faults.fault import Fault, Samples, count, runs, spread
 from mfd_bayes.records.faults.lag import estimate_lag
-from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.loops import FEWEST, find_loops
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
 
@@ -75,9 +75,12 @@ def clipping(trace: Trace) -> Iterator[Fault]:
     force = trace.force
     moving = np.abs(trace.velocity) > 0.05 * np.max(np.abs(trace.velocity))
     starts, lengths = runs(np.diff(force, prepend=np.nan) == 0.0)
+    fine = np.unique(force).size > LEVELS  # else the steps of the sensor make it flat
+    limits = (force[starts] == force.max()) | (force[starts] == force.min())
     for extreme, name in ((force.max(), "largest"), (force.min(), "smallest")):
         at = force[starts] == extreme
-        elsewhere = max(lengths[~at & moving[starts]], default=0)
+        others = ~limits if fine else ~at
+        elsewhere = max(lengths[others & moving[starts]], default=0)
         flat = at & moving[starts] & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
         if np.any(flat):
             longest = int(lengths[flat].max()) + 1
@@ -166,14 +169,33 @@ def _quantum(values: Array) -> float | None:
 
 def drift(trace: Trace) -> Iterator[Fault]:
     """A mean force that moves from the first strong loops to the last."""
-    change = find_loops(trace).offset_drift
+    known = (find_loops(trace).offset_drift, _drift_of_few(trace))
+    change = max((c for c in known if c is not None), key=abs, default=None)
     if change is None or trace.force is None:
         return
     half = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
     if abs(change) > DRIFT * half > 0.0:
         yield Fault(
             "drift",
-            f"the force drifts by {change:+.3g} kip from the first loops to the last, "
+            f"the force drifts by {change:+.3g} kip from its begin to its end, "
             f"{abs(change) / half:.0%} of its half range: the load cell's zero, or a device that "
             "changes",
         )
+
+
+def _drift_of_few(trace: Trace) -> float | None:
+    """Drift over a whole record with ramps, kip; None where it cannot be told.
+
+    The mean force of ramps differs from that of strong loops without any drift. So the trend of
+    the strong loops, continued over the record, and the change of the force at its quiet ends must
+    agree in sign; the smaller of both counts.
+    """
+    loops = find_loops(trace)
+    if loops.offset is None or trace.force is None or np.count_nonzero(loops.strong) < FEWEST:
+        return None
+    middle = 0.5 * (trace.time[loops.bounds[1:]] + trace.time[loops.bounds[:-1]])
+    trend = np.polynomial.polynomial.polyfit(middle[loops.strong], loops.offset[loops.strong], 1)[1]
+    few = max(trace.samples // 50, 1)
+    ends = float(trace.force[-few:].mean() - trace.force[:few].mean())
+    along = float(trend) * float(trace.time[-1] - trace.time[0])
+    return min(along, ends, key=abs) if along * ends > 0.0 else None

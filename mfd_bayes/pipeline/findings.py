@@ -1,0 +1,84 @@
+"""Warnings about the records of a campaign: each by itself, against the others and the priors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from mfd_bayes.assessment.zeros import zero_sentences
+from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.campaign.file import Test
+from mfd_bayes.friction import models
+from mfd_bayes.population.layout import Layout
+from mfd_bayes.records.declared import contradictions
+from mfd_bayes.records.faults import Fault, find_faults
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.together import Tested, compare_tests
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.findings import Finding
+
+WIDE, NARROW = 6.0, 1.0 / 12.0
+"""A gap wider or narrower than the priors' typical one by these factors is in another unit."""
+
+FAR = 3.5
+"""A slip force is beyond the priors by this many of their standard deviations."""
+
+
+def faults_of(record: Record, trace: Trace, gap: float | None) -> tuple[Fault, ...]:
+    """Faults that a record shows by itself; the trace has every sample."""
+    return (*contradictions(record, trace), *find_faults(trace, gap))
+
+
+def tested_of(test: Test, record: Record, trace: Trace) -> Tested | None:
+    """A test as it is compared with the others; None without a force."""
+    if trace.force is None:
+        return None
+    return Tested.of(test.id, record, trace, test.actuation or "")
+
+
+def findings_together(
+    tests: Sequence[Tested], priors: PriorFile, model: str
+) -> list[tuple[str, Fault]]:
+    """What the comparison of tests with each other, and with the priors of a model, shows."""
+    gap = priors.gap if models.MODELS[model].has_gap else None
+    found = compare_tests(tests)
+    named = {name for name, fault in found if fault.name != "duplicate"}
+    beyond = [
+        (t.id, fault) for t in tests if t.id not in named for fault in _beyond(t, priors, gap)
+    ]
+    return [*found, *beyond]
+
+
+def findings_of(
+    faults: Iterable[tuple[str, Fault]], layout: Layout, calibrated: Sequence[str]
+) -> tuple[Finding, ...]:
+    """All warnings before a calibration: faults, and what tests at zero actuation do not tell."""
+    found = [Finding(name, fault.name, fault.sentence) for name, fault in faults]
+    told = [Finding("laws", "zero actuation", s) for s in zero_sentences(layout, calibrated)]
+    return (*found, *told)
+
+
+def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:
+    """Gap and slip force that no device of the priors has: a unit, or another priors file."""
+    read = test.readings
+    if read is None:
+        return
+    hint = "check its unit, or give priors that fit the device"
+    if gap is not None and np.isfinite(read.gap) and not NARROW < read.gap / gap < WIDE:
+        yield Fault(
+            "beyond the priors",
+            f"the loop's gap of {read.gap:.3g} in is {read.gap / gap:.2g} times the one that the "
+            f"priors expect ({gap:.2g} in): the displacement is probably in another unit; {hint}",
+        )
+    prior = priors.parameters.get("Fc_fwd")
+    if prior is None or prior.family != "lognormal" or not read.plateau > 0.0:
+        return
+    away = np.log(read.plateau / prior.figures["median"]) / prior.figures["spread"]
+    if abs(away) > FAR and test.level > 0.0:
+        yield Fault(
+            "beyond the priors",
+            f"the loop's slip force of {read.plateau:.3g} kip is "
+            f"{read.plateau / prior.figures['median']:.2g} times the one that the priors expect "
+            f"({prior.figures['median']:.2g} kip): the force is probably in another unit; {hint}",
+        )

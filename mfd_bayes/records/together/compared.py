@@ -1,0 +1,189 @@
+"""Faults of tests that only the comparison with the other tests shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from mfd_bayes.records.faults import Fault
+from mfd_bayes.records.together.causes import Cause, likely_cause
+from mfd_bayes.records.together.odd import QUANTITIES, Deviation, find_odd
+from mfd_bayes.records.together.tested import Tested
+from mfd_bayes.records.together.twins import find_twin
+from mfd_bayes.units import actuation_factor
+
+OTHERS = 3
+"""Fewest other tests that all begin in the same direction for one that does not to be named."""
+
+LIKE = 0.2
+"""Energies of a record and of a part of it differ by less than this share."""
+
+WHOLE = 0.98
+"""A twin of at least this share of a record is the whole record."""
+
+FAR, ALIKE = 4.0, 1.6
+"""An actuation of more than `FAR` times the nearest one changes the slip force by `ALIKE`."""
+
+_OF_FORCE = (
+    "the swapped sign is probably that of the force: its motion begins as those of the other tests"
+)
+_OF_DISPLACEMENT = (
+    "the swapped sign is probably that of the displacement: its motion begins in the direction "
+    "opposite to that of all other tests"
+)
+_BOTH = (
+    "its motion begins in the direction opposite to that of all other tests, and its two "
+    "directions of motion seem exchanged: the signs of force and displacement are probably both "
+    "swapped"
+)
+_SAID = {"gap": "a gap of {:.3g} in", "slope": "a build-up of {:.3g} kip/in"}
+_SAID |= {"plateau": "a slip force of {:.3g} kip"}
+
+
+def compare_tests(tests: Sequence[Tested]) -> list[tuple[str, Fault]]:
+    """Faults by test: duplicates, then signs, then units, actuations and other devices."""
+    return [*_twins(tests), *_signs(tests), *_odd(tests)]
+
+
+def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests that are the same measurement as one before."""
+    named = set()
+    for other, one in combinations(tests, 2):
+        if one.id in named or not _may_be_twins(one, other):
+            continue
+        there, back = (find_twin(a.signature, b.signature) for a, b in ((one, other), (other, one)))
+        if there is None and back is None:
+            continue
+        named.add(one.id)
+        part = min((t.share for t in (there, back) if t is not None), default=1.0)
+        what = f"same record as {other.id}"
+        if part < WHOLE:
+            what = f"the same measurement as {other.id} in {part:.0%} of the longer record"
+        yield one.id, Fault("duplicate", f"{what}: it would count twice")
+
+
+def _may_be_twins(one: Tested, other: Tested) -> bool:
+    """Whether two tests are worth the search: loops of about the same energy, or none to tell by.
+
+    A record in which one sign is swapped has the energy of its twin but for the sign.
+    """
+    if one.readings is None or other.readings is None:
+        return True
+    energies = abs(one.readings.energy), abs(other.readings.energy)
+    return min(energies) > (1.0 - LIKE) * max(energies)
+
+
+def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose signs are not those of the others: which of two, or both."""
+    steady = [t for t in tests if t.readings is not None]
+    for one in steady:
+        others = [t for t in steady if t is not one]
+        ways = {t.direction for t in others}
+        if len(others) < OTHERS or len(ways) > 1:
+            continue
+        turned = one.direction not in ways
+        if one.work < 0.0:
+            yield one.id, Fault("force sign", _OF_DISPLACEMENT if turned else _OF_FORCE)
+        elif turned and _mirrored(one, others):
+            yield one.id, Fault("both signs", _BOTH)
+
+
+def _mirrored(one: Tested, others: Sequence[Tested]) -> bool:
+    """Whether the difference of the two directions is more like the opposite of the others'."""
+    alike = [np.corrcoef(one.lopsided, t.lopsided)[0, 1] for t in others]
+    known = [value for value in alike if np.isfinite(value)]
+    return bool(known) and float(np.median(known)) < 0.0
+
+
+def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose gap, build-up or slip force is not that of the others."""
+    steady = [t for t in tests if t.readings is not None and t.work > 0.0]
+    readings = [[getattr(t.readings, name) for name in QUANTITIES] for t in steady]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = np.log(np.array(readings, dtype=np.float64).reshape(-1, len(QUANTITIES)))
+    logs[~np.isfinite(logs)] = np.nan
+    found = find_odd(logs, np.array([t.level for t in steady]))
+    for j, away in found.items():
+        others = [t for i, t in enumerate(steady) if i not in found]
+        cause = likely_cause(away, steady[j].units)
+        yield steady[j].id, Fault(cause.name, _sentence(steady[j], away, cause, others))
+    rest = [t for i, t in enumerate(steady) if i not in found]
+    yield from _far_levels(rest)
+
+
+def _far_levels(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose actuation is far from that of all others, but whose slip force is not."""
+    known = [t for t in tests if t.level > 0.0 and t.readings and t.readings.plateau > 0.0]
+    for one in known:
+        others = [t for t in known if t is not one]
+        if len(others) < 2:
+            continue
+        away = np.log([one.level / t.level for t in others])
+        force = np.log([_plateau(one) / _plateau(t) for t in others])
+        near, like = int(np.argmin(np.abs(away))), int(np.argmin(np.abs(force)))
+        apart = np.ptp([np.log(t.level) for t in others])
+        if abs(away[near]) > max(np.log(FAR), apart) and abs(force[near]) < np.log(ALIKE):
+            cause = Cause("actuation", "", 0.0, one.level / others[like].level)
+            yield (
+                one.id,
+                Fault(
+                    "actuation",
+                    f"its actuation is {np.exp(abs(away[near])):.3g} times "
+                    f"{'that' if away[near] > 0 else 'less than that'} of the nearest test, "
+                    f"{others[near].id}, but its slip force, {_plateau(one):.3g} kip, is about the "
+                    f"same: {_of_actuation(one, cause, others)}",
+                ),
+            )
+
+
+def _plateau(test: Tested) -> float:
+    return test.readings.plateau if test.readings else float("nan")
+
+
+def _sentence(test: Tested, found: Deviation, cause: Cause, others: Sequence[Tested]) -> str:
+    """What is odd, with figures, and its likely cause."""
+    k = int(np.nanargmax(np.abs(found.values) / found.sds))
+    value = getattr(test.readings, QUANTITIES[k])
+    said, expected = _SAID[QUANTITIES[k]].format(value), value / np.exp(found.values[k])
+    shown = f"its loop has {said}, where the other tests let expect {expected:.3g}"
+    return f"{shown}: {_because(test, cause, others)}"
+
+
+def _because(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:
+    """The likely cause in words."""
+    if cause.words:
+        return cause.words
+    if cause.name == "actuation":
+        return _of_actuation(test, cause, others)
+    if cause.name == "another device":
+        return (
+            "neither a unit nor the actuation explains it; is it the record of another device, or "
+            "of another session?"
+        )
+    size = cause.factor if cause.factor > 1.0 else 1.0 / cause.factor
+    way = "large" if cause.factor > 1.0 else "small"
+    return (
+        f"its {cause.name} seems to be {size:.2g} times too {way}: check its unit and the sensor's "
+        "factor"
+    )
+
+
+def _of_actuation(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:
+    """A wrong actuation, with the unit or the power of ten that would make it right."""
+    number, _, unit = test.actuation.partition(" ")
+    away = np.log(cause.factor)
+    for known in dict.fromkeys(t.actuation.partition(" ")[2] for t in others):
+        if known and unit and known != unit:
+            wrong = actuation_factor(unit)[0] / actuation_factor(known)[0]
+            if abs(np.log(wrong) - away) < 0.5 * abs(away):
+                return f"the actuation is probably {number} {known}, not {test.actuation}"
+    hint = ", by a factor of ten" if abs(abs(away) - np.log(10.0)) < 1.0 else ""
+    shown, about = test.actuation, ""
+    if number and unit:
+        about = f" (its loop is that of about {float(number) / cause.factor:.2g} {unit})"
+    return (
+        f"the actuation{f', {shown},' if shown else ''} is probably wrong{hint}{about}, or the "
+        "file is that of another test"
+    )

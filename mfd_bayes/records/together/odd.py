@@ -1,0 +1,147 @@
+"""Tests whose gap, build-up or slip force does not follow that of the other tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mfd_bayes.records.motion import Array
+
+FEWEST = 3
+"""Fewest tests among which one can be odd."""
+
+QUANTITIES = ("gap", "slope", "plateau")
+SCATTER = np.array([0.08, 0.25, 0.15])
+"""Sd of the logarithm between tests of one device that nobody wonders at, of each quantity."""
+
+FAR = 3.3
+"""A test is odd where a quantity is further away than this many sds of the others."""
+
+SAME_LEVEL = 0.05
+"""Actuations that differ by less than this share are one level."""
+
+BEND = np.array([0.3, 0.5, 0.7])
+"""Prior sd of the exponent of each quantity over the actuation; slip force has mean 0.5."""
+
+_MIDDLE = np.array([0.0, 0.0, 0.5])
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """How a test deviates from the law of the others.
+
+    Attributes
+    ----------
+    values : (3,)
+        Logarithm of each of `QUANTITIES` over what the others let expect; NaN where unknown.
+    sds : (3,)
+        Their standard deviations.
+    exponents : (3,)
+        Exponents of the others' laws over the actuation.
+    """
+
+    values: Array
+    sds: Array
+    exponents: Array
+
+    @property
+    def distance(self) -> float:
+        """Largest deviation in standard deviations."""
+        return float(np.nanmax(np.abs(self.values) / self.sds, initial=0.0))
+
+
+def find_odd(logs: Array, levels: Array) -> dict[int, Deviation]:
+    """Odd tests by their number, the oddest first, each against the tests that are not odd.
+
+    Parameters
+    ----------
+    logs : (J, 3)
+        Logarithms of `QUANTITIES`, NaN where a reading is not known.
+    levels : (J,)
+        Actuations; a test at 0 is not compared with others, and where it is not known, slip
+        forces are not.
+    """
+    logs = logs.copy()
+    logs[np.isnan(levels), 2] = np.nan
+    logs[levels == 0.0] = np.nan
+    place = np.log(np.where(levels > 0.0, levels, np.nan))
+    left = list(range(len(levels)))
+    for _ in range(len(levels) // 3):  # without the worst, others that are odd show
+        if len(left) > FEWEST - 1:
+            left.remove(_worst(logs, place, left))
+    every = set(range(len(levels)))
+    odd = []
+    for j in sorted(every - set(left)):  # against the trimmed tests, or all the others
+        if any(deviation(logs, place, j, some).distance > FAR for some in (left, every - {j})):
+            odd.append(j)
+    core = sorted(every - set(odd))
+    odd = [j for j in odd if deviation(logs, place, j, core).distance > FAR]
+    core = sorted(every - set(odd))
+    found = {j: deviation(logs, place, j, core) for j in odd}
+    found = {j: away for j, away in found.items() if not _shared(j, found, place)}
+    return dict(sorted(found.items(), key=lambda item: -item[1].distance))
+
+
+def _shared(j: int, found: dict[int, Deviation], place: Array) -> bool:
+    """Whether another odd test at the same level deviates alike: the level, not the test, is odd.
+
+    A deviation beyond twice `FAR` is no level's.
+    """
+    alike = (
+        np.nanmax(np.abs(found[i].values - found[j].values) / SCATTER, initial=0.0) < FAR
+        for i in found
+        if i != j and abs(place[i] - place[j]) < SAME_LEVEL
+    )
+    return found[j].distance < 2.0 * FAR and any(alike)
+
+
+def deviation(logs: Array, place: Array, j: int, others: Iterable[int]) -> Deviation:
+    """Deviation of test j from the law of others."""
+    others = sorted(others)
+    values, sds, exponents = np.full(3, np.nan), np.full(3, np.inf), _MIDDLE.copy()
+    for k in range(3):
+        known = [i for i in others if np.isfinite(logs[i, k]) and np.isfinite(place[i])]
+        if not known:
+            known = [i for i in others if np.isfinite(logs[i, k])]
+        if not np.isfinite(logs[j, k]) or len(known) < FEWEST - 1:
+            continue
+        x, at = (np.nan_to_num(v) for v in (place[known], place[j]))
+        middle, value, slope, spread, far = _line(x, logs[known, k], k)
+        values[k] = logs[j, k] - value - slope * (float(at) - middle)
+        few = 1.0 + 1.0 / (len(known) - 1)
+        sds[k] = few * np.sqrt(spread**2 + (far * (float(at) - middle)) ** 2)
+        exponents[k] = slope
+    return Deviation(values, sds, exponents)
+
+
+def _line(x: Array, y: Array, k: int) -> tuple[float, float, float, float, float]:
+    """Middle, value there, slope, scatter and error of the slope, of a line with a prior."""
+    middle, value = float(x.mean()), float(y.mean())
+    away, noise = x - middle, SCATTER[k] ** 2
+    weight = float(away @ away) / noise + 1.0 / BEND[k] ** 2
+    slope = (float(away @ (y - value)) / noise + _MIDDLE[k] / BEND[k] ** 2) / weight
+    rest = y - value - slope * away
+    spread = float(np.sqrt((rest @ rest + 2.0 * noise) / (y.size - 1 + 2.0)))
+    return middle, value, slope, max(spread, float(SCATTER[k])), float(weight**-0.5)
+
+
+def _worst(logs: Array, place: Array, left: Sequence[int]) -> int:
+    """The test without which the others agree best."""
+    return min(left, key=lambda j: _disagreement(logs, place, [i for i in left if i != j]))
+
+
+def _disagreement(logs: Array, place: Array, tests: Sequence[int]) -> float:
+    """Sum of squares of what is left of lines through tests, in units of the scatter."""
+    total = 0.0
+    for k in range(3):
+        y, x = logs[list(tests), k], np.nan_to_num(place[list(tests)])
+        known = np.isfinite(y)
+        if np.count_nonzero(known) < 2:
+            continue
+        middle, value, slope, _, _ = _line(x[known], y[known], k)
+        rest = y[known] - value - slope * (x[known] - middle)
+        prior = ((slope - _MIDDLE[k]) / BEND[k]) ** 2
+        total += float(np.sum((rest / SCATTER[k]) ** 2)) + prior
+    return total

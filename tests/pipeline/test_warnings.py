@@ -1,0 +1,103 @@
+"""Every warning about a record is heard: by inspect, the dry run, the run, its report and check."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes.cli.commands import app
+from mfd_bayes.pipeline.plan import Options, plan_campaign
+
+HEAD = '[campaign]\nmodel = "lugre"\nnoise = "iid"\nrate = "32 Hz"\n'
+
+
+def here(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def write_campaign(folder, signs, extra=""):
+    """Tests of five cycles of Coulomb friction with some noise; the signs of their forces."""
+    rng = np.random.default_rng(0)
+    time = np.arange(640) / 64
+    text = HEAD + extra
+    for k, sign in enumerate(signs):
+        motion = (1 + 0.02 * k) * np.sin(np.pi * time)
+        smooth = (1 + 0.5 * k) * np.tanh(20 * np.gradient(motion, time))
+        table = np.column_stack([time, motion, sign * smooth + 0.02 * rng.normal(size=time.size)])
+        head = "time_s,displacement_in,force_kip"
+        np.savetxt(folder / f"t{k}.csv", table, delimiter=",", header=head, comments="")
+        text += f'[[test]]\nid = "t{k}"\nfile = "t{k}.csv"\nactuation = "{500 * (k + 1)} psi"\n'
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return path
+
+
+WORDS = "t1: the force does negative work"
+
+
+def test_inspect_of_a_campaign_compares_its_tests(tmp_path):
+    path = write_campaign(tmp_path, (1, 1, 1, 1))
+    assert "duplicate" not in here("inspect", path, "-o", tmp_path).stdout
+    (tmp_path / "t3.csv").write_bytes((tmp_path / "t0.csv").read_bytes())
+    outcome = here("inspect", path, "-o", tmp_path)
+    assert outcome.exit_code == 0
+    assert "duplicate: same record as t0: it would count twice" in outcome.stdout
+
+
+def test_what_the_dry_run_says_is_what_the_plan_of_a_calibration_holds(tmp_path):
+    path = write_campaign(tmp_path, (1, -1, 1, 1))
+    outcome = here("calibrate", path, "-o", tmp_path / "out", "--dry-run")
+    assert f"warning: {WORDS}" in outcome.stdout
+    assert "warning: t1: the swapped sign is probably that of the force" in outcome.stdout
+    warnings = plan_campaign(path, Options(effort="quick")).manifest.warnings
+    for found in warnings:
+        assert f"warning: {found.subject}: {found.sentence}" in outcome.stdout
+    assert {found.name for found in warnings if found.subject == "t1"} == {"force sign"}
+
+
+def test_a_gap_or_force_that_no_device_of_the_priors_has_is_named(tmp_path):
+    path = write_campaign(tmp_path, (1, 1))
+    text = path.read_text()
+    path.write_text(
+        text.replace(
+            "[[test]]",
+            '[columns]\nforce = { name = "force_kip", unit = "MN" }\n'
+            'time = { name = "time_s" }\ndisplacement = { name = "displacement_in" }\n[[test]]',
+            1,
+        )
+    )
+    warnings = plan_campaign(path, Options(effort="quick")).manifest.warnings
+    assert {found.name for found in warnings} >= {"beyond the priors"}
+    assert "probably in another unit" in " ".join(found.sentence for found in warnings)
+
+
+def test_tolerances_of_a_campaign_are_kept_and_checked(tmp_path):
+    extra = '[tolerances]\nenergy = 0.02\npeak = "20 %"\n'
+    path = write_campaign(tmp_path, (1, 1), extra)
+    plan = plan_campaign(path, Options(effort="quick"))
+    assert plan.manifest.settings.tolerances == {"energy": 0.02, "peak": 0.2}
+    path.write_text(path.read_text().replace("energy", "enrgy"))
+    outcome = here("calibrate", path, "-o", tmp_path / "out", "--dry-run")
+    assert outcome.exit_code == 2
+    assert "did you mean 'energy'?" in outcome.stderr
+    path.write_text(path.read_text().replace("enrgy = 0.02", "energy = 0"))
+    assert here("calibrate", path, "-o", tmp_path / "out", "--dry-run").exit_code == 2
+
+
+@pytest.mark.slow
+def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path):
+    path, out = write_campaign(tmp_path, (1, -1)), tmp_path / "out"
+    outcome = here("calibrate", path, "-o", out, "--effort", "quick", "--jobs", "1", "--strict")
+    assert outcome.exit_code == 1, outcome.output
+    assert outcome.stdout.index(f"warning: {WORDS}") < outcome.stdout.index("finding modes")
+    assert "NOT USABLE: Something is wrong with 1 of 2 tests. t1: " in outcome.stdout
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert [w["subject"] for w in manifest["warnings"]] == ["t1"]
+    assert manifest["verdicts"]["t1"] == manifest["verdicts"]["campaign"] == "not usable"
+    page = (out / "report.html").read_text()
+    assert WORDS in page[: page.index('<nav aria-label="Contents">')]
+    checked = here("check", out)
+    assert checked.exit_code == 1
+    assert f"warning: {WORDS}" in checked.stdout
+    assert "The test to believe least is t1" in checked.stdout

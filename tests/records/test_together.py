@@ -1,0 +1,206 @@
+"""Tests compared with each other: duplicates, signs, units, actuations and other devices."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.together import Tested, compare_tests
+from mfd_bayes.records.together.odd import deviation, find_odd
+from mfd_bayes.records.together.twins import Signature, find_twin
+from mfd_bayes.records.trace import Trace
+
+LEVELS = (20.0, 30.0, 35.0, 60.0, 80.0)
+UNITS = {"displacement": ("x", "in"), "force": ("f", "kip")}
+
+
+def motion(seed, cycles=6):
+    """Six cycles at 0.5 Hz that ramp in, each test a little different."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 2.0 * cycles, 1 / 128)
+    size = np.minimum(1.0, time / 2.0) * (1.0 + 0.01 * rng.normal())
+    return time, size * np.sin(np.pi * time)
+
+
+def trace_of(level, seed, *, length=1.0, force=1.0, actuation=1.0, cut=slice(None)):
+    """A damper at a level in lbf; the record is wrong by the factors."""
+    time, x = motion(seed)
+    slip = 0.4 * level**0.5 * (1.0 + 0.05 * (-1) ** seed)
+    theta = [[80, 0, 0, slip, slip, 1.1 * slip, 1.1 * slip, 0.3, 25, 0.1, 0.12, 1, 0.01, 0.5]]
+    rng = np.random.default_rng(100 + seed)
+    bent = 0.15 * slip * x**2  # both directions differ
+    clean = ThreeStage().force(np.array(theta), Trace.from_arrays(time, x, 0.03))[0] + bent
+    measured = clean + 0.03 * rng.normal(size=time.size)
+    return Trace.from_arrays(
+        time[cut] - time[cut][0],
+        length * x[cut],
+        actuation * level / 1000.0,
+        force * measured[cut],
+    )
+
+
+def put(name, trace, actuation=None):
+    record = replace_columns()
+    level = f"{1000 * trace.reference_actuation:g} lbf" if actuation is None else actuation
+    return Tested.of(name, record, trace, level)
+
+
+def replace_columns():
+    """A record of which only the columns are read."""
+    record = object.__new__(Record)
+    object.__setattr__(record, "columns", UNITS)
+    object.__setattr__(record, "path", Path("a.csv"))
+    return record
+
+
+def campaign(k=None, **wrong):
+    """Five tests; of test k the record is wrong."""
+    return [
+        put(f"t{level:g}", trace_of(level, n, **(wrong if n == k else {})))
+        for n, level in enumerate(LEVELS)
+    ]
+
+
+def test_tests_of_one_device_are_not_named():
+    assert compare_tests(campaign()) == []
+
+
+WRONG = [
+    ({"length": 25.4}, "unit of displacement", "displacement seems to be in mm, not in in"),
+    ({"length": 4.0}, "displacement", "times too large: check its unit"),
+    ({"force": 1000.0}, "unit of force", "force seems to be in lbf, not in kip"),
+    ({"force": 4.448}, "unit of force", "force seems to be in kN, not in kip"),
+    ({"force": -1.0}, "force sign", "probably that of the force"),
+    ({"length": -1.0}, "force sign", "probably that of the displacement"),
+    ({"length": -1.0, "force": -1.0}, "both signs", "probably both swapped"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "name", "words"), WRONG)
+@pytest.mark.parametrize("k", [0, 2, 4])
+def test_the_test_that_is_wrong_is_named_with_its_cause(k, wrong, name, words):
+    found = compare_tests(campaign(k, **wrong))
+    assert [(test, fault.name) for test, fault in found] == [(f"t{LEVELS[k]:g}", name)]
+    assert words in found[0][1].sentence
+
+
+@pytest.mark.parametrize(("k", "actuation"), [(2, 10.0), (4, 10.0), (2, 0.1)])
+def test_an_actuation_that_is_wrong_by_ten_is_named(k, actuation):
+    ((test, fault),) = compare_tests(campaign(k, actuation=actuation))
+    assert (test, fault.name) == (f"t{LEVELS[k]:g}", "actuation")
+    assert "probably wrong, by a factor of ten" in fault.sentence
+
+
+def test_a_tension_in_kn_is_named_with_the_unit_of_the_others():
+    tests = campaign()
+    trace = trace_of(35.0, 2, actuation=224.8089)
+    tests[2] = put("t35", trace, "35 kN")
+    ((test, fault),) = compare_tests(tests)
+    assert test == "t35"
+    assert "the actuation is probably 35 lbf, not 35 kN" in fault.sentence
+
+
+def test_another_device_is_named_as_such():
+    time, x = motion(2)
+    theta = [[300, 0, 0, 9, 9, 9.5, 9.5, 0.5, 300, 0.02, 0.03, 1, 0.002, 0.5]]
+    force = ThreeStage().force(np.array(theta), Trace.from_arrays(time, x, 0.035))[0]
+    tests = campaign()
+    tests[2] = put("t35", Trace.from_arrays(time, x, 0.035, force))
+    ((test, fault),) = compare_tests(tests)
+    assert (test, fault.name) == ("t35", "another device")
+
+
+def test_two_tests_cannot_tell_which_is_wrong():
+    assert compare_tests(campaign(0, length=25.4)[:2]) == []
+
+
+# --- duplicates
+
+
+@pytest.mark.parametrize(
+    ("rate", "begin", "end"), [(128, 0.0, 1.0), (100, 0.21, 0.9), (80, 0.0, 0.7), (64, 0.137, 0.8)]
+)
+def test_a_record_that_was_cut_or_sampled_anew_is_a_twin(rate, begin, end):
+    trace = trace_of(35.0, 2)
+    last = trace.time[-1]
+    grid = np.arange(begin * last, end * last, 1.0 / rate)
+    again = Trace.from_arrays(
+        grid - grid[0],
+        np.interp(grid, trace.time, trace.displacement),
+        0.035,
+        np.interp(grid, trace.time, trace.force),
+    )
+    twin = find_twin(Signature.of(again), Signature.of(trace))
+    assert twin is not None
+    assert twin.share > 0.97
+    assert twin.lag == pytest.approx(grid[0], abs=2e-3)
+
+
+def test_a_twin_is_named_once_and_with_its_original():
+    tests = campaign()
+    tests.append(put("again", trace_of(35.0, 2)))
+    tests.append(put("part", trace_of(35.0, 2, cut=slice(200, 1200))))
+    found = compare_tests(tests)
+    assert [(name, fault.name) for name, fault in found] == [
+        ("again", "duplicate"),
+        ("part", "duplicate"),
+    ]
+    assert found[0][1].sentence == "same record as t35: it would count twice"
+    assert "the same measurement as t35 in" in found[1][1].sentence
+
+
+def test_the_same_test_made_twice_is_no_twin():
+    one, other = trace_of(35.0, 2), trace_of(35.0, 3)
+    assert find_twin(Signature.of(one), Signature.of(other)) is None
+
+
+def test_records_that_are_too_short_are_not_compared():
+    short = trace_of(35.0, 2, cut=slice(0, 100))
+    assert find_twin(Signature.of(short), Signature.of(short)) is None
+
+
+# --- the law of the others
+
+
+def logs(scatter, seed=0, count=8):
+    rng = np.random.default_rng(seed)
+    levels = np.linspace(0.02, 0.08, count)
+    middle = np.log([0.3, 20.0, 2.0])[None] + np.log(levels / 0.05)[:, None] * [0.1, 0.3, 0.5]
+    return middle + scatter * rng.normal(size=(count, 3)) * [0.08, 0.25, 0.15], levels
+
+
+def test_scatter_of_one_device_seldom_makes_a_test_odd():
+    odd = sum(bool(find_odd(*logs(1.0, seed))) for seed in range(300))
+    assert odd <= 15
+
+
+def test_two_odd_tests_do_not_hide_each_other():
+    values, levels = logs(0.5)
+    values[[1, 6], 0] += np.log(10.0)
+    assert set(find_odd(values, levels)) == {1, 6}
+
+
+def test_a_level_at_which_all_tests_deviate_is_no_tests_fault():
+    values, levels = logs(0.3)
+    levels[1] = levels[0]
+    values[:2, 0] -= 0.6
+    assert find_odd(values, levels) == {}
+    values[1, 0] += 0.6
+    assert set(find_odd(values, levels)) == {0}
+
+
+def test_a_test_at_zero_actuation_is_not_compared():
+    values, levels = logs(0.5)
+    levels[0], values[0] = 0.0, values[0] + 3.0
+    assert find_odd(values, levels) == {}
+
+
+def test_a_deviation_far_from_the_other_levels_counts_for_less():
+    values, levels = logs(0.0)
+    place = np.log(levels)
+    near = deviation(values, place, 3, [0, 1, 2, 4, 5, 6, 7])
+    place[3] = np.log(2.0)
+    far = deviation(values, place, 3, [0, 1, 2, 4, 5, 6, 7])
+    assert far.sds[2] > 2 * near.sds[2]
