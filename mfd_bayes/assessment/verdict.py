@@ -66,6 +66,7 @@ def put_together(
         truth=_truth_rows(manifest, tests, table),
         provenance=_provenance(manifest),
         remarks=remarks(run, tests),
+        common=run.population.common if table else (),
         law_choices=law_choices(manifest.law_scores, manifest.settings.laws),
         left_out=left_out_view(manifest.crossvalidation),
         comparison=compared.rows if compared else (),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaln, softmax
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
@@ -16,6 +17,9 @@ from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 
 Array = NDArray[np.float64]
+
+SHAPES = np.geomspace(1.0, 100.0, 41)
+"""Equally probable shapes a of the starts' density Beta(a, a): from anywhere to the middle."""
 
 _STRAIGHT = ("proportional", "affine")
 
@@ -189,16 +193,18 @@ class Population:
     def draw_starts(self, rng: np.random.Generator, n: int) -> Array:
         """Places in the gap at which n tests may begin, (n,).
 
-        A test begins as one of the calibrated tests did, or, once more, anywhere: the predictive
-        distribution of a Dirichlet process with a concentration of 1 (Ferguson, 1973).
+        They have a Beta(a, a) density: neither side of the gap is preferred, and how near tests
+        begin to its middle is learned from the calibrated ones, over `SHAPES` of a.
         """
-        anywhere = rng.random(n)
         if self.starts is None:
-            return anywhere
-        pooled = self.starts.reshape(-1, self.starts.shape[-1])
-        j = rng.integers(pooled.shape[1] + 1, size=n)
-        known = pooled[rng.integers(len(pooled), size=n), np.minimum(j, pooled.shape[1] - 1)]
-        return np.where(j == pooled.shape[1], anywhere, known)
+            return rng.random(n)
+        known = self.starts.reshape(-1, self.starts.shape[-1])
+        sides = np.clip(known, 1e-6, 1.0 - 1e-6)
+        told = np.log(sides * (1.0 - sides)).sum(axis=1)[rng.integers(len(known), size=n)]
+        log = np.outer(told, SHAPES - 1.0) - known.shape[1] * betaln(SHAPES, SHAPES)
+        edges = np.cumsum(softmax(log, axis=1), axis=1)
+        a = SHAPES[np.argmax(rng.random((n, 1)) * edges[:, -1:] < edges, axis=1)]
+        return rng.beta(a, a)
 
     def draw_test(
         self,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import FitError, RecordError
@@ -250,3 +251,24 @@ def test_a_prediction_beyond_all_range_ends_in_a_sentence(make_population):
     assert ask(replace(known, h=h), 1.0).median.size
     with pytest.raises(RecordError, match=r"predicted .* too large"):
         ask(replace(known, h=h), 1e9)
+
+
+def test_new_tests_begin_in_the_gap_as_near_to_its_middle_as_calibrated_ones(make_population):
+    population = make_population()
+    rng = np.random.default_rng(5)
+    shape = population.h.shape[:2]
+    near = replace(population, starts=rng.beta(40.0, 40.0, (*shape, 12)))
+    anywhere = replace(population, starts=rng.random((*shape, 12)))
+    n = 20_000
+    assert near.draw_starts(rng, n).std() == pytest.approx(rng.beta(40, 40, n).std(), rel=0.25)
+    assert near.draw_starts(rng, n).mean() == pytest.approx(0.5, abs=0.01)
+    assert anywhere.draw_starts(rng, n).std() > 0.8 / np.sqrt(12.0)
+    none = population.draw_starts(rng, n)
+    assert stats.kstest(none, "uniform").pvalue > 1e-3
+
+
+def test_one_test_hardly_says_where_others_begin(make_population):
+    population = make_population()
+    rng = np.random.default_rng(6)
+    one = replace(population, starts=np.full((*population.h.shape[:2], 1), 0.5))
+    assert one.draw_starts(rng, 20_000).std() > 0.3 / np.sqrt(12.0)

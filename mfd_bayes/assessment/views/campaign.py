@@ -90,6 +90,8 @@ class CampaignView:
         Tests without a posterior, and why.
     law_rows : tuple of Row
         Table II: slopes, intercepts, shapes, and the scatter of each quantity.
+    common : tuple of str
+        Quantities that have one value for all tests.
     truth : tuple of TruthRow
         Empty for real tests.
     provenance : mapping of str to str
@@ -127,6 +129,7 @@ class CampaignView:
     truth: tuple[TruthRow, ...]
     provenance: Mapping[str, str]
     remarks: tuple[str, ...]
+    common: tuple[str, ...] = ()
     law_choices: tuple[LawChoice, ...] = ()
     left_out: LeftOutView | None = None
     comparison: tuple[ComparisonRow, ...] = ()
