@@ -537,7 +537,8 @@ def test_predict_tells_what_derives_from_the_force(out, tmp_path):
         tables[kind] = pd.read_csv(written, comment="#").set_index("quantity")
     pd.testing.assert_frame_equal(*tables.values())  # noise is no part of the damper
     rows = tables["new_test"]
-    derived = ["energy_per_cycle", "c_eq", "peak_fwd", "peak_bwd", "gap", "C_fwd", "C_bwd"]
+    energies = ["energy_per_cycle", "energy_in_all"]
+    derived = [*energies, "c_eq", "peak_fwd", "peak_bwd", "gap", "C_fwd", "C_bwd"]
     assert list(rows.index) == derived
     assert ((rows["lower"] < rows["median"]) & (rows["median"] < rows["upper"])).all()
     assert rows.loc["energy_per_cycle", "measured"] == pytest.approx(4.0, rel=0.02)

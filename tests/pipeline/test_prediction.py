@@ -97,7 +97,7 @@ def test_a_harmonic_motion_needs_no_file(ask, tmp_path, tested):
     assert table["displacement_in"].max() == pytest.approx(amplitude, rel=1e-4)
     assert table["time_s"].iloc[-1] == pytest.approx(6.0)
     derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
-    assert derived.loc["energy_per_cycle", "note"] == "over 2 full cycles"
+    assert derived.loc["energy_per_cycle", "note"] == "over 2 full cycles at full stroke"
 
 
 @pytest.mark.parametrize(
