@@ -204,7 +204,7 @@ class Population:
         log = np.outer(told, SHAPES - 1.0) - known.shape[1] * betaln(SHAPES, SHAPES)
         edges = np.cumsum(softmax(log, axis=1), axis=1)
         a = SHAPES[np.argmax(rng.random((n, 1)) * edges[:, -1:] < edges, axis=1)]
-        return rng.beta(a, a)
+        return np.asarray(rng.beta(a, a))
 
     def draw_test(
         self,
