@@ -299,7 +299,9 @@ def test_the_population_holds_laws_and_scatter(run):
     population = run.population
     assert {"K_c_fwd", "K_c_bwd", "K_s_fwd", "K_s_bwd"} <= set(population.slopes)
     assert {"alpha_sigma0", "sigma0_0"} <= set(population.slopes)
-    assert {"Fc_fwd", "Fc_bwd", "k3", "d2", "d3", "offset"} <= set(population.scatters)
+    assert {"Fc_fwd", "Fc_bwd", "d2", "offset"} <= set(population.scatters)
+    assert {"k3", "d3"} <= set(population.scatters) | set(population.common)
+    assert not set(population.scatters) & set(population.common)
     assert all(np.all(tau > 0) for tau in population.scatters.values())
     assert population.law_weights["Fc_fwd"] == {"proportional": 1.0}
     assert population.law_weights["sigma0"] == {"affine": 1.0}
