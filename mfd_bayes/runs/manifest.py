@@ -28,8 +28,8 @@ Id = Annotated[str, AfterValidator(check_id)]
 LAWS = get_args(LawName)
 
 FORMAT = 1
-"""Format number of a run folder. It is raised when folders of older versions must be read in
-another way. Folders of the first version have no number, and their manifest no hashes."""
+"""Format number of a run folder, raised when older folders must be read in another way. Folders
+of the first version have no number, and their manifest no hashes."""
 
 
 def _known_law(name: str) -> str:
@@ -242,7 +242,7 @@ def read_manifest(folder: Path) -> Manifest:
         When there is none, the run is not finished, or a key is missing or of the wrong kind.
     """
     path = folder / MANIFEST
-    if not path.is_file():
+    if not path.exists():
         raise StoreError(f"{folder} is not a run folder: it has no {MANIFEST}")
     content = read_json(path)
     if content.get("status") != Status.FINISHED:
