@@ -169,8 +169,8 @@ def _runs() -> list[Target]:
         ("whole, priors", run, "priors.toml", mutate_text, 0.0007),
     )
     return [
-        Target("run: manifest", (run,), manifest, mutate_tree, read_shown, 0.022),
-        Target("run: manifest, resumed", (run,), manifest, mutate_tree, read_resumed, 0.014),
+        Target("run: manifest", (run,), manifest, mutate_tree, read_shown, 0.026),
+        Target("run: manifest, resumed", (run,), manifest, mutate_tree, read_resumed, 0.016),
         Target("run: left out", (run,), fold, mutate_tree, read_fold, 0.01),
         *(
             Target(f"run: {Path(name).name}", (run,), name, mutate_netcdf, read, share, seal)

@@ -312,7 +312,9 @@ def change_data(folder):
 
 def change_priors(folder):
     path = folder / "mfd.toml"
-    path.write_text(path.read_text() + "\n# a thought\n")
+    text = path.read_text()
+    assert '"80 kip/in"' in text
+    path.write_text(text.replace('"80 kip/in"', '"81 kip/in"'))
 
 
 @pytest.fixture(scope="module")

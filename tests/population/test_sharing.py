@@ -98,7 +98,7 @@ def test_a_common_quantity_is_sampled_as_one_value_of_all_tests(campaign):
     linear = campaign(0.0)
     layout, tests = replace(linear.layout, common=(False, True, True)), linear.likelihoods()
     sampler = Sampler(Joint(layout, tests), np.random.default_rng(3))
-    chains = sampler.start(256, 4)
+    chains = sampler.start(128, 4)
     level = []
     for i in range(160):
         if i == 30:
