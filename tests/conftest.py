@@ -4,6 +4,7 @@ import fcntl
 import importlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -16,6 +17,11 @@ import pytest
 # most of it waiting. Set before the first import of NumPy, and for the processes that tests start.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# A shell starts what runs in its background with Ctrl-C ignored, and processes inherit it. The
+# tests that interrupt a process need it heard.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
