@@ -3,9 +3,9 @@
 Penalised least squares by damped Gauss–Newton steps: quantities whose scatter prior prefers none
 are the same in all tests, the others are each test's own. What is left over is a Gaussian process,
 the discrepancy, plus noise; their sizes and the shape of the noise are updated by expectation–
-maximisation. The discrepancy is kept apart from what the quantities do: as a function over all
-tests it is orthogonal to the slopes of the force with any of them (Plumlee, 2017), so that they
-are those of the fit without it.
+maximisation. The discrepancy is kept apart from what the quantities do: it is learned from what the
+fit without it leaves over, and that fit is never told of it (a module of its own: Liu, Bayarri and
+Berger, 2009), so that the quantities are those of the fit without it.
 """
 
 from __future__ import annotations
@@ -34,9 +34,6 @@ LARGEST = 8.0
 
 WEAK = 1e-3
 """Precision, in prior units, that every Gaussian has at least."""
-
-APART = 0.03
-"""Slopes are told apart down to this share of the largest singular value."""
 
 EVEN = 30.0
 """Samples near a knot that the noise's even shape is worth."""
@@ -121,7 +118,6 @@ class _Fit:
         self.inverse = np.linalg.inv(self.basis.covariance())
         self.coefficients = np.zeros(self.basis.size)
         self.covariance = self.basis.covariance()
-        self.directions = self.basis.size
         self.log_shape = np.zeros(self.basis.size)
         self.tests = []
         for likelihood, start in zip(likelihoods, starts, strict=True):
@@ -209,27 +205,19 @@ class _Fit:
         self._learn_discrepancy()
         squares = self.coefficients @ self.inverse @ self.coefficients
         squares += np.sum(self.inverse * self.covariance)
-        self.amplitude = max(float(np.sqrt(squares / self.directions)), 1e-9)
+        self.amplitude = max(float(np.sqrt(squares / self.basis.size)), 1e-9)
         self._learn_noise()
 
     def _learn_discrepancy(self) -> None:
-        """Posterior of the discrepancy's coefficients, orthogonal to the slopes of all tests."""
+        """Posterior of the discrepancy's coefficients, given what the quantities leave over."""
         precision, pull = self.inverse / self.amplitude**2, np.zeros(self.basis.size)
-        slopes, functions = [], []
         for one in self.tests:
-            weights = one.weights(self.log_shape)[:, None]
-            slopes.append(one.slopes[:, : self.d] * weights)
-            functions.append(one.basis * weights)
-            precision = precision + functions[-1].T @ functions[-1]
-            pull = pull + functions[-1].T @ (one.residual * weights[:, 0])
-        left, singular, _ = np.linalg.svd(np.concatenate(slopes), full_matrices=False)
-        apart = left[:, singular > APART * singular[0]].T @ np.concatenate(functions)
+            weights = one.weights(self.log_shape)
+            functions = one.basis * weights[:, None]
+            precision = precision + functions.T @ functions
+            pull = pull + functions.T @ (one.residual * weights)
         self.covariance = np.linalg.inv(precision)
-        gain = np.linalg.solve(apart @ self.covariance @ apart.T, apart @ self.covariance).T
         self.coefficients = self.covariance @ pull
-        self.coefficients = self.coefficients - gain @ (apart @ self.coefficients)
-        self.covariance = self.covariance - gain @ apart @ self.covariance
-        self.directions = self.basis.size - len(apart)
 
     def _learn_noise(self) -> None:
         """Noise of each test, and shape of the noise."""
