@@ -40,9 +40,10 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
     facts = {
         "file": record.path.name,
         "columns": columns,
+        **{f"{role} is made of": text for role, text in record.derived.items()},
         **({"columns not used": others} if others else {}),
         "samples": f"{trace.samples} over {trace.time[-1] - trace.time[0]:.6g} s",
-        "rate": f"{record.rate:.6g} Hz, jitter {record.jitter:.2%} of a step",
+        "rate": record.clock.words(),
         "displacement": f"{x.min():.4g} to {x.max():.4g} in",
         "velocity": f"{trace.velocity.min():.4g} to {trace.velocity.max():.4g} in/s",
         "turning points": f"{turns} ({turns / 2:g} cycles)",

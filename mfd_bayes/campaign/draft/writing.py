@@ -95,10 +95,10 @@ def shared_columns(tests: Iterable[TestDraft]) -> Shared:
         guesses = [test.columns[role] for test in drafts if role in test.columns]
         if len(guesses) < len(drafts):
             continue
-        name, unit = Counter((g.name, g.unit) for g in guesses).most_common(1)[0][0]
-        alike = [g for g in guesses if (g.name, g.unit) == (name, unit)]
+        name, unit, number = Counter(map(_column_of, guesses)).most_common(1)[0][0]
+        alike = [g for g in guesses if _column_of(g) == (name, unit, number)]
         told = dict.fromkeys(doubt for g in alike for doubt in g.doubts)
-        shared[role] = Guess(name, unit, tuple(told))
+        shared[role] = Guess(name, unit, tuple(told), number)
     return shared
 
 
@@ -106,10 +106,12 @@ def _own_columns(test: TestDraft, shared: Shared) -> Iterator[tuple[str, Guess]]
     """Columns of a test that are not the shared ones."""
     for role in ROLES:
         guess, common = test.columns.get(role), shared.get(role)
-        if guess is not None and (
-            common is None or (guess.name, guess.unit) != (common.name, common.unit)
-        ):
+        if guess is not None and (common is None or _column_of(guess) != _column_of(common)):
             yield role, guess
+
+
+def _column_of(guess: Guess) -> tuple[str, str | None, int | None]:
+    return guess.name, guess.unit, guess.number
 
 
 def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
@@ -121,7 +123,7 @@ def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
     if test.actuation is None:
         yield commented(f"FIXME: {_no_actuation(test, draft)}")
     elif isinstance(test.actuation, Guess):
-        told = column(test.actuation.name, test.actuation.unit)
+        told = column(*_column_of(test.actuation))
         yield f"actuation = {told}  {commented('measured during the test')}"
     else:
         yield f"actuation = {quoted(test.actuation)}  {commented(test.source)}"
@@ -135,7 +137,7 @@ def _column_line(role: str, guess: Guess) -> str:
     remarks = [f"FIXME: {_no_unit(role)}"] if guess.unit is None else []
     remarks += [f"unsure: {doubt}" for doubt in guess.doubts]
     behind = f"  {commented('; '.join(remarks))}" if remarks else ""
-    return f"{role} = {column(guess.name, guess.unit)}{behind}"
+    return f"{role} = {column(*_column_of(guess))}{behind}"
 
 
 def _no_unit(role: str) -> str:

@@ -93,7 +93,7 @@ def test_a_column_named_twice_is_refused(tmp_path, refused):
     [
         ("", "is empty"),
         ("\n# only\n\n", "is empty"),
-        ("1,2\n3,4\n", "has no header"),
+        ("1,2\n3,4\n", "it has no names: give { column = 1 }"),
         ("a,b\n", "no data"),
     ],
 )
