@@ -58,6 +58,7 @@ HOMES = {
         "mfd_bayes.store.netcdf",
     ),
     "openpyxl": ("mfd_bayes.records.readers.excel", "mfd_bayes.reporting.workbook"),
+    "pyarrow": ("mfd_bayes.reporting.draws",),
     "docx": ("mfd_bayes.reporting.word",),
     "nptdms": ("mfd_bayes.records.readers.tdms",),
     "dask": ("mfd_bayes.jobs.cluster",),

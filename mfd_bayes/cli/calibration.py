@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -117,6 +117,32 @@ def report(
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):
         raise typer.Exit(1)
+
+
+def draws(
+    out: arguments.Run,
+    to: Annotated[
+        Literal["csv", "parquet"], typer.Option(help="Parquet needs the extra mfd_bayes[parquet].")
+    ],
+    units: arguments.Units = None,
+    most: Annotated[
+        int, typer.Option(min=0, help="Most draws of each test, evenly taken; 0 for all.")
+    ] = 0,
+) -> None:
+    """Write the posterior draws of every test as one table, for other programs.
+
+    Writes OUT/draws.csv or OUT/draws.parquet: test, chain and draw, then a column
+    for each quantity with its unit in brackets, then the log densities.
+
+    Example:
+      mfd-bayes draws out --to csv
+      mfd-bayes draws out --to parquet --units si
+    """
+    from mfd_bayes.pipeline import commands as pipeline
+
+    with mistakes():
+        written, rows = pipeline.write_draws(out, to, units or "", most)
+    console.say(f"{written} written: {rows} draws")
 
 
 def demo(

@@ -18,6 +18,7 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
+from mfd_bayes.pipeline.draws import write_draws
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.prediction import predict
 from mfd_bayes.pipeline.preparation import init, inspect, prior_check
@@ -50,6 +51,7 @@ __all__ = [
     "predict",
     "prior_check",
     "report",
+    "write_draws",
 ]
 
 Observe = Callable[[Step], None]
