@@ -36,7 +36,10 @@ HOMES = {
     "emcee": ("mfd_bayes.calibration.ensembles", "mfd_bayes.calibration.moves"),
     "arviz": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
     "arviz_stats": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
-    "xarray": ("mfd_bayes.store.netcdf", "mfd_bayes.calibration.result"),
+    "xarray": (
+        *("mfd_bayes.store.netcdf", "mfd_bayes.calibration.result"),
+        "mfd_bayes.reporting.notebook",
+    ),
     "matplotlib": ("mfd_bayes.reporting.figures",),
     "corner": ("mfd_bayes.reporting.figures",),
     "PIL": ("mfd_bayes.reporting.figures",),

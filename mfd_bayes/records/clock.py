@@ -74,10 +74,7 @@ def longest_piece(
         return slice(0, time.size), ""
     bounds = [0, *(int(at) for at in after), time.size]
     start, end = (-np.inf, np.inf) if window is None else window
-    spans = [
-        min(time[b - 1], end) - max(time[a], start)
-        for a, b in pairwise(bounds)
-    ]
+    spans = [min(time[b - 1], end) - max(time[a], start) for a, b in pairwise(bounds)]
     best = int(np.argmax(spans))
     first, last = bounds[best], bounds[best + 1]
     missing = float(steps[after - 1].max())

@@ -45,8 +45,8 @@ def frames_of(run: Run, system: System, most: int = 0) -> Iterator[pd.DataFrame]
         for quantity, values in stored.draws.data_vars.items():
             unit = str(values.attrs.get("units", "1"))
             shown = "" if unit == "1" else f" [{system.unit(unit)}]"
-            columns[f"{quantity}{shown}"] = (
-                values.to_numpy().reshape(-1)[kept] * system.factor(unit)
+            columns[f"{quantity}{shown}"] = values.to_numpy().reshape(-1)[kept] * system.factor(
+                unit
             )
         for density in ("log_prior", "log_likelihood"):
             columns[density] = stored.stats[density].to_numpy().reshape(-1)[kept]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
@@ -35,6 +36,7 @@ from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.systems import System, system_of
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Use
+from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
 
 Array = NDArray[np.float64]
@@ -57,6 +59,13 @@ class Run:
     priors: PriorFile
     tests: Mapping[str, TestResult]
     held_out: Mapping[str, Trace]
+    extras: Extras | None = field(default=None, repr=False)
+
+    def _repr_html_(self) -> str:
+        judged = self.manifest.verdicts
+        rows = ((name, judged.get(name, "")) for name in self.tests)
+        title = f"{self.manifest.title}: {counted(len(self.tests), 'calibrated test')}"
+        return grid(title, ("test", "may be used"), rows, judged.get("sentence", ""))
 
     @cached_property
     def population(self) -> Population:
@@ -173,7 +182,7 @@ class Run:
             band = predictor.repeat(trace, forecast, own)
         else:
             band = predictor.predict(trace, forecast)
-        band = replace(band, remarks=self._remarks(trace, test))
+        band = replace(band, remarks=self._remarks(trace, test), extras=self.extras)
         return self._recalibrated(band, scores) if recalibrate else band
 
     def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:
