@@ -62,6 +62,7 @@ def check(
     out: arguments.Run,
     every: Annotated[bool, typer.Option("--all", help="Show every check.")] = False,
     quiet: arguments.Quiet = False,
+    units: arguments.Units = None,
 ) -> None:
     """Show checks, warnings and the verdict on every test; exit 1 where the run is not usable.
 
@@ -77,7 +78,7 @@ def check(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        view = pipeline.check(out)
+        view = pipeline.check(out, units or "")
     if not quiet:
         console.print_checks(view, every=every)
     console.say(view.sentence)

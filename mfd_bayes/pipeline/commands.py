@@ -21,9 +21,9 @@ from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.draws import write_draws
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.prediction import predict
-from mfd_bayes.pipeline.preparation import init, inspect, prior_check
+from mfd_bayes.pipeline.preparation import init, init_priors, inspect, prior_check
 from mfd_bayes.pipeline.question import Question
-from mfd_bayes.pipeline.report import check, report, write_report
+from mfd_bayes.pipeline.report import check, left_out_shown, report, write_report
 from mfd_bayes.reporting.forms import Forms
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
 from mfd_bayes.runs.lock import alone_in
@@ -45,8 +45,10 @@ __all__ = [
     "fails",
     "gaps",
     "init",
+    "init_priors",
     "inspect",
     "is_whole",
+    "left_out_shown",
     "plan_campaign",
     "predict",
     "prior_check",

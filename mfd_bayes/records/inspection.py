@@ -94,7 +94,7 @@ def _energy_facts(energy: Array, strong: NDArray[np.bool_]) -> dict[str, str]:
     return {
         name: (
             f"{energy[kept].mean():.4g} kip·in (mean of {np.count_nonzero(kept)} {which}, "
-            f"{energy[kept].min():.4g} to {energy[kept].max():.4g})"
+            f"{energy[kept].min():.4g} to {energy[kept].max():.4g} kip·in)"
         )
         for name, (kept, which) in named.items()
         if kept.any()

@@ -33,7 +33,7 @@ from mfd_bayes.runs.folder import (
 )
 from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.systems import System, system_of
+from mfd_bayes.runs.systems import System, is_small, sized, system_of
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.cards import counted, grid
@@ -99,10 +99,12 @@ class Run:
         """The unit of actuation, "ksi" or "kip"."""
         return self.manifest.settings.actuation_unit
 
-    @property
+    @cached_property
     def system(self) -> System:
-        """System of units that most records were measured in."""
-        return system_of(entry.unit for entry in self.manifest.tests.values())
+        """System of units that most records were measured in, of the size of their forces."""
+        traces = [*(test.trace for test in self.tests.values()), *self.held_out.values()]
+        small = is_small(float(np.max(np.abs(t.force))) for t in traces if t.force is not None)
+        return sized(system_of(entry.unit for entry in self.manifest.tests.values()), small=small)
 
     @cached_property
     def tested(self) -> tuple[Span, ...]:

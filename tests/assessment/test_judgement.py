@@ -87,7 +87,7 @@ def test_the_worst_miss_stands_first_whatever_its_p_value():
     ]
     first, second = judge(["b", "a"], checks, [])
     assert first.subject == "a"
-    assert first.sentence.startswith("energy per cycle 5 kip·in where 5.9 is expected (18% off")
+    assert first.sentence.startswith("energy per cycle 5 kip·in where 5.9 kip·in is expected (18% off")
     assert "also peak force forward" in first.sentence
     assert first.doubt > second.doubt > 1.0
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps
+from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps, own_priors
 from mfd_bayes.campaign.draft.levels import levels_in
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.commands import app
@@ -41,7 +41,10 @@ def draft_of(folder):
 
 def accepted(folder):
     """Campaign that is written for a folder, once a dry run has accepted it."""
-    (folder / "campaign.toml").write_text(campaign_text(draft_campaign(folder)), encoding="utf-8")
+    draft = draft_campaign(folder)
+    (folder / "campaign.toml").write_text(campaign_text(draft), encoding="utf-8")
+    if (priors := own_priors(draft)) is not None:
+        (folder / "priors.toml").write_text(priors, encoding="utf-8")
     words = ["calibrate", str(folder / "campaign.toml"), "-o", str(folder / "out"), "--dry-run"]
     outcome = CliRunner().invoke(app, words)
     assert outcome.exit_code == 0, outcome.output
