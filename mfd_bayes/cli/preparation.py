@@ -56,6 +56,11 @@ def init(
     for gap in missing:
         say(f"FIXME: {gap}")
     left_out = f"{len(draft.left_out)} left out" if draft.left_out else "none left out"
+    if pipeline.needs_priors(draft):
+        say(
+            "priors: no shipped file knows such a device; wide ones were written to "
+            f"{written.with_name('priors.toml')}, their scales read off the records"
+        )
     say(f"{written} written: tests {len(draft.tests)}, {left_out}")
     if missing:
         say("warning: complete what is marked FIXME before you calibrate")

@@ -21,7 +21,13 @@ from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.draws import write_draws
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.prediction import predict
-from mfd_bayes.pipeline.preparation import init, init_priors, inspect, prior_check
+from mfd_bayes.pipeline.preparation import (
+    init,
+    init_priors,
+    inspect,
+    needs_priors,
+    prior_check,
+)
 from mfd_bayes.pipeline.question import Question
 from mfd_bayes.pipeline.report import check, left_out_shown, report, write_report
 from mfd_bayes.reporting.forms import Forms
@@ -49,6 +55,7 @@ __all__ = [
     "inspect",
     "is_whole",
     "left_out_shown",
+    "needs_priors",
     "plan_campaign",
     "predict",
     "prior_check",

@@ -52,6 +52,11 @@ def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
     return path, draft
 
 
+def needs_priors(draft: Draft) -> bool:
+    """Whether priors were written for a draft, since no shipped file knows such a device."""
+    return own_priors(draft) is not None
+
+
 def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
     """Path of a prior file beside a campaign, its scales read off the campaign's records.
 

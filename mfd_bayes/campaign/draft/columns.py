@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.campaign.draft.shapes import by_loop
+from mfd_bayes.campaign.draft.shapes import by_loop, roughness
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.faults import seems_milliseconds
 from mfd_bayes.records.motion import HYSTERESIS, turning_points
@@ -198,7 +198,7 @@ def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, G
             del columns[steady[0]]
     moving = sorted(
         (name for name, v in columns.items() if np.ptp(v) > 0 and not _steady(v)),
-        key=lambda name: _roughness(columns[name]),
+        key=lambda name: roughness(columns[name]),
     )
     if {"displacement", "force"} <= missing:
         moving = by_loop({name: columns[name] for name in moving})
@@ -217,11 +217,6 @@ def _guessed(role: str, names: list[str]) -> Guess:
 def _steady(values: Array) -> bool:
     steps = np.diff(values)
     return bool(np.all(steps > 0) and steps.max() < 20 * np.median(steps))
-
-
-def _roughness(values: Array) -> float:
-    """Squared second differences over squared first ones: small where a signal is smooth."""
-    return float(np.sum(np.diff(values, 2) ** 2) / np.sum(np.diff(values) ** 2))
 
 
 def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]) -> Guess:

@@ -24,15 +24,25 @@ _MOST = 8  # signals of which all pairs are compared
 def by_loop(signals: Mapping[str, Array]) -> list[str]:
     """Names of signals, the displacement first, then the force, then the others in their order.
 
-    A friction force follows the direction of the motion, and the motion does not follow that of
-    the force. Where no two signals are so, the order stays as given.
+    A friction force follows the direction of the motion, and is rougher than the motion: that the
+    motion follows the direction of the force is seldom. Where no two signals follow each other,
+    the order stays as given.
     """
     names = list(signals)
     pairs = {(x, f): follows(signals[x], signals[f]) for x, f in permutations(names[:_MOST], 2)}
     best = max(pairs, key=lambda pair: pairs[pair], default=None)
     if best is None or pairs[best] < SURE:
         return names
-    return [*best, *(name for name in names if name not in best)]
+    one, other = best
+    rougher = np.log10(roughness(signals[other]) / roughness(signals[one]))
+    if pairs[one, other] - pairs[other, one] + rougher < 0.0:
+        one, other = other, one
+    return [one, other, *(name for name in names if name not in best)]
+
+
+def roughness(values: Array) -> float:
+    """Squared second differences over squared first ones: small where a signal is smooth."""
+    return float(np.sum(np.diff(values, 2) ** 2) / np.sum(np.diff(values) ** 2)) or 1e-300
 
 
 def follows(motion: Array, force: Array) -> float:

@@ -214,7 +214,10 @@ def _best(head: Sequence[str]) -> tuple[str, Layout] | None:
         rows = [_split(line, separator) for line in head]
         layout = find_layout(rows, _reads)
         if layout is not None and not is_narrow(rows, layout):
-            tables.append((separator, layout))
+            # Words with single blanks between them are names only where each has a column.
+            names = len(_names(head, layout, separator))
+            if separator != BLANKS or names == len(rows[layout.data]):
+                tables.append((separator, layout))
         if (block := find_numbers(rows, _reads)) is not None:
             blocks.append((separator, block))
     found = tables or blocks
