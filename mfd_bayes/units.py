@@ -168,6 +168,12 @@ def same_unit(one: str, other: str) -> bool:
         return False
 
 
+def in_digits(value: float, digits: int) -> str:
+    """A number with so many digits, without an exponent from 1000 to ten million: "6340"."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.0f}" if 1e3 <= abs(rounded) < 1e7 else f"{rounded:.{digits}g}"
+
+
 def percent(probability: float) -> str:
     """A probability in percent, with as many digits as it needs not to be 0 or 100."""
     text = f"{100 * probability:g}"

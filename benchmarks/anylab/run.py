@@ -46,8 +46,9 @@ def line_of(device: Device, folder: Path) -> str:
     hits = sum(row.lower <= value <= row.upper for row, value in rows)
     slip = max(row.median for row, _ in rows if row.name == "Fc_fwd")
     inside = checked.splitlines()[0].split(": ")[1].split(" of")[0]
+    took = f"{time.monotonic() - begin:6.0f} s"
     return (
-        f"{device.name:20} {time.monotonic() - begin:6.0f} s  prior holds {inside:>4} of the force  "
+        f"{device.name:20} {took}  prior holds {inside:>4} of the force  "
         f"truth inside {hits:3d} of {len(rows):3d} ({hits / len(rows):.0%})  "
         f"Fc_fwd {run.system.words([slip], 'kip', 3)}"
     )

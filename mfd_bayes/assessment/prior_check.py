@@ -79,7 +79,7 @@ def most_wrong(priors: PriorFile, model: str, traces: Sequence[Trace]) -> Misfit
 
     None where the records show no scales, or no prior can be compared with one.
     """
-    known = {quantity.name for quantity in models.MODELS[model].quantities} | {"offset"}
+    known = {quantity.name for quantity in models.MODELS[model].quantities}
     found = [
         misfit
         for trace in traces
@@ -100,7 +100,6 @@ def _misfits(priors: PriorFile, scales: Scales) -> Iterator[Misfit]:
         "k3": rise,
         "k": rise,
         "d2": ("in", 0.5 * scales.length, "half the travel until the force has come back"),
-        "offset": ("kip", scales.offset, "the middle of the loop"),
     }
     for name, (unit, value, source) in shown.items():
         prior = priors.parameters.get(name)

@@ -50,7 +50,7 @@ def calibrate(
             console.print_plan(plan)
             return
         if not quiet:
-            console.print_warnings(plan.manifest.warnings)
+            console.print_warnings(console.warnings_of(plan))
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)

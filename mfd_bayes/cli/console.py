@@ -86,13 +86,18 @@ def print_warnings(warnings: Iterable[Finding]) -> None:
         say(f"warning: {found.subject}: {found.sentence}")
 
 
+def warnings_of(plan: Plan) -> list[Finding]:
+    """Warnings about the records of a plan, in the units of the campaign."""
+    say_in = plan.system.reworded
+    return [replace(f, sentence=say_in(f.sentence)) for f in plan.manifest.warnings]
+
+
 def print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
     samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
     say(f"{plan.campaign.path} is fine: would calibrate {samples}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
-    say_in = plan.system.reworded
-    print_warnings(replace(f, sentence=say_in(f.sentence)) for f in plan.manifest.warnings)
+    print_warnings(warnings_of(plan))
 
 
 def print_truth(view: CampaignView, *, quiet: bool = False) -> None:

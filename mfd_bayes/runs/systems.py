@@ -9,7 +9,7 @@ from functools import cache
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import convert, factor
+from mfd_bayes.units import convert, factor, in_digits
 
 _TOKEN = re.compile(r"[A-Za-z]+")
 
@@ -56,7 +56,7 @@ class System:
         by, unit = self.factor(internal), self.unit(internal)
         if actuation and self.name == "us":
             by, unit = 1000.0, "psi" if internal == "ksi" else "lbf"
-        shown = dict.fromkeys(f"{value * by:.{digits}g}" for value in values)
+        shown = dict.fromkeys(in_digits(value * by, digits) for value in values)
         return f"{' to '.join(shown)} {unit}"
 
     def reworded(self, text: str) -> str:
@@ -100,8 +100,7 @@ def _times(number: str, by: float) -> str:
     """A number times a factor, with as many digits as it has, at least three."""
     digits = max(3, len(re.sub(r"e.*$|\D", "", number).lstrip("0")))
     sign = "+" if number.startswith("+") else ""
-    value = float(f"{float(number) * by:.{digits}g}")
-    return f"{sign}{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{sign}{value:.{digits}g}"
+    return f"{sign}{in_digits(float(number) * by, digits)}"
 
 
 US = System("us", "kip and in", "in", "kip", "ksi")

@@ -12,7 +12,7 @@ from mfd_bayes.calibration.prior_files import SCALED, find_priors, load_priors
 from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.records.scales import Scales, middle
 from mfd_bayes.store.toml import read_toml
-from mfd_bayes.units import convert
+from mfd_bayes.units import convert, in_digits
 
 OTHER = 2.0
 """A slip force so many of the prior's standard deviations off is that of another device."""
@@ -51,7 +51,7 @@ class Units:
         over, _, under = kind.partition("/")
         pairs = {"force/speed": f"{self.force}*s/{self.length}", "length/speed": "s"}
         unit = pairs.get(kind) or (f"{named[over]}/{named[under]}" if under else named[over])
-        return f"{value * convert(_INTERNAL[kind], unit):.3g} {unit}"
+        return f"{in_digits(value * convert(_INTERNAL[kind], unit), 3)} {unit}"
 
 
 def knows(priors: str, found: Mapping[str, Scales]) -> bool:
