@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.run import Run, open_run
+    from mfd_bayes.reporting.notebook import open_run
+    from mfd_bayes.runs.run import Run
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
@@ -29,7 +30,7 @@ _HOMES = {
     "Run": "mfd_bayes.runs.run",
     "ThreeStage": "mfd_bayes.friction.three_stage",
     "Trace": "mfd_bayes.records.trace",
-    "open_run": "mfd_bayes.runs.run",
+    "open_run": "mfd_bayes.reporting.notebook",
     "read_record": "mfd_bayes.records.record",
     "sample": "mfd_bayes.calibration.sampling",
 }

@@ -23,6 +23,9 @@ ActuationUnit = Literal["ksi", "kip"]
 SMALLEST, LARGEST = 1e-20, 1e10
 """Range of the sizes of a force or a pressure, kip or ksi, other than 0."""
 
+GRAVITY = 386.0886
+"""Standard acceleration of gravity, in/s²."""
+
 
 class Dimension(NamedTuple):
     """A dimension: its internal unit, its name in messages, and units to suggest."""
@@ -42,6 +45,7 @@ DIMENSIONS: Mapping[str, Dimension] = MappingProxyType(
         "stiffness": Dimension("kip/in", "stiffness", "'kip/in' or 'kN/mm'"),
         "damping": Dimension("kip*s/in", "damping", "'kip*s/in' or 'kN*s/mm'"),
         "area": Dimension("in^2", "area", "'in^2' or 'mm^2'"),
+        "mass": Dimension("kip*s^2/in", "mass", "'kg' or 'slug'"),
         "rate": Dimension("Hz", "rate", "'Hz' or '1/s'"),
         "dimensionless": Dimension("1", "ratio", "'1' or '%'"),
     }
@@ -164,6 +168,12 @@ def same_unit(one: str, other: str) -> bool:
         return False
 
 
+def in_digits(value: float, digits: int) -> str:
+    """A number with so many digits, without an exponent from 1000 to ten million: "6340"."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.0f}" if 1e3 <= abs(rounded) < 1e7 else f"{rounded:.{digits}g}"
+
+
 def percent(probability: float) -> str:
     """A probability in percent, with as many digits as it needs not to be 0 or 100."""
     text = f"{100 * probability:g}"
@@ -182,6 +192,31 @@ def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
     """
     value, unit = _split(text, of)
     return value * factor(unit, dimension, of=of or f"{text!r}")
+
+
+def split_quantity(text: str, *, of: str = "") -> tuple[float, str]:
+    """Number and unit of ``"518.7 mm^2"``, whatever the unit measures.
+
+    Raises
+    ------
+    UnitError
+        When it is not a number and a unit.
+    """
+    return _split(text, of)
+
+
+def parse_mass(text: str, *, of: str = "") -> float:
+    """Mass, kip*s^2/in, of ``"3 kg"``; a force such as ``"6.6 lb"`` is its weight.
+
+    Raises
+    ------
+    UnitError
+        When it is neither.
+    """
+    unit = _split(text, of)[1]
+    if measure(unit) == "force":
+        return parse_quantity(text, "force", of=of) / GRAVITY
+    return parse_quantity(text, "mass", of=of)
 
 
 def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:

@@ -28,6 +28,7 @@ PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages")
 # Pages that are read one after the other, and so run in one folder.
 SERIES = (
     ("lab.md", "arviz.md"),  # calibrates a campaign of its own, and so is slow
+    ("device.md",),  # calibrates three short tests, and so is slow
     ("demo.md", "README.md"),  # makes several reports of a run, and so is slow
     ("files.md",),
     ("python.md",),
@@ -126,7 +127,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.filterwarnings("ignore:.*alias_mapping:DeprecationWarning")
 @pytest.mark.parametrize(
     "pages",
-    [*(pytest.param(pages, marks=pytest.mark.slow) for pages in SERIES[:2]), *SERIES[2:]],
+    [*(pytest.param(pages, marks=pytest.mark.slow) for pages in SERIES[:3]), *SERIES[3:]],
     ids=lambda pages: pages[0],
 )
 def test_the_blocks_of_a_page_run_in_order(pages, folder, request):

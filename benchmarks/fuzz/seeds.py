@@ -30,8 +30,8 @@ area = "1.5 in^2"
 
 [columns]
 time = { name = "time_s", unit = "s" }
-displacement = { name = "displacement_in" }
-force = { name = "force_kip", unit = "kip" }
+displacement = { column = 2, unit = "in", tare = "0 s to 1 s" }
+force = { name = "force_kip", minus = { name = "p_psi", times = "1 in^2" }, minus_mass = "3 kg" }
 
 [laws]
 Fc_fwd = "affine"
@@ -60,6 +60,12 @@ def priors() -> bytes:
     return find_priors("mfd").read_bytes()
 
 
+def scaled_priors() -> bytes:
+    """Priors that are multiples of scales."""
+    scales = b'[scales]\nforce = "7 N"\nlength = "0.5 mm"\nspeed = "60 mm/s"\n\n[parameters.sigma0]'
+    return find_priors("any").read_bytes().replace(b"[parameters.sigma0]", scales, 1)
+
+
 def texts() -> tuple[bytes, ...]:
     """Text files, as programs and controllers write them."""
     plain = "\n".join([",".join(NAMES), *(",".join(f"{x:.6g}" for x in row) for row in ROWS)])
@@ -72,7 +78,11 @@ def texts() -> tuple[bytes, ...]:
     blanks = "# by hand\ntime_s  displacement_in  force_kip\n" + "\n".join(
         "  ".join(f"{x: .4e}" for x in row) for row in ROWS
     )
-    return tuple(text.encode() for text in (plain, controller, comma, blanks))
+    bare = "Logger 4, channels as wired\nrig two\n" + "\n".join(
+        "\t".join(f"{x:.5f}" for x in row) for row in ROWS
+    )
+    below = plain.replace("force_kip", "time_s", 1) + "\nEnd of test\n"
+    return tuple(text.encode() for text in (plain, controller, comma, blanks, bare, below))
 
 
 def jsons() -> tuple[bytes, ...]:
@@ -81,7 +91,7 @@ def jsons() -> tuple[bytes, ...]:
     rows = [dict(zip(NAMES, row, strict=True)) for row in ROWS.tolist()]
     split = {"columns": list(NAMES), "index": list(range(60)), "data": ROWS.tolist()}
     labels = {name: {str(i): x for i, x in enumerate(column)} for name, column in lists.items()}
-    return tuple(json.dumps(form).encode() for form in (lists, rows, split, labels))
+    return tuple(json.dumps(form).encode() for form in (lists, rows, split, labels, ROWS.tolist()))
 
 
 def matlab_v5() -> tuple[bytes, ...]:
@@ -92,6 +102,7 @@ def matlab_v5() -> tuple[bytes, ...]:
         "counts": np.arange(60, dtype=np.int16),
         "cells": np.array([1.0, "two", np.eye(2)], dtype=object),
         "z": TIME + 1j,
+        "log": ROWS,
     }
     found = []
     for packed in (False, True):
@@ -116,15 +127,17 @@ def matlab_v73() -> tuple[bytes, ...]:
             inner = file.create_group("#refs#").create_dataset("b", data=TIME)
             cells = file.create_dataset("cells", (2, 1), dtype=h5py.ref_dtype)
             cells[:] = inner.ref
+            log = file.create_dataset("log", data=ROWS.T)
+            log.attrs["MATLAB_class"] = np.bytes_("double")
         memory.getbuffer()[:128] = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
         found.append(memory.getvalue())
     return tuple(found)
 
 
-def workbook() -> bytes:
-    """An Excel workbook."""
+def workbook(*, named: bool = True) -> bytes:
+    """An Excel workbook, with a row of names or with a title alone."""
     book = Workbook()
-    book.active.append(list(NAMES))
+    book.active.append(list(NAMES) if named else ["rig two"])
     for row in ROWS.tolist():
         book.active.append(row)
     file = io.BytesIO()

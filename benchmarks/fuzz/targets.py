@@ -44,16 +44,20 @@ from benchmarks.fuzz.seeds import (
     matlab_v5,
     matlab_v73,
     priors,
+    scaled_priors,
     tdms,
     texts,
     workbook,
 )
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.draft.columns import guess_columns
+from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import read_record
+from mfd_bayes.records.scales import scales_of
+from mfd_bayes.records.sources import Source, Subtracted
 
 Files = Mapping[str, bytes]
 
@@ -90,6 +94,16 @@ class Target:
     writes: bool = False
 
 
+_BY_NUMBER = {
+    "time": 1,
+    "displacement": 2,
+    "force": Source(
+        3, minus=Subtracted(2, "in", "0.1 kip/in"), minus_mass="3 kg", tare="0 s to 1 s"
+    ),
+}
+_UNITS = {"time": "s", "displacement": "in", "force": "kip"}
+
+
 def read_as_record(path: Path) -> object:
     """Everything that is done with a test file before it is fitted."""
     table = read_table(path)
@@ -99,7 +113,12 @@ def read_as_record(path: Path) -> object:
         except MfdError:
             continue  # another column may be right
     guess_columns(table)
-    return read_record(path).trace(gap=0.3).path
+    if table.headed:
+        return read_record(path).trace(gap=0.3).path
+    record = read_record(path, _BY_NUMBER, _UNITS)
+    scales = scales_of(record.trace())
+    own = "" if scales is None else priors_text({path.name: scales}, Units("N", "mm"))
+    return record.trace(gap=0.3).path, record.derived, own
 
 
 def targets() -> tuple[Target, ...]:
@@ -111,10 +130,14 @@ def targets() -> tuple[Target, ...]:
         *_records(),
         Target("campaign.toml", (campaign,), "campaign.toml", mutate_text, load_campaign, 0.1),
         Target(
-            *("priors.toml", ({"own.toml": priors()},), "own.toml", mutate_text),
+            *("priors.toml", _priors(), "own.toml", mutate_text),
             *(lambda path: load_priors(path.name, path.parent), 0.03),
         ),
     )
+
+
+def _priors() -> tuple[Files, ...]:
+    return tuple({"own.toml": content} for content in (priors(), scaled_priors()))
 
 
 def few() -> tuple[Target, ...]:
@@ -141,7 +164,7 @@ def _records() -> list[Target]:
         ("json", jsons(), mutate_json, 0.25),
         ("v5.mat", matlab_v5(), mutate_bytes, 0.25),
         ("v73.mat", matlab_v73(), mutate_bytes, 0.03),
-        ("xlsx", (workbook(),), mutate_zip, 0.015),
+        ("xlsx", (workbook(), workbook(named=False)), mutate_zip, 0.015),
         ("tdms", (tdms(),), mutate_bytes, 0.03),
     )
     return [

@@ -55,7 +55,7 @@ def say_init(campaign: Path) -> Said:
 def say_inspect(campaign: Path) -> Said:
     """Warnings of `inspect campaign.toml`, by test."""
     try:
-        found = inspect_campaign(campaign)
+        found, _ = inspect_campaign(campaign)
     except MfdError as error:
         return [("", str(error))]
     return [(one.name, fault.sentence) for one in found for fault in one.faults]

@@ -105,15 +105,15 @@ def _notes(checks: Sequence[Check]) -> list[str]:
 
 
 def miss_of(check: Check) -> str:
-    """What the model misses: "energy per cycle -5.31 kip·in where 0.299 is expected"."""
+    """What the model misses: "energy per cycle -5.31 kip·in where 0.299 kip·in is expected"."""
     name, _, seen = check.target.partition(" (observed ")
     what, _, unit = name.partition(", ")
     figures = seen.rstrip(")").split(", ")
-    observed = figures[0] + (f" {unit}" if unit else "")
+    measured = f" {unit}" if unit else ""
     if check.name == COVERAGE:
         return f"{what}: {float(figures[0]):.0%} of the samples are inside"
     expected = figures[1].removeprefix("expected ")
-    return f"{what} {observed} where {expected} is expected"
+    return f"{what} {figures[0]}{measured} where {expected}{measured} is expected"
 
 
 def _misses(missed: Sequence[Check]) -> str:

@@ -74,9 +74,13 @@ def _static(
 def reading_check(row: ReadingRow) -> Check:
     """A reading as a check that cannot fail: a note where the parameter misses it."""
     within = f"{row.name} ({row.median:.3g} [{row.lower:.3g}, {row.upper:.3g}] {row.unit})"
-    target, limit = f"{within}, read off {row.value:.3g}", "inside the interval and its tolerance"
+    target, limit = (
+        f"{within}, read off {row.value:.3g} {row.unit}",
+        "inside the interval and its tolerance",
+    )
     if row.largest:
-        target, limit = f"{within}, largest force {row.value:.3g}", "median below the largest force"
+        limit = "median below the largest force"
+        target = f"{within}, largest force {row.value:.3g} {row.unit}"
     size = (row.median - row.value) / abs(row.value) if row.value else float("nan")
     verdict = Verdict.noted(not row.missed)
     return Check(row.subject, READING, target, row.value, limit, verdict, size, row.tolerance)

@@ -11,6 +11,7 @@ from mfd_bayes.assessment.judgement import least_believed
 from mfd_bayes.assessment.views import FREE_EXPONENT, Check, Judgement, TestView
 from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.prior_files import SCALED
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Use, Verdict
@@ -103,6 +104,16 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
             "An older version of this program wrote the run, without hashes of its files: it is "
             "not known whether they have changed since."
         )
+    if SCALED in run.priors.title:
+        found.append(
+            "The scales of the priors were read off the records of this campaign: the data are "
+            "used there for orders of magnitude, and once more in the calibration."
+        )
+    found += [
+        f"{name}: the {role} is made of {text}."
+        for name, entry in run.manifest.tests.items()
+        for role, text in entry.derived.items()
+    ]
     weak = _counted(r.name for view in tests for r in view.rows if r.contraction < INFORMED)
     if weak:
         found.append(f"Not informed by the data (number of tests): {weak}.")

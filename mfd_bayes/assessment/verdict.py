@@ -23,7 +23,7 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI
+from mfd_bayes.runs.systems import SI, SMALL_SYSTEMS
 from mfd_bayes.runs.verdict import Use, Verdict
 
 
@@ -73,7 +73,8 @@ def put_together(
         comparison_sentence=compared.sentence if compared else "",
         judgements=judged,
         warnings=warnings,
-        metric=run.system is SI,
+        metric=run.system.name == SI.name,
+        small=run.system in SMALL_SYSTEMS,
         tested=run.tested,
     )
 

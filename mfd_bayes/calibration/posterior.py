@@ -17,6 +17,7 @@ from mfd_bayes.calibration.pivot import Pivot, find_pivots
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import OF_RECORDS
+from mfd_bayes.calibration.shown import ShownPosterior
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
@@ -34,7 +35,7 @@ _UNSAMPLED = MappingProxyType({"gamma1": 1.0, "start": 0.5})
 
 
 @dataclass(frozen=True, init=False)
-class Posterior:
+class Posterior(ShownPosterior):
     """Density of the parameters of one test, given its record (model.md section 5).
 
     Parameters

@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.calibration import families
+from mfd_bayes.calibration.prior_scales import in_units
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
+
+SCALED = "scales read off the records"
+"""Beginning of the title of a prior file that was made of a campaign's own records."""
 
 _LONGEST = 1000
 """Largest length of an error message, in characters, however long the names in the file."""
@@ -101,7 +105,7 @@ def load_priors(name: str, folder: Path | None = None) -> PriorFile:
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
     try:
-        return _priors(path, content)
+        return _priors(path, in_units(path.name, content))
     except PriorError as error:
         if len(str(error)) <= _LONGEST:
             raise
@@ -113,7 +117,7 @@ def _priors(path: Path, content: dict[str, object]) -> PriorFile:
     if unknown:
         raise PriorError(
             f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
-            "it may hold title, parameters and scatter"
+            "it may hold title, scales, parameters and scatter"
         )
     tables = _tables(path, content, "parameters"), _tables(path, content, "scatter")
     return PriorFile(

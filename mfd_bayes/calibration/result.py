@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from mfd_bayes.calibration.extras import Extras, needed
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.shown import HEAD, quantile_rows
 from mfd_bayes.calibration.stored import check_draws, check_facts
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import StoredTest, load_test
 
 if TYPE_CHECKING:
@@ -38,6 +41,40 @@ class TestResult:
     posterior: Posterior
     path: Path
     sha256: str = ""
+    extras: Extras | None = field(default=None, repr=False)
+
+    def plot_loops(self, axes: Any = None) -> Any:
+        """Matplotlib axes with the measured loops over the bands of a measurement, as replicated.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Raises
+        ------
+        FitError
+            When the test does not come from a run of `mfd_bayes.open_run`.
+        """
+        return needed(self.extras).plot_loops(self, axes)
+
+    def inference_data(self) -> Any:
+        """What ArviZ's functions take: InferenceData, or a DataTree from ArviZ 1 on.
+
+        Its groups are those of `posterior.nc`, and `log_likelihood`: the log density of each cycle
+        given all others, by which `az.loo` leaves out whole cycles. That takes some seconds.
+
+        Raises
+        ------
+        FitError
+            When the test does not come from a run of `mfd_bayes.open_run`, or has fewer cycles
+            than can be left out.
+        """
+        return needed(self.extras).inference_data(self)
+
+    def _repr_html_(self) -> str:
+        rows = quantile_rows(self.stored.values())
+        return grid(f"Test {self.id}, {self.posterior.model.name}", HEAD, rows)
 
     @property
     def stored(self) -> StoredTest:

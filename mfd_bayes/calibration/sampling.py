@@ -15,6 +15,7 @@ from mfd_bayes.calibration.ensembles import Chains, Watch, sample_density
 from mfd_bayes.calibration.map_fit import Mode, find_modes
 from mfd_bayes.calibration.mixture import Mixture
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.shown import ShownDraws
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.records.numbers import whole_number
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Draws:
+class Draws(ShownDraws):
     """Posterior draws of one test.
 
     Attributes

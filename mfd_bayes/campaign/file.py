@@ -7,12 +7,22 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from mfd_bayes.campaign.content import read_content
-from mfd_bayes.campaign.schema import Column, Columns, Entry, ModelName, NoiseName, Role
+from mfd_bayes.campaign.schema import (
+    Column,
+    Columns,
+    DisplacementColumn,
+    Entry,
+    ModelName,
+    NoiseName,
+    Role,
+)
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.roles import header_unit
+from mfd_bayes.records.sources import Source, Subtracted
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,
@@ -20,6 +30,8 @@ from mfd_bayes.units import (
     parse_actuation,
     parse_window,
 )
+
+_PARTS = ("minus_mass", "tare", "arm", "measured_at")  # of a source, with these keys
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +51,14 @@ class Test:
     window: Window | None
     """The part of the record that is fitted, s."""
     role: Role
-    columns: dict[str, tuple[str, str | None]]
-    """Role to the column's name and unit, where the campaign file gives them."""
+    columns: dict[str, Source]
+    """Role to its source, where the campaign file gives one."""
     session: str = ""
     """Tests of one session were made together, with nothing changed in between."""
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
-        names = {role: name for role, (name, _) in self.columns.items()}
-        units = {role: unit for role, (_, unit) in self.columns.items() if unit is not None}
-        return read_record(self.path, names, units, self.actuation, fit=self.window)
+        return read_record(self.path, self.columns, None, self.actuation, fit=self.window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,19 +154,30 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
         actuation_unit=unit,
         window=None if entry.fit is None else parse_window(entry.fit),
         role=entry.role,
-        columns={role: (c.name, c.unit) for role, c in chosen.items() if c is not None},
+        columns={role: _source(c) for role, c in chosen.items() if c is not None},
         session=entry.session,
     )
 
 
+def _source(column: Column) -> Source:
+    """Source of a column of the campaign file."""
+    parts = {name: getattr(column, name, "") for name in _PARTS}
+    other = column.minus if isinstance(column, DisplacementColumn) else None
+    minus = None if other is None else Subtracted(other.key, other.unit, other.times)
+    return Source(column.key, column.unit, minus, **parts)
+
+
 def _history_unit(path: Path, test: str, column: Column, file: Path) -> ActuationUnit:
     """Whether a measured actuation is a pressure or a force: by its unit, name or row of units."""
-    unit = column.unit or header_unit(column.name)
+    unit = column.unit or header_unit(column.name or "")
     if column.unit is None and (unit is None or measure(unit) not in ("pressure", "force")):
-        unit = read_table(file).units.get(column.name, unit)
+        table = read_table(file)
+        name = table.name_of(column.key)
+        unit = table.units.get(name, unit or header_unit(own_name(name)))
     where = f"actuation of test {test!r} in {path}"
     if unit is None:
-        raise CampaignError(f"{where} needs a unit: {{ name = {column.name!r}, unit = … }}")
+        given = f"name = {column.name!r}" if column.name else f"column = {column.column}"
+        raise CampaignError(f"{where} needs a unit: {{ {given}, unit = … }}")
     try:
         return actuation_factor(unit, of=f"the {where}")[1]
     except UnitError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -14,6 +14,7 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -22,7 +23,7 @@ from mfd_bayes.campaign.tolerances import DEFAULTS
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws
-from mfd_bayes.records.readers.bounds import NAME
+from mfd_bayes.records.readers.bounds import COLUMNS, NAME
 from mfd_bayes.units import parse_actuation, parse_quantity, parse_window
 
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]
@@ -108,18 +109,56 @@ class Part(BaseModel):
 
 
 class Column(Part):
-    """A column of a test file; without `unit`, the ending of its name gives the unit."""
+    """A column of a test file, by its name or its number from 1.
 
-    name: Annotated[str, Field(min_length=1, max_length=NAME)]
-    unit: str | None = None
+    Without `unit`, the ending of its name gives the unit.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=NAME)] | None = None
+    column: Annotated[int, Field(ge=1, le=COLUMNS, strict=True)] | None = None
+    unit: Annotated[str, Field(max_length=60)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.name is None) == (self.column is None):
+            raise ValueError(
+                "a column is given either by its name or, as column = 1, by its number"
+            )
+        return self
+
+    @property
+    def key(self) -> str | int:
+        """Its name or its number."""
+        return self.name if self.name is not None else int(self.column or 0)
+
+
+class Minus(Column):
+    """A column that is taken off another, times a quantity."""
+
+    times: Annotated[str, Field(max_length=200)] = ""
+
+
+class DisplacementColumn(Column):
+    """A displacement, and what is taken off it."""
+
+    minus: Minus | None = None
+    tare: Annotated[str, Field(max_length=200)] = ""
+    arm: Annotated[str, Field(max_length=200)] = ""
+    measured_at: Annotated[str, Field(max_length=200)] = ""
+
+
+class ForceColumn(DisplacementColumn):
+    """A force, and what is taken off it."""
+
+    minus_mass: Annotated[str, Field(max_length=200)] = ""
 
 
 class Columns(Part):
     """The column of each role in a test file."""
 
     time: Column | None = None
-    displacement: Column | None = None
-    force: Column | None = None
+    displacement: DisplacementColumn | None = None
+    force: ForceColumn | None = None
     velocity: Column | None = None
 
 
@@ -203,5 +242,8 @@ def known_keys(table: str) -> list[str]:
         "columns": Columns,
         "dependence": Dependence,
         "test": Entry,
+        "minus": Minus,
+        "displacement": DisplacementColumn,
+        "force": ForceColumn,
     }
     return list(tables.get(table, Column).model_fields)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -50,7 +50,7 @@ def calibrate(
             console.print_plan(plan)
             return
         if not quiet:
-            console.print_warnings(plan.manifest.warnings)
+            console.print_warnings(console.warnings_of(plan))
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
@@ -62,6 +62,7 @@ def check(
     out: arguments.Run,
     every: Annotated[bool, typer.Option("--all", help="Show every check.")] = False,
     quiet: arguments.Quiet = False,
+    units: arguments.Units = None,
 ) -> None:
     """Show checks, warnings and the verdict on every test; exit 1 where the run is not usable.
 
@@ -77,7 +78,7 @@ def check(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        view = pipeline.check(out)
+        view = pipeline.check(out, units or "")
     if not quiet:
         console.print_checks(view, every=every)
     console.say(view.sentence)
@@ -117,6 +118,32 @@ def report(
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):
         raise typer.Exit(1)
+
+
+def draws(
+    out: arguments.Run,
+    to: Annotated[
+        Literal["csv", "parquet"], typer.Option(help="Parquet needs the extra mfd_bayes[parquet].")
+    ],
+    units: arguments.Units = None,
+    most: Annotated[
+        int, typer.Option(min=0, help="Most draws of each test, evenly taken; 0 for all.")
+    ] = 0,
+) -> None:
+    """Write the posterior draws of every test as one table, for other programs.
+
+    Writes OUT/draws.csv or OUT/draws.parquet: test, chain and draw, then a column
+    for each quantity with its unit in brackets, then the log densities.
+
+    Example:
+      mfd-bayes draws out --to csv
+      mfd-bayes draws out --to parquet --units si
+    """
+    from mfd_bayes.pipeline import commands as pipeline
+
+    with mistakes():
+        written, rows = pipeline.write_draws(out, to, units or "", most)
+    console.say(f"{written} written: {rows} draws")
 
 
 def demo(

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from mfd_bayes.cli.calibration import calibrate, check, demo, report
+from mfd_bayes.cli.calibration import calibrate, check, demo, draws, report
 from mfd_bayes.cli.environment import settle_environment
 from mfd_bayes.cli.prediction import compare, crossvalidate, predict
 from mfd_bayes.cli.preparation import init, inspect, prior_check
@@ -48,6 +48,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     (_USE, predict, "look at bands.png, then mfd-bayes crossvalidate --help"),
     (_USE, crossvalidate, "open out/report.html, then mfd-bayes compare --help"),
     (_USE, compare, "open out/MODEL/report.html of the model that is favoured"),
+    (_USE, draws, "read the table with pandas, R or another program; or mfd-bayes predict --help"),
     (_TRY, demo, "open out/report.html, then mfd-bayes inspect test.csv with a file of yours"),
 )
 """Panel of the help, command, and what to do next."""

@@ -7,6 +7,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,12 +86,18 @@ def print_warnings(warnings: Iterable[Finding]) -> None:
         say(f"warning: {found.subject}: {found.sentence}")
 
 
+def warnings_of(plan: Plan) -> list[Finding]:
+    """Warnings about the records of a plan, in the units of the campaign."""
+    say_in = plan.system.reworded
+    return [replace(f, sentence=say_in(f.sentence)) for f in plan.manifest.warnings]
+
+
 def print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
     samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
     say(f"{plan.campaign.path} is fine: would calibrate {samples}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
-    print_warnings(plan.manifest.warnings)
+    print_warnings(warnings_of(plan))
 
 
 def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
@@ -179,16 +186,16 @@ def _comparison_table(found: Comparison) -> Table:
     return table
 
 
-def print_left_out(found: LeftOutView | None, *, quiet: bool = False) -> None:
-    """Print how well each part left out was predicted; quiet: only a summary."""
+def print_left_out(found: LeftOutView | None, force: str, *, quiet: bool = False) -> None:
+    """Print how well each part left out was predicted, in a unit of force; quiet: a summary."""
     if found is None:
         return
     if not quiet:
-        open_console().print(_left_out_table(found))
+        open_console().print(_left_out_table(found, force))
     say(found.sentence)
 
 
-def _left_out_table(found: LeftOutView) -> Table:
+def _left_out_table(found: LeftOutView, force: str) -> Table:
     parts = found.by != "test"
     heads = [
         "50 %",
@@ -201,7 +208,7 @@ def _left_out_table(found: LeftOutView) -> Table:
         "×",
         "RRSE",
     ]
-    title = f"Each test predicted without its {found.by}, scores in kip"
+    title = f"Each test predicted without its {found.by}, scores in {force}"
     table = _table(title, ["test", "left out"] if parts else ["test"], heads)
     for r in (*found.rows, found.mean):
         if r is found.mean:

@@ -151,7 +151,7 @@ def crossvalidate(
         )
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.crossvalidate(campaign, out, options, observe)
-        console.print_left_out(view.left_out, quiet=quiet)
+        console.print_left_out(*pipeline.left_out_shown(view), quiet=quiet)
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):
         raise typer.Exit(1)

@@ -8,29 +8,44 @@ from typing import Annotated
 
 import typer
 
-from mfd_bayes.cli.arguments import Campaign, Pictures, Replace, path
+from mfd_bayes.cli.arguments import Campaign, Pictures, Replace, Units, path
 from mfd_bayes.cli.console import say
 from mfd_bayes.cli.exits import mistakes
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(parser=path, help="The folder of your test files.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            parser=path, help="The folder of your test files, or a campaign.toml for its priors."
+        ),
+    ],
     force: Annotated[
-        bool, typer.Option("--force", help="Replace a campaign.toml that exists.")
+        bool, typer.Option("--force", help="Replace a campaign.toml or priors.toml that exists.")
     ] = False,
 ) -> None:
     """Write a first campaign.toml for a folder of test files.
 
     Guesses columns, units, actuations and ids from the names and numbers of the
     files; what is not certain is marked "unsure" in the file, with the
-    alternatives, and what is missing "FIXME". Writes FOLDER/campaign.toml.
+    alternatives, and what is missing "FIXME". Writes FOLDER/campaign.toml, and
+    FOLDER/priors.toml for a device that no shipped prior file knows: wide priors
+    whose scales are read off the records. Of a campaign.toml only the latter is
+    written, beside it.
 
     Example:
       mfd-bayes init tests
-      mfd-bayes init tests --force
+      mfd-bayes init tests/campaign.toml --force
     """
     from mfd_bayes.pipeline import commands as pipeline
 
+    if folder.suffix == ".toml":
+        with mistakes():
+            written, named = pipeline.init_priors(folder, force=force)
+        say(f"{written} written: read the reason of each prior, and replace what you know better")
+        if not named:
+            say(f'to use it, write priors = "{written.name}" in [campaign] of {folder}')
+        return
     with mistakes():
         written, draft = pipeline.init(folder, force=force)
     for name, reason in draft.left_out:
@@ -41,6 +56,11 @@ def init(
     for gap in missing:
         say(f"FIXME: {gap}")
     left_out = f"{len(draft.left_out)} left out" if draft.left_out else "none left out"
+    if pipeline.needs_priors(draft):
+        say(
+            "priors: no shipped file knows such a device; wide ones were written to "
+            f"{written.with_name('priors.toml')}, their scales read off the records"
+        )
     say(f"{written} written: tests {len(draft.tests)}, {left_out}")
     if missing:
         say("warning: complete what is marked FIXME before you calibrate")
@@ -52,6 +72,7 @@ def inspect(
     file: Annotated[Path, typer.Argument(parser=path, help="A test file or a campaign.toml.")],
     folder: Pictures = Path(),
     force: Replace = False,
+    units: Units = None,
 ) -> None:
     """Show what was read, warn of what would spoil a fit, and draw it.
 
@@ -68,7 +89,7 @@ def inspect(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        found = pipeline.inspect(file, folder, force=force)
+        found = pipeline.inspect(file, folder, force=force, units=units or "")
     for inspection, picture in found:
         say(inspection.name)
         for key, fact in inspection.facts.items():
@@ -82,12 +103,13 @@ def prior_check(
     campaign: Campaign,
     folder: Pictures = Path(),
     force: Replace = False,
+    units: Units = None,
 ) -> None:
     """Draw the prior predictive band of the force beside the data of every test.
 
-    Where most of a test's force lies outside the band, correct the priors before
-    you calibrate. Writes a PNG of every test: CAMPAIGN_ID_prior.png, here or in
-    the folder of -o.
+    Where most of a test's force lies outside the band, the exit code is 1: it
+    names the prior that is most wrong and what would mend it. Writes a PNG of
+    every test: CAMPAIGN_ID_prior.png, here or in the folder of -o.
 
     Example:
       mfd-bayes prior-check campaign.toml
@@ -96,6 +118,9 @@ def prior_check(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        found = pipeline.prior_check(campaign, folder, force=force)
-    for name, share, picture in found:
+        found = pipeline.prior_check(campaign, folder, force=force, units=units or "")
+    for name, share, picture in found.tests:
         say(f"{name}: {share:.0%} of the force inside the 95 % prior band; {picture}")
+    if found.wrong:
+        say(f"warning: most of the force lies outside of what the priors allow: {found.wrong}")
+        raise typer.Exit(1)

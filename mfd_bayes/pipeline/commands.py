@@ -18,11 +18,18 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
+from mfd_bayes.pipeline.draws import write_draws
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.prediction import predict
-from mfd_bayes.pipeline.preparation import init, inspect, prior_check
+from mfd_bayes.pipeline.preparation import (
+    init,
+    init_priors,
+    inspect,
+    needs_priors,
+    prior_check,
+)
 from mfd_bayes.pipeline.question import Question
-from mfd_bayes.pipeline.report import check, report, write_report
+from mfd_bayes.pipeline.report import check, left_out_shown, report, write_report
 from mfd_bayes.reporting.forms import Forms
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
 from mfd_bayes.runs.lock import alone_in
@@ -44,12 +51,16 @@ __all__ = [
     "fails",
     "gaps",
     "init",
+    "init_priors",
     "inspect",
     "is_whole",
+    "left_out_shown",
+    "needs_priors",
     "plan_campaign",
     "predict",
     "prior_check",
     "report",
+    "write_draws",
 ]
 
 Observe = Callable[[Step], None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -31,6 +31,7 @@ from mfd_bayes.population.storage import check_storable
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
+from mfd_bayes.records.sources import Source
 from mfd_bayes.records.together import Tested
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
@@ -43,6 +44,7 @@ from mfd_bayes.runs.manifest import (
     TestSettings,
     check_readable,
 )
+from mfd_bayes.runs.systems import System, is_small, sized, system_of
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -93,6 +95,14 @@ class Plan:
     tasks: tuple[Task, ...]
     held_out: Mapping[str, Trace]
     manifest: Manifest
+
+    @property
+    def system(self) -> System:
+        """System of units of the records, of the size of their forces."""
+        traces = [*(task.trace for task in self.tasks), *self.held_out.values()]
+        small = is_small(float(np.max(np.abs(t.force))) for t in traces if t.force is not None)
+        own = system_of(entry.unit for entry in self.manifest.tests.values())
+        return sized(own, small=small)
 
 
 def plan_campaign(path: Path, options: Options) -> Plan:
@@ -168,7 +178,7 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
             actuation=test.actuation,
             fit=test.window,
             session=test.session,
-            columns={role: list(column) for role, column in test.columns.items()},
+            columns={role: _stored(source) for role, source in test.columns.items()},
         )
         for test in campaign.tests
     }
@@ -185,6 +195,12 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
         actuation_unit=campaign.actuation_unit,
         tests=tests,
     )
+
+
+def _stored(source: Source) -> list[Any]:
+    """A column and its unit, then what is done to it, if anything."""
+    parts = [source.column, source.unit]
+    return parts if source.plain else [*parts, {k: v for k, v in asdict(source).items() if v}]
 
 
 def _inside(campaign: Campaign, test: Test) -> str:
@@ -238,6 +254,7 @@ def _entry(test: Test, record: Record, trace: Trace) -> Entry:
         rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
+        **({"derived": record.derived} if record.derived else {}),
     )
 
 

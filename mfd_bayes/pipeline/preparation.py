@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mfd_bayes.assessment.prior_check import prior_fan, share_inside
+import numpy as np
+
+from mfd_bayes.assessment.prior_check import MOST, most_wrong, prior_fan, share_inside
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign
+from mfd_bayes.campaign.draft import (
+    OWN_PRIORS,
+    Draft,
+    campaign_text,
+    draft_campaign,
+    own_priors,
+)
+from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.pipeline.findings import findings_together, tested_of
 from mfd_bayes.pipeline.outputs import Output, check_outputs, is_picture, write_picture
 from mfd_bayes.records.inspection import Inspection, inspect_record
-from mfd_bayes.records.record import read_record
+from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.record import Record, read_record
+from mfd_bayes.records.scales import scales_of
 from mfd_bayes.records.together import Tested
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
-from mfd_bayes.runs.systems import system_of
+from mfd_bayes.runs.systems import System, is_small, named_system, sized, system_of
 from mfd_bayes.store.files import write_text
 
 
@@ -29,18 +42,66 @@ def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
         When the folder holds no test, or a campaign.toml and `force` is not given; nothing is
         written then.
     """
-    path = folder / "campaign.toml"
-    if path.exists() and not force:
-        raise CampaignError(f"{path} exists: give --force to replace it")
+    path, priors = folder / "campaign.toml", folder / OWN_PRIORS
+    _check_new(path, force=force)
     draft = draft_campaign(folder)
+    if (text := own_priors(draft)) is not None:
+        _check_new(priors, force=force)
+        write_text(priors, text)
     write_text(path, campaign_text(draft))
     return path, draft
 
 
-def inspect(path: Path, folder: Path, *, force: bool = False) -> list[tuple[Inspection, Path]]:
+def needs_priors(draft: Draft) -> bool:
+    """Whether priors were written for a draft, since no shipped file knows such a device."""
+    return own_priors(draft) is not None
+
+
+def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
+    """Path of a prior file beside a campaign, its scales read off the campaign's records.
+
+    Also returns whether the campaign names it already.
+
+    Raises
+    ------
+    MfdError
+        When the campaign or a record cannot be used, or there is a priors.toml and `force` is not
+        given; nothing is written then.
+    """
+    campaign = load_campaign(path)
+    written = campaign.folder / OWN_PRIORS
+    _check_new(written, force=force)
+    records = [test.read() for test in campaign.tests if test.role == "calibrate"]
+    found = {
+        record.path.name: scales
+        for record in records
+        if (scales := scales_of(record.trace())) is not None
+    }
+    if not found:
+        raise CampaignError(f"no test of {path} has a force, so it shows no scales of priors")
+    units = Units(*(_usual(records, role) for role in ("force", "displacement")))
+    write_text(written, priors_text(found, units))
+    return written, campaign.priors == OWN_PRIORS
+
+
+def _check_new(path: Path, *, force: bool) -> None:
+    if path.exists() and not force:
+        raise CampaignError(f"{path} exists: give --force to replace it")
+
+
+def _usual(records: Iterable[Record], role: str) -> str:
+    """Unit that most records have for a role."""
+    units = [record.columns[role][1] for record in records if role in record.columns]
+    return Counter(units).most_common(1)[0][0]
+
+
+def inspect(
+    path: Path, folder: Path, *, force: bool = False, units: str = ""
+) -> list[tuple[Inspection, Path]]:
     """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
 
-    With `force`, a file of another program in the place of a PNG is replaced.
+    Its sentences are in the units of a system, "us" or "si"; by default the records' own. With
+    `force`, a file of another program in the place of a PNG is replaced.
 
     Raises
     ------
@@ -48,9 +109,12 @@ def inspect(path: Path, folder: Path, *, force: bool = False) -> list[tuple[Insp
         When the file cannot be read or used.
     """
     if path.suffix.lower() == ".toml":
-        found = [(one, f"{path.stem}_{one.name}") for one in inspect_campaign(path)]
+        inspected, records = inspect_campaign(path)
+        found = [(one, f"{path.stem}_{one.name}") for one in inspected]
     else:
-        found = [(inspect_record(path.name, read_record(path)), path.stem)]
+        records = [read_record(path)]
+        found = [(inspect_record(path.name, records[0]), path.stem)]
+    system = system_of_records(records, units)
     from mfd_bayes.reporting.figures import draw_inspection, to_png
 
     places = [folder / f"{name}_inspect.png" for _, name in found]
@@ -58,20 +122,44 @@ def inspect(path: Path, folder: Path, *, force: bool = False) -> list[tuple[Insp
     pictures = []
     for (inspection, _), picture in zip(found, places, strict=True):
         title = f"{inspection.name}: as read"
-        figure = draw_inspection(title, inspection.trace, inspection.loops, inspection.faults)
+        inspection = _reworded(inspection, system)
+        trace = convert_trace(inspection.trace, system)
+        figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
         write_picture(picture, to_png(figure))
         pictures.append((inspection, picture))
     return pictures
 
 
-def inspect_campaign(path: Path) -> list[Inspection]:
-    """Inspections of the tests of a campaign, with what their comparison shows."""
+def _reworded(inspection: Inspection, system: System) -> Inspection:
+    """An inspection whose sentences are in the units of a system."""
+    say = system.reworded
+    kept = ("file", "columns", "columns not used")  # and what a signal is made of, are names
+    return replace(
+        inspection,
+        facts={
+            name: text if name in kept or name.endswith("made of") else say(text)
+            for name, text in inspection.facts.items()
+        },
+        faults=tuple(replace(fault, sentence=say(fault.sentence)) for fault in inspection.faults),
+    )
+
+
+def system_of_records(records: Iterable[Record], units: str = "") -> System:
+    """System of units of a name, else the one that fits the records' own units and sizes."""
+    known = list(records)
+    small = is_small(float(np.max(np.abs(r.force))) for r in known if r.force is not None)
+    own = sized(system_of(r.columns["displacement"][1] for r in known), small=small)
+    return named_system(units, own)
+
+
+def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
+    """Inspections of the tests of a campaign, with what their comparison shows; their records."""
     campaign = load_campaign(path)
     priors = load_priors(campaign.priors, campaign.folder)
     found: list[Inspection] = []
     tested: list[Tested] = []
-    for test in campaign.tests:
-        record = test.read()
+    records = [test.read() for test in campaign.tests]
+    for test, record in zip(campaign.tests, records, strict=True):
         found.append(inspect_record(test.id, record, priors.gap))
         if (one := tested_of(test, record, found[-1].trace)) is not None:
             tested.append(one)
@@ -79,17 +167,29 @@ def inspect_campaign(path: Path) -> list[Inspection]:
     return [
         replace(one, faults=(*one.faults, *(f for name, f in together if name == one.name)))
         for one in found
-    ]
+    ], records
 
 
-def prior_check(path: Path, folder: Path, *, force: bool = False) -> list[tuple[str, float, Path]]:
+@dataclass(frozen=True)
+class PriorCheck:
+    """What the priors of a campaign allow.
+
+    Attributes
+    ----------
+    tests : tuple of (test's id, share of the measured force inside the 95 % prior band, picture)
+    wrong : str
+        Which prior is most wrong and what would mend it, where most of the force of a test lies
+        outside; else empty.
+    """
+
+    tests: tuple[tuple[str, float, Path], ...]
+    wrong: str
+
+
+def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "") -> PriorCheck:
     """Prior predictive loops compared with the data of every test, with a PNG each in `folder`.
 
     With `force`, a file of another program in the place of a PNG is replaced.
-
-    Returns
-    -------
-    list of (test's id, share of the measured force inside the 95 % prior band, picture)
 
     Raises
     ------
@@ -103,16 +203,19 @@ def prior_check(path: Path, folder: Path, *, force: bool = False) -> list[tuple[
     places = {test.id: folder / f"{path.stem}_{test.id}_prior.png" for test in campaign.tests}
     outputs = [Output(place, is_picture) for place in places.values()]
     check_outputs(outputs, [path, *(test.path for test in campaign.tests)], force=force)
-    found = []
+    found, traces = [], []
+    records = {test.id: test.read() for test in campaign.tests}
+    system = system_of_records(records.values(), units)
     for test in campaign.tests:
-        record = test.read()
-        trace = record.trace(campaign.rate, gap=priors.gap)
+        trace = records[test.id].trace(campaign.rate, gap=priors.gap)
         if trace.force is None:
             raise RecordError(f"test {test.id!r} of {path} has no force to compare with")
         fan = prior_fan(campaign, priors, trace)
-        system = system_of([record.columns["displacement"][1]])
         shown = convert_trace(trace, system), [convert_fan(fan, system.factor("kip"))]
         figure = draw_loops(f"{test.id}: data over what the priors allow", *shown, system)
         write_picture(places[test.id], to_png(figure))
-        found.append((test.id, share_inside(fan, trace), places[test.id]))
-    return found
+        share = share_inside(fan, trace)
+        found.append((test.id, share, places[test.id]))
+        traces += [trace] if share < MOST else []
+    misfit = most_wrong(priors, campaign.model, traces)
+    return PriorCheck(tuple(found), misfit.sentence(system) if misfit else "")

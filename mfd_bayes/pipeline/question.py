@@ -17,7 +17,7 @@ from mfd_bayes.pipeline.outputs import (
 from mfd_bayes.records.harmonic import parse_sine
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import SYSTEMS
+from mfd_bayes.runs.systems import SMALL_SYSTEMS, SYSTEMS
 from mfd_bayes.units import parse_quantity
 
 MOST = 40_000
@@ -113,7 +113,7 @@ def _is_bands(content: bytes) -> bool:
         table_with("time_s", f"displacement_{system.length}", *force, f"lower_{system.force}")(
             content
         )
-        for system in SYSTEMS
+        for system in (*SYSTEMS, *SMALL_SYSTEMS)
         for force in ((), (f"force_{system.force}",))
     )
 

@@ -10,9 +10,11 @@ from mfd_bayes.assessment import assess, verdicts
 from mfd_bayes.assessment.views import (
     IDENTIFIABILITY,
     CampaignView,
+    LeftOutView,
 )
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
 from mfd_bayes.reporting.forms import PLAIN, Forms
 from mfd_bayes.reporting.tables import (
     CROSSVALIDATION,
@@ -74,18 +76,29 @@ def write_report(
 
     system = named_system(units, run.system)
     observe(Step("report", "checks and bands"))
-    view = replace(assess(run), metric=system is SI)
+    view = replace(assess(run), metric=system.name == SI.name)
     run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
+    view = in_words(view)
     publish(view, run.folder, Workplace(jobs).processes, observe, forms)
     return view
 
 
-def check(out: Path) -> CampaignView:
-    """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing."""
+def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
+    """Scores of what was left out in the units of the campaign, and its unit of force."""
+    system = shown_in(view)
+    return in_tables(view, system).left_out, system.force
+
+
+def check(out: Path, units: str = "") -> CampaignView:
+    """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing.
+
+    Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
+    """
     run = open_run(out)
+    system = named_system(units, run.system)
     with reading(run.folder, run.manifest):
         view = assess(run)
     told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
-    return replace(view, checks=tuple(told))
+    return in_words(replace(view, metric=system.name == SI.name, checks=tuple(told)))

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
@@ -19,6 +20,7 @@ from mfd_bayes.population.population import Parts, Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
+from mfd_bayes.population.shown import ShownBand
 from mfd_bayes.population.whole import whole_band
 from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
@@ -67,7 +69,7 @@ class Forecast:
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class Band(ShownBand):
     """Equal-tailed band of the force at each sample.
 
     Attributes
@@ -103,6 +105,7 @@ class Band:
     whole_lower: Array | None = None
     whole_upper: Array | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
+    extras: Extras | None = field(default=None, repr=False)
 
     def widened(self, factor: float) -> Band:
         """The band of single samples, as many times as wide about its median."""

@@ -1,4 +1,4 @@
-"""What a file's name says of its test, against what its record shows."""
+"""What a file and its name declare of a test, against what its record shows."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.roles import header_unit
 from mfd_bayes.records.trace import Trace
@@ -31,7 +32,7 @@ _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
 
 
 def contradictions(record: Record, trace: Trace | None = None) -> tuple[Fault, ...]:
-    """Units in columns' names, and figures in a file's name, that its record does not have.
+    """Gaps in time, and units in columns' names or figures in a file's that its record has not.
 
     Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
     stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
@@ -40,13 +41,17 @@ def contradictions(record: Record, trace: Trace | None = None) -> tuple[Fault, .
     compared.
     """
     trace = record.trace() if trace is None else trace
-    return (*_of_columns(record), *_of_motion(record, trace), *_of_actuation(record, trace))
+    gaps = [Fault("gap in time", record.gap)] if record.gap else []
+    return (
+        *(*gaps, *_of_columns(record)),
+        *(*_of_motion(record, trace), *_of_actuation(record, trace)),
+    )
 
 
 def _of_columns(record: Record) -> Iterator[Fault]:
     """Columns that have one unit in their name, and are read in another of the same measure."""
     for name, unit in record.columns.values():
-        own = header_unit(name)
+        own = header_unit(own_name(name))
         if own and measure(own) == measure(unit) and not same_unit(own, unit):
             yield Fault(
                 "column unit",

@@ -40,9 +40,10 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
     facts = {
         "file": record.path.name,
         "columns": columns,
+        **{f"{role} is made of": text for role, text in record.derived.items()},
         **({"columns not used": others} if others else {}),
         "samples": f"{trace.samples} over {trace.time[-1] - trace.time[0]:.6g} s",
-        "rate": f"{record.rate:.6g} Hz, jitter {record.jitter:.2%} of a step",
+        "rate": record.clock.words(),
         "displacement": f"{x.min():.4g} to {x.max():.4g} in",
         "velocity": f"{trace.velocity.min():.4g} to {trace.velocity.max():.4g} in/s",
         "turning points": f"{turns} ({turns / 2:g} cycles)",
@@ -93,7 +94,7 @@ def _energy_facts(energy: Array, strong: NDArray[np.bool_]) -> dict[str, str]:
     return {
         name: (
             f"{energy[kept].mean():.4g} kip·in (mean of {np.count_nonzero(kept)} {which}, "
-            f"{energy[kept].min():.4g} to {energy[kept].max():.4g})"
+            f"{energy[kept].min():.4g} to {energy[kept].max():.4g} kip·in)"
         )
         for name, (kept, which) in named.items()
         if kept.any()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -13,21 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.clock import (
+    JITTER,
+    SAMPLES,
+    Clock,
+    check_increasing,
+    clock_of,
+    longest_piece,
+)
 from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
-from mfd_bayes.records.readers import Table, read_table
+from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.resampling import decimate, default_rate
-from mfd_bayes.records.roles import ROLES, check_once, roles_of, unit_of
-from mfd_bayes.records.trace import Trace, check_size
-from mfd_bayes.units import ActuationUnit, actuation_factor, factor, parse_actuation, parse_window
+from mfd_bayes.records.roles import ROLES
+from mfd_bayes.records.signals import in_words, signals_of, sources_of, unused_of
+from mfd_bayes.records.sources import Source
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.units import ActuationUnit, parse_actuation, parse_window
 
 Window = tuple[float, float]
 
-SAMPLES = 20  # fewest samples that a record, or a window of it, may have
-GAP = 10.0  # a step longer than this many median steps is a gap in time
-SHORTEST = 1e-9  # shortest step in time that is accepted, s
 STILL = 1e-9  # a peak-to-peak displacement of at most this, in, is no motion
-JITTER = 0.01  # above this jitter, in steps, samples are interpolated onto a uniform grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +53,15 @@ class Record:
     actuation : float or (T,), ksi (pressure) or kip (tension), or None
     actuation_unit : "ksi", "kip" or None
     columns : dict
-        Role to the column's name and unit in the file.
+        Role to the column's name and unit in the file; of a derived one, a unit of its role.
     other_columns : tuple of str
         Names of the file's columns that have no role.
-    rate : float, Hz
-        Sampling rate: (T - 1) over the duration, which rounded time stamps do not change; one
-        over the median step where `jitter` is above `JITTER`.
-    jitter : float
-        Largest distance of a sample from a uniform grid between the ends, in steps.
+    clock : Clock
+        Its rate, and how even that is.
+    derived : dict
+        Role to what it is made of, in words, where it is more than a column.
+    gap : str
+        Which piece of the file this is, where time has a gap.
     fit : (float, float), s, or None
         Window that `trace` takes by default.
     """
@@ -69,9 +76,20 @@ class Record:
     actuation_unit: ActuationUnit | None
     columns: dict[str, tuple[str, str]]
     other_columns: tuple[str, ...]
-    rate: float
-    jitter: float
+    clock: Clock
+    derived: dict[str, str] = field(default_factory=dict)
+    gap: str = ""
     fit: Window | None = None
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate, Hz."""
+        return self.clock.rate
+
+    @property
+    def jitter(self) -> float:
+        """Largest distance of a sample from a uniform grid between the ends, in steps."""
+        return self.clock.jitter
 
     @cached_property
     def turning_points(self) -> int:
@@ -150,7 +168,7 @@ class Record:
 
 def read_record(
     path: str | Path,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str | int | Source] | None = None,
     units: Mapping[str, str] | None = None,
     actuation: str | None = None,
     *,
@@ -162,8 +180,9 @@ def read_record(
     ----------
     path : str or Path
     columns : mapping, optional
-        Role (`ROLES`) to column name. Where it names neither time nor displacement, the other
-        roles are taken from headers such as ``time_s`` or ``displacement_in``.
+        Role (`ROLES`) to a column's name, its number from 1, or a `Source`. Where it gives neither
+        time nor displacement, the other roles are taken from headers such as ``time_s`` or
+        ``displacement_in``.
     units : mapping, optional
         Role to unit. By default the unit is read from the column's name, behind its last
         underscore or in brackets, or else from the file's row of units.
@@ -181,14 +200,17 @@ def read_record(
     """
     path = Path(path)
     table = read_table(path)
-    roles = roles_of(table, columns or {}, units or {}, actuation=actuation)
-    named = {role: (name, unit_of(table, role, name, units or {})) for role, name in roles.items()}
-    signals, unit = _signals_of(table, named)
-    check_once(table, roles)
+    sources = sources_of(table, columns or {}, units or {}, actuation)
+    signals, named, unit = signals_of(table, sources)
+    check_increasing(path, signals["time"], table.place)
+    window = parse_window(fit) if isinstance(fit, str) else fit
+    piece, gap = longest_piece(signals["time"], table.place, window)
+    if piece.stop - piece.start < SAMPLES:
+        raise RecordError(f"{gap}: fewer than the {SAMPLES} samples that are needed in {path}")
+    signals = {role: signal[piece] for role, signal in signals.items()}
     level: float | Array | None = signals.get("actuation")
     if actuation is not None:
         level, unit = parse_actuation(actuation, of=f"the actuation of {path}")
-    rate, jitter = _check_time(table, signals["time"])
     record = Record(
         path=path,
         sha256=hash_file(path),
@@ -199,67 +221,14 @@ def read_record(
         actuation=level,
         actuation_unit=unit,
         columns=named,
-        other_columns=tuple(name for name in table.names if name not in roles.values()),
-        rate=rate,
-        jitter=jitter,
-        fit=parse_window(fit) if isinstance(fit, str) else fit,
+        other_columns=unused_of(table, sources),
+        clock=clock_of(signals["time"]),
+        derived=in_words(sources),
+        gap=gap,
+        fit=window,
     )
     _check_motion(record)
     return record
-
-
-def _signals_of(
-    table: Table, named: Mapping[str, tuple[str, str]]
-) -> tuple[dict[str, Array], ActuationUnit | None]:
-    """Role to signal in internal units, and the internal unit of a measured actuation."""
-    values = table.columns(list(dict.fromkeys(name for name, _ in named.values())))
-    signals: dict[str, Array] = {}
-    internal: ActuationUnit | None = None
-    for role, (name, unit) in named.items():
-        of = f"column {name!r} of {table.path}"
-        if role == "actuation":
-            scale, internal = actuation_factor(unit, of=of)
-        else:
-            scale = factor(unit, role, of=of)
-        with np.errstate(over="ignore"):  # check_magnitude refuses infinity
-            signals[role] = values[name] * scale
-        check_size(of, role, signals[role])
-    if "actuation" in signals:
-        if np.mean(signals["actuation"]) < 0:
-            raise RecordError(f"the actuation of {table.path} is negative on average")
-        # Single samples below zero are the sensor's noise.
-        signals["actuation"] = np.maximum(signals["actuation"], 0.0)
-    for signal in signals.values():
-        signal.flags.writeable = False
-    return signals, internal
-
-
-def _check_time(table: Table, time: Array) -> tuple[float, float]:
-    """Sampling rate, Hz, and jitter, in steps; refuses a time that stands still or has a gap."""
-    if time.size < SAMPLES:
-        raise RecordError(f"{table.path} has {time.size} samples; at least {SAMPLES} are needed")
-    steps = np.diff(time)
-    if not np.all(steps > 0):
-        row = int(np.argmax(steps <= 0)) + 1
-        raise RecordError(
-            f"time in {table.path} does not increase at {table.place(row)}: "
-            f"{time[row]:g} s after {time[row - 1]:g} s"
-        )
-    shortest, longest, median = int(np.argmin(steps)), int(np.argmax(steps)), np.median(steps)
-    if steps[shortest] < SHORTEST:
-        raise RecordError(
-            f"time in {table.path} increases by {steps[shortest]:.2g} s at "
-            f"{table.place(shortest + 1)}; expected {SHORTEST:g} s or more"
-        )
-    if steps[longest] > GAP * median:
-        raise RecordError(
-            f"time in {table.path} has a gap of {steps[longest]:.4g} s before "
-            f"{table.place(longest + 1)}, after {time[longest]:g} s; the median step is "
-            f"{median:.4g} s"
-        )
-    step = float(time[-1] - time[0]) / (time.size - 1)
-    jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
-    return 1 / (float(median) if jitter > JITTER else step), jitter
 
 
 def _check_motion(record: Record) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table
+from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.units import measure, same_unit
 
 ROLES = ("time", "displacement", "force", "velocity", "actuation")
@@ -29,14 +30,15 @@ def header_unit(name: str) -> str | None:
 
 def roles_of(
     table: Table,
-    columns: Mapping[str, str],
+    columns: Mapping[str, str | int],
     units: Mapping[str, str],
     *,
     actuation: str | None = None,
 ) -> dict[str, str]:
     """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
 
-    A column for the actuation is looked for only where `actuation`, a constant, is not given.
+    A column is given by its name, or by its number from 1. One for the actuation is looked for
+    only where `actuation`, a constant, is not given.
 
     Raises
     ------
@@ -47,13 +49,18 @@ def roles_of(
     for role in (*columns, *units):
         if role not in ROLES:
             raise RecordError(f"unknown role {role!r} of a column; expected {', '.join(ROLES)}")
-    roles = dict(columns)
+    roles = {role: table.name_of(column) for role, column in columns.items()}
     if not {"time", "displacement"} & columns.keys():
         wanted = [r for r in ROLES if r not in roles and (r != "actuation" or actuation is None)]
         roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
     missing = [role for role in ("time", "displacement") if role not in roles]
+    if missing and not table.headed:
+        raise RecordError(
+            f"{table.path} has no names, only {', '.join(table.names[:20])}: say in a campaign "
+            'which is which, as time = { column = 1, unit = "ms" }; mfd-bayes init guesses it'
+        )
     if missing:
         raise RecordError(
             f"no column for {missing[0]} in {table.path}: name one, or call it "
@@ -87,7 +94,7 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
     """
     if given := units.get(role):
         return given
-    ours, theirs = header_unit(name), table.units.get(name)
+    ours, theirs = header_unit(own_name(name)), table.units.get(name)
     if theirs is None:
         if ours is None:
             raise RecordError(
@@ -107,9 +114,10 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
 def _guess(table: Table, role: str) -> str | None:
     """Name of the column that is called like the role, with or without a unit."""
     pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
-    found = [name for name in table.names if pattern.fullmatch(name)]
+    found = [name for name in table.names if pattern.fullmatch(own_name(name))]
     if len(found) > 1:
         raise RecordError(
-            f"{table.path} has several columns for {role}, {', '.join(found)}; say which"
+            f"{table.path} has several columns for {role}, {', '.join(found)}; say which, as "
+            f"{role} = {{ column = {table.number_of(found[0])} }}"
         )
     return found[0] if found else None

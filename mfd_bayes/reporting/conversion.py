@@ -21,7 +21,7 @@ from mfd_bayes.assessment.views import (
     TruthRow,
 )
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import SI, US, System
+from mfd_bayes.runs.systems import US, System, systems_for
 from mfd_bayes.runs.tested import Span
 
 _FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value")
@@ -33,7 +33,7 @@ AnyRow = TypeVar("AnyRow", Row, DerivedRow, ReadingRow, TruthRow, DesignRow)
 
 def shown_in(view: CampaignView) -> System:
     """System of units of the figures of a report: the campaign's own."""
-    return SI if view.metric else US
+    return systems_for(small=view.small)[view.metric]
 
 
 def in_system(view: CampaignView, system: System) -> CampaignView:
@@ -41,7 +41,7 @@ def in_system(view: CampaignView, system: System) -> CampaignView:
 
     Texts of checks stay as they are, and scores too: the page shows scores in both systems.
     """
-    if system is US:
+    if system == US:
         return view
     unit = view.actuation_unit
     return replace(
@@ -54,9 +54,27 @@ def in_system(view: CampaignView, system: System) -> CampaignView:
     )
 
 
+def in_words(view: CampaignView) -> CampaignView:
+    """A report whose sentences give their figures in the units of the campaign."""
+    system = shown_in(view)
+    if system == US:
+        return view
+    say = system.reworded
+    return replace(
+        view,
+        sentence=say(view.sentence),
+        remarks=tuple(map(say, view.remarks)),
+        checks=tuple(replace(check, target=say(check.target)) for check in view.checks),
+        warnings=tuple(replace(f, sentence=say(f.sentence)) for f in view.warnings),
+        judgements=tuple(
+            replace(j, sentence=say(j.sentence), notes=say(j.notes)) for j in view.judgements
+        ),
+    )
+
+
 def in_tables(view: CampaignView, system: System) -> CampaignView:
     """What tables show of a report, in the units of a system: rows, scores, ranges; no traces."""
-    if system is US:
+    if system == US:
         return view
     unit, force = view.actuation_unit, system.factor("kip")
     tests = tuple(
@@ -81,7 +99,7 @@ def in_tables(view: CampaignView, system: System) -> CampaignView:
 
 def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:
     """A test in the units of a system; `actuation_unit` is the internal one."""
-    if system is US:
+    if system == US:
         return test
     length, force = system.factor("in"), system.factor("kip")
     units = {marginal.name: marginal.unit for marginal in test.marginals}

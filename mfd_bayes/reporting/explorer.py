@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from mfd_bayes.assessment.views import Array, CampaignView, TestView
 from mfd_bayes.reporting.colours import BANDS, DATA, SKY
-from mfd_bayes.runs.systems import SYSTEMS
+from mfd_bayes.runs.systems import System, systems_for
 
 SAMPLES = 1500
 """Most samples of a test in the plot: a screen cannot show more."""
@@ -45,12 +46,13 @@ def explore(view: CampaignView) -> Explorer:
 
     library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
     most = max(FEWEST, min(SAMPLES, ALL // max(1, len(view.tests))))
+    systems = systems_for(small=view.small)
     data = {
         "systems": {
             s.name: {"length": s.length, "force": s.force, "by": [s.factor("in"), s.factor("kip")]}
-            for s in SYSTEMS
+            for s in systems
         },
-        "tests": [_packed(test, view.actuation_unit, most) for test in view.tests],
+        "tests": [_packed(test, view.actuation_unit, most, systems) for test in view.tests],
     }
     return Explorer(_inline(library), _renumbered(_json(json_item(_layout()))), _json(data))
 
@@ -73,7 +75,9 @@ def _renumbered(item: str) -> str:
     )
 
 
-def _packed(test: TestView, actuation_unit: str, most: int) -> dict[str, Any]:
+def _packed(
+    test: TestView, actuation_unit: str, most: int, systems: Sequence[System]
+) -> dict[str, Any]:
     trace, fan = test.trace, test.observation
     widest = max(fan.intervals, key=lambda interval: interval.probability)
     force = np.full(trace.samples, np.nan) if trace.force is None else trace.force
@@ -82,7 +86,7 @@ def _packed(test: TestView, actuation_unit: str, most: int) -> dict[str, Any]:
     stage = np.zeros(trace.samples) if test.stage is None else test.stage
     packed = {name: _float32(a[at]) for name, a in zip(_COLUMNS, arrays, strict=True)}
     return {
-        "name": {s.name: f"{test.id}, {s.actuation(trace, actuation_unit)}" for s in SYSTEMS},
+        "name": {s.name: f"{test.id}, {s.actuation(trace, actuation_unit)}" for s in systems},
         "fitted": test.role != "validate",
         "stage": "".join(str(int(number)) for number in stage[at]),
         **packed,

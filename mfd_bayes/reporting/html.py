@@ -36,7 +36,10 @@ from mfd_bayes.reporting.digest import (
 from mfd_bayes.reporting.explorer import explore
 from mfd_bayes.reporting.figure_data import table_of
 from mfd_bayes.reporting.glossary import read_glossary
-from mfd_bayes.runs.systems import SI, SYSTEMS
+from mfd_bayes.runs.systems import System, systems_for
+
+Pair = tuple[System, System]
+"""Customary and metric system of units."""
 
 ONE_PAGE = 12
 """A report of more tests has a page for each."""
@@ -75,7 +78,7 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
         a picture that is not given is left out.
     """
     whole = len(view.tests) <= ONE_PAGE
-    environment, shared = _environment(), _shared(view)
+    environment, shared = _environment(systems_for(small=view.small)), _shared(view)
     explorer = explore(view) if view.tests else None
     shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}
     pages = {
@@ -169,7 +172,7 @@ def _policy(*scripts: str) -> str:
     )
 
 
-def _environment() -> Environment:
+def _environment(systems: Pair) -> Environment:
     environment = Environment(
         loader=PackageLoader("mfd_bayes.reporting"),
         autoescape=True,
@@ -185,9 +188,9 @@ def _environment() -> Environment:
         "symbol": symbols.in_html,
         "meaning": symbols.meaning,
         "unit": symbols.unit_text,
-        "both": _both,
-        "units": _both_units,
-        "actuation": _both_actuations,
+        "both": partial(_both, systems),
+        "units": partial(_both_units, systems),
+        "actuation": partial(_both_actuations, systems),
         "peak_of": lambda test, signal: float(np.max(np.abs(getattr(test.trace, signal)))),
         "duration": lambda test: float(test.trace.time[-1] - test.trace.time[0]),
     }
@@ -214,23 +217,23 @@ def _picture(key: str, png: bytes, *, embedded: bool) -> Picture:
     return Picture(name, width, height, name, quote(table.rpartition("/")[2]))
 
 
-def _both(value: float, unit: str, digits: int = 4) -> Markup:
+def _both(systems: Pair, value: float, unit: str, digits: int = 4) -> Markup:
     """A number in both systems of units; the page shows the one that the reader chose."""
-    if not math.isfinite(value) or SI.factor(unit) == 1.0:
+    if not math.isfinite(value) or systems[1].unit(unit) == unit:
         return escape(symbols.number(value, digits))
-    return _either(*(symbols.number(value * s.factor(unit), digits) for s in SYSTEMS))
+    return _either(*(symbols.number(value * s.factor(unit), digits) for s in systems))
 
 
-def _both_units(unit: str) -> Markup:
+def _both_units(systems: Pair, unit: str) -> Markup:
     """A unit in both systems."""
-    if SI.unit(unit) == unit:
+    if systems[1].unit(unit) == unit:
         return escape(symbols.unit_text(unit))
-    return _either(*(symbols.unit_text(s.unit(unit)) for s in SYSTEMS))
+    return _either(*(symbols.unit_text(s.unit(unit)) for s in systems))
 
 
-def _both_actuations(test: TestView, unit: str) -> Markup:
+def _both_actuations(systems: Pair, test: TestView, unit: str) -> Markup:
     """A test's actuation in both systems."""
-    return _either(*(s.actuation(test.trace, unit) for s in SYSTEMS))
+    return _either(*(s.actuation(test.trace, unit) for s in systems))
 
 
 def _either(us: str, si: str) -> Markup:

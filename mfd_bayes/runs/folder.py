@@ -123,7 +123,13 @@ _TABLES = (
 )
 
 
-_OUTPUTS = (POPULATION, *_TABLES, "report.html", "report.pdf", CAMPAIGN, PRIORS)
+def draws_as(form: str) -> str:
+    """Name of the table of all draws in a run folder, as "csv" or "parquet"."""
+    return f"draws.{form}"
+
+
+_DRAWS = tuple(map(draws_as, ("csv", "parquet")))
+_OUTPUTS = (POPULATION, *_TABLES, *_DRAWS, "report.html", "report.pdf", CAMPAIGN, PRIORS)
 
 
 DISCARDED = f".{MANIFEST}.discarded"

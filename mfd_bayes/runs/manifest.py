@@ -57,6 +57,8 @@ class Entry(Part):
     """Sampling rate of the record, Hz."""
     unit: str = "in"
     """The record's unit of displacement."""
+    derived: Mapping[str, str] = Field(default_factory=dict)
+    """Role to what the signal was made of, in words, where it is more than a column."""
     seconds: Figure = 0.0
     error: str = ""
 

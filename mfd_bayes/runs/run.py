@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
@@ -32,9 +33,10 @@ from mfd_bayes.runs.folder import (
 )
 from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.systems import System, system_of
+from mfd_bayes.runs.systems import System, is_small, sized, system_of
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Use
+from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
 
 Array = NDArray[np.float64]
@@ -57,6 +59,13 @@ class Run:
     priors: PriorFile
     tests: Mapping[str, TestResult]
     held_out: Mapping[str, Trace]
+    extras: Extras | None = field(default=None, repr=False)
+
+    def _repr_html_(self) -> str:
+        judged = self.manifest.verdicts
+        rows = ((name, judged.get(name, "")) for name in self.tests)
+        title = f"{self.manifest.title}: {counted(len(self.tests), 'calibrated test')}"
+        return grid(title, ("test", "may be used"), rows, judged.get("sentence", ""))
 
     @cached_property
     def population(self) -> Population:
@@ -90,10 +99,12 @@ class Run:
         """The unit of actuation, "ksi" or "kip"."""
         return self.manifest.settings.actuation_unit
 
-    @property
+    @cached_property
     def system(self) -> System:
-        """System of units that most records were measured in."""
-        return system_of(entry.unit for entry in self.manifest.tests.values())
+        """System of units that most records were measured in, of the size of their forces."""
+        traces = [*(test.trace for test in self.tests.values()), *self.held_out.values()]
+        small = is_small(float(np.max(np.abs(t.force))) for t in traces if t.force is not None)
+        return sized(system_of(entry.unit for entry in self.manifest.tests.values()), small=small)
 
     @cached_property
     def tested(self) -> tuple[Span, ...]:
@@ -173,7 +184,7 @@ class Run:
             band = predictor.repeat(trace, forecast, own)
         else:
             band = predictor.predict(trace, forecast)
-        band = replace(band, remarks=self._remarks(trace, test))
+        band = replace(band, remarks=self._remarks(trace, test), extras=self.extras)
         return self._recalibrated(band, scores) if recalibrate else band
 
     def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:

@@ -1,4 +1,4 @@
-"""The two systems of units that reports and sentences are written in."""
+"""The systems of units that reports and sentences are written in."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from functools import cache
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import convert, factor
+from mfd_bayes.units import convert, factor, in_digits
 
-_METRIC = {"kip": "kN", "in": "mm", "ksi": "MPa"}
 _TOKEN = re.compile(r"[A-Za-z]+")
+
+SMALL = 0.2
+"""Devices whose largest force, kip, is below this are shown in lbf or N."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,8 @@ class System:
 
     def unit(self, internal: str) -> str:
         """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
-        if self.name == "us":
-            return internal
-        return _TOKEN.sub(lambda word: _METRIC.get(word[0], word[0]), internal)
+        own = {"kip": self.force, "in": self.length, "ksi": self.pressure}
+        return _TOKEN.sub(lambda word: own.get(word[0], word[0]), internal)
 
     def factor(self, internal: str) -> float:
         """Factor from an internal unit to this system's."""
@@ -55,13 +56,74 @@ class System:
         by, unit = self.factor(internal), self.unit(internal)
         if actuation and self.name == "us":
             by, unit = 1000.0, "psi" if internal == "ksi" else "lbf"
-        shown = dict.fromkeys(f"{value * by:.{digits}g}" for value in values)
+        shown = dict.fromkeys(in_digits(value * by, digits) for value in values)
         return f"{' to '.join(shown)} {unit}"
+
+    def reworded(self, text: str) -> str:
+        """Text with its quantities in internal units given in this system: "0.2 to 0.3 kip".
+
+        What stands in quotation marks, or without a blank between number and unit, stays.
+        """
+        if self == US:
+            return text
+        return _QUANTITY.sub(self._reworded, _OBSERVED.sub(self._observed, text))
+
+    def _observed(self, match: re.Match[str]) -> str:
+        """A figure that a check names with its unit before both values."""
+        unit = match["unit"].replace("·", "*")
+        seen, expected = (_times(match[name], self.factor(unit)) for name in ("seen", "expected"))
+        shown = self.unit(unit).replace("*", "·")
+        return f", {shown} (observed {seen}, expected {expected}"
+
+    def _reworded(self, match: re.Match[str]) -> str:
+        unit = match["unit"].replace("·", "*")
+        by = self.factor(unit)
+        values = _NUMBER.sub(lambda number: _times(number[0], by), match["values"])
+        return f"{values} {self.unit(unit).replace('*', (match['unit'].count('·') and '·') or '*')}"
+
+
+_NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+_ONE = _NUMBER.pattern
+# The preposition in: "3 in the middle"; and what goes on: "3 in/s", "in²".
+_QUANTITY = re.compile(
+    rf"(?<![\w.'])(?P<values>{_ONE}(?: to {_ONE})?(?: \({_ONE} to {_ONE}\)| \[{_ONE}, {_ONE}\])?) "
+    r"(?P<unit>kip[·*]in|kip\*s/in|kip/in|in/s|kip|ksi|in(?! (?:an?|the|all|each|one|its|their|"
+    r"every|which|this|that|them|\d)\b))(?![\w/*·^²'])"
+)
+
+_OBSERVED = re.compile(
+    rf", (?P<unit>kip·in|kip|in) \(observed (?P<seen>{_ONE}), expected (?P<expected>{_ONE})"
+)
+
+
+def _times(number: str, by: float) -> str:
+    """A number times a factor, with as many digits as it has, at least three."""
+    digits = max(3, len(re.sub(r"e.*$|\D", "", number).lstrip("0")))
+    sign = "+" if number.startswith("+") else ""
+    return f"{sign}{in_digits(float(number) * by, digits)}"
 
 
 US = System("us", "kip and in", "in", "kip", "ksi")
 SI = System("si", "kN and mm", "mm", "kN", "MPa")
+US_SMALL = System("us", "lbf and in", "in", "lbf", "psi")
+SI_SMALL = System("si", "N and mm", "mm", "N", "MPa")
 SYSTEMS = (US, SI)
+SMALL_SYSTEMS = (US_SMALL, SI_SMALL)
+
+
+def systems_for(*, small: bool) -> tuple[System, System]:
+    """Customary and metric system for devices of small forces, or of others."""
+    return SMALL_SYSTEMS if small else SYSTEMS
+
+
+def is_small(forces: Iterable[float]) -> bool:
+    """Whether a device is shown in lbf or N, by the largest force of each record, kip."""
+    return 0.0 < max(forces, default=0.0) < SMALL
+
+
+def sized(system: System, *, small: bool) -> System:
+    """The system of the same name for devices of small forces, or of others."""
+    return next(one for one in systems_for(small=small) if one.name == system.name)
 
 
 def named_system(name: str, own: System) -> System:
@@ -72,7 +134,7 @@ def named_system(name: str, own: System) -> System:
     UnitError
         When the name is unknown.
     """
-    for system in SYSTEMS:
+    for system in systems_for(small=own in SMALL_SYSTEMS):
         if system.name == name:
             return system
     if name:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -97,6 +98,31 @@ def load_test(path: Path) -> StoredTest:
             trace=_trace_of(groups),
             facts=json.loads(posterior.attrs["facts"]),
         )
+
+
+def arviz_data(groups: Mapping[str, xr.Dataset]) -> Any:
+    """Groups as ArviZ's functions take them: InferenceData, or a DataTree from version 1 on."""
+    import xarray as xr
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # 0.23 announces version 1
+        import arviz as az
+    if hasattr(az, "InferenceData"):
+        return az.InferenceData(**groups)
+    return xr.DataTree.from_dict(dict(groups))
+
+
+def load_groups(path: Path) -> dict[str, xr.Dataset]:
+    """Every group of a file written by `save_test`.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing, damaged or of another program.
+    """
+    names = ("posterior", "sample_stats", "posterior_predictive", "observed_data", "constant_data")
+    with _reading(path):
+        return _read_groups(path, names)
 
 
 def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:

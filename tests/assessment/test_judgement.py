@@ -63,8 +63,8 @@ def test_the_verdict_of_a_run_with_a_swapped_sign_names_the_test_and_the_sign():
     assert use_of(judged, checks) == Use.NOT_USABLE
     sentence = verdict_sentence(Manifest, checks, judged)
     assert sentence.startswith(
-        "Something is wrong with 1 of 4 tests. t70lb: energy per cycle -5.31 kip·in where 0.299 is "
-        "expected: the force does negative work"
+        "Something is wrong with 1 of 4 tests. t70lb: energy per cycle -5.31 kip·in where 0.299 "
+        "kip·in is expected: the force does negative work"
     )
     assert "swapped" in sentence
     assert (
@@ -87,7 +87,9 @@ def test_the_worst_miss_stands_first_whatever_its_p_value():
     ]
     first, second = judge(["b", "a"], checks, [])
     assert first.subject == "a"
-    assert first.sentence.startswith("energy per cycle 5 kip·in where 5.9 is expected (18% off")
+    assert first.sentence.startswith(
+        "energy per cycle 5 kip·in where 5.9 kip·in is expected (18% off"
+    )
     assert "also peak force forward" in first.sentence
     assert first.doubt > second.doubt > 1.0
 

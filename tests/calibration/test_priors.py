@@ -265,9 +265,23 @@ def test_a_number_with_thousands_of_digits_is_refused(tmp_path):
         load_priors(str(path))
 
 
+STATED = '[scales]\nforce = "1.5 kip"\nlength = "0.25 in"\nspeed = "3 in/s"\n'
+
+
+def shipped(name, folder):
+    """A shipped prior file; the one of ratios with scales of a brake."""
+    if name != "any":
+        return load_priors(name)
+    text = (Path(__file__).parents[2] / "priors/any.toml").read_text(encoding="utf-8")
+    (folder / "own.toml").write_text(
+        text.replace("[parameters.sigma0]", f"{STATED}[parameters.sigma0]")
+    )
+    return load_priors("own.toml", folder)
+
+
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_priors_are_complete_and_say_why(name):
-    file = load_priors(name)
+def test_shipped_priors_are_complete_and_say_why(name, tmp_path):
+    file = shipped(name, tmp_path)
     assert file.title
     assert set(file.parameters) == set(sampled_quantities())
     for entries in (file.parameters, file.scatter):
@@ -278,9 +292,9 @@ def test_shipped_priors_are_complete_and_say_why(name):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_priors_put_static_friction_above_kinetic_by_construction(name):
+def test_shipped_priors_put_static_friction_above_kinetic_by_construction(name, tmp_path):
     for side in ("fwd", "bwd"):
-        prior = load_priors(name).parameters[f"static_excess_{side}"]
+        prior = shipped(name, tmp_path).parameters[f"static_excess_{side}"]
         assert prior.lower >= 0
         assert np.all(prior.draw(np.random.default_rng(0), 1000) >= 0)
 
@@ -299,3 +313,39 @@ def test_a_sentence_does_not_repeat_all_that_a_stranger_wrote(tmp_path, text):
     with pytest.raises(PriorError, match=r"own\.toml") as caught:
         load_priors("own.toml", tmp_path)
     assert len(str(caught.value)) <= 1001
+
+
+# --- multiples of a device's own scales
+
+
+def test_multiples_are_of_the_stated_scales(tmp_path):
+    priors = shipped("any", tmp_path).parameters
+    assert priors["Fc_fwd"].figures["median"] == pytest.approx(1.5)
+    assert priors["k3"].figures["median"] == pytest.approx(2 * 1.5 / 0.25)
+    assert priors["sigma2"].figures["median"] == pytest.approx(0.03 * 1.5 / 3)
+    assert priors["noise_time"].figures["median"] == pytest.approx(0.5 * 0.25 / 3)
+    assert priors["v_s"].figures["median"] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "mfd-bayes init campaign.toml"),
+        ('[scales]\nforce = "7 N"\n', "must hold force, length and speed"),
+        (STATED.replace("1.5 kip", "1.5 in"), "measures length"),
+        (STATED.replace("1.5 kip", "-1 kip"), "expected more than 0"),
+        (STATED.replace('"1.5 kip"', "7"), "a quantity such as '7 N', got 7"),
+    ],
+)
+def test_multiples_without_scales_are_refused(tmp_path, text, expected):
+    content = f'{text}[parameters.Fc_fwd]\nfamily = "lognormal"\nmedian = "1 force"\nspread = 1\n'
+    (tmp_path / "own.toml").write_text(content)
+    with pytest.raises(PriorError, match=expected):
+        load_priors("own.toml", tmp_path)
+
+
+def test_a_multiple_of_the_wrong_measure_is_refused(tmp_path):
+    text = f'{STATED}[parameters.Fc_fwd]\nfamily = "lognormal"\nmedian = "1 length"\nspread = 1\n'
+    (tmp_path / "own.toml").write_text(text)
+    with pytest.raises(PriorError, match="measures length"):
+        load_priors("own.toml", tmp_path)

@@ -10,11 +10,12 @@ import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps
+from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps, own_priors
 from mfd_bayes.campaign.draft.levels import levels_in
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, MfdError
+from mfd_bayes.records.sources import Source
 
 HEADER = "time_s,displacement_in,force_kip"
 
@@ -40,7 +41,10 @@ def draft_of(folder):
 
 def accepted(folder):
     """Campaign that is written for a folder, once a dry run has accepted it."""
-    (folder / "campaign.toml").write_text(campaign_text(draft_campaign(folder)), encoding="utf-8")
+    draft = draft_campaign(folder)
+    (folder / "campaign.toml").write_text(campaign_text(draft), encoding="utf-8")
+    if (priors := own_priors(draft)) is not None:
+        (folder / "priors.toml").write_text(priors, encoding="utf-8")
     words = ["calibrate", str(folder / "campaign.toml"), "-o", str(folder / "out"), "--dry-run"]
     outcome = CliRunner().invoke(app, words)
     assert outcome.exit_code == 0, outcome.output
@@ -124,7 +128,7 @@ def test_a_velocity_is_taken_where_it_is_the_slope_of_the_displacement(tmp_path)
 def test_a_matlab_file_is_looked_at_too(tmp_path):
     time, motion, force = signals().T
     savemat(tmp_path / "p500.mat", {"time_s": time, "disp_mm": 25.4 * motion, "force_kN": force})
-    assert accepted(tmp_path).tests[0].columns["displacement"] == ("disp_mm", "mm")
+    assert accepted(tmp_path).tests[0].columns["displacement"] == Source("disp_mm", "mm")
 
 
 # --- from numbers
@@ -402,7 +406,7 @@ def test_names_of_columns_are_text_too(tmp_path):
     header = 'time_s,"disp ""x"" (in)","force\' # = \t (kip)"'
     write(tmp_path / "500psi.csv", header)
     (test,) = accepted(tmp_path).tests
-    assert test.columns["displacement"] == ('disp "x" (in)', "in")
+    assert test.columns["displacement"] == Source('disp "x" (in)', "in")
 
 
 def test_a_name_that_is_not_utf8_is_left_out(tmp_path):

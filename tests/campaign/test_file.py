@@ -6,6 +6,7 @@ import pytest
 
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.records.sources import Source, Subtracted
 
 COLUMNS = """
 [columns]
@@ -94,9 +95,9 @@ def test_everything_can_be_said(folder):
     assert campaign.dependence == {"sigma0": ("velocity", "amplitude")}
     first, other = campaign.tests
     assert (first.session, other.session) == ("", "Monday")
-    assert first.columns["force"] == ("force_kip", "kip")
-    assert other.columns["force"] == ("pressure_psi", None)
-    assert other.columns["time"] == ("time_s", "s")
+    assert first.columns["force"] == Source("force_kip", "kip")
+    assert other.columns["force"] == Source("pressure_psi")
+    assert other.columns["time"] == Source("time_s", "s")
     assert (other.window, other.role) == ((1, 9), "validate")
     assert load(folder, "[campaign]\nrate = 50\n" + TEST).rate == 50
 
@@ -165,7 +166,7 @@ def test_unknown_keys_name_the_nearest(folder, text, expected):
         (TEST.replace("500 psi", "500 mm"), "measures length"),
         (TEST.replace("500 psi", "500"), "no unit"),
         (TEST.replace('"500 psi"', "500"), "valid string, got 500"),
-        (TEST.replace('"500 psi"', '{ unit = "psi" }'), "actuation.name is missing"),
+        (TEST.replace('"500 psi"', '{ unit = "psi" }'), "either by its name or, as column = 1"),
         (TEST.replace('"500 psi"', '{ name = "p" }'), "needs a unit"),
         (TEST.replace('"500 psi"', '{ name = "p", unit = "s" }'), "measures time"),
         (TEST + 'role = "validate"\n', "no test with role 'calibrate'"),
@@ -241,3 +242,31 @@ def test_what_is_said_of_a_strange_file_can_be_read(tmp_path):
     with pytest.raises(CampaignError, match=r"; and more$") as caught:
         load_campaign(path)
     assert len(str(caught.value)) < 5000
+
+
+def test_columns_by_number_and_what_is_taken_off_them(folder):
+    text = COLUMNS.replace('{ name = "time_s", unit = "s" }', '{ column = 1, unit = "s" }').replace(
+        '{ name = "force_kip", unit = "kip" }',
+        '{ column = 3, unit = "kip", minus = { column = 4, unit = "psi", times = "1 in^2" }, '
+        'minus_mass = "3 kg", tare = "0 s to 10 s" }',
+    )
+    test = load(folder, text + TEST).tests[0]
+    assert test.columns["time"] == Source(1, "s")
+    assert test.columns["force"] == Source(
+        3, "kip", Subtracted(4, "psi", "1 in^2"), minus_mass="3 kg", tare="0 s to 10 s"
+    )
+    assert abs(float(np.mean(test.read().force))) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("column", "expected"),
+    [
+        ('{ name = "f", column = 3 }', "either by its name or"),
+        ("{ column = 0 }", "greater than or equal to 1"),
+        ('{ name = "f", minos_mass = "3 kg" }', "did you mean 'minus_mass'?"),
+        ('{ name = "f", minus = { name = "p", time = "3 mm^2" } }', "did you mean 'times'?"),
+    ],
+)
+def test_columns_that_cannot_be_are_refused(folder, column, expected):
+    text = COLUMNS.replace('{ name = "force_kip", unit = "kip" }', column)
+    assert expected in refused(folder, text + TEST)

@@ -37,7 +37,7 @@ def test_a_prior_check_is_drawn_in_the_units_of_the_record(
     drawn = []
     draw = figures.draw_loops
     monkeypatch.setattr(figures, "draw_loops", lambda *a: drawn.append(a) or draw(*a))
-    ((name, share, picture),) = prior_check(tmp_path / "campaign.toml", tmp_path)
+    ((name, share, picture),) = prior_check(tmp_path / "campaign.toml", tmp_path).tests
     ((_, trace, (fan,), system),) = drawn
     assert (name, system.length, system.force) == ("a", length, force)
     assert trace.displacement.max() == pytest.approx(by[0], rel=1e-3)

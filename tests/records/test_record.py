@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import RecordError, UnitError
+from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.motion import turning_points
 from mfd_bayes.records.record import read_record
@@ -139,12 +140,41 @@ def test_time_that_does_not_increase_is_refused_with_its_line(tmp_path):
     assert "line 102" in refused(write(tmp_path, time_s=time, displacement_in=MOTION))
 
 
-def test_a_gap_in_time_is_refused_with_its_place_and_length(tmp_path):
+def test_of_a_time_with_a_gap_the_longest_piece_is_used_and_said(tmp_path):
     time = TIME + np.where(TIME > 3, 1.5, 0)
-    message = refused(write(tmp_path, time_s=time, displacement_in=MOTION))
-    assert "gap of 1.505 s" in message
-    assert "after 3 s" in message
-    assert "line 603" in message
+    record = read_record(write(tmp_path, time_s=time, displacement_in=MOTION))
+    assert (record.time[0], record.time[-1]) == (4.505, 11.5)
+    np.testing.assert_array_equal(record.displacement, MOTION[TIME > 3])
+    assert record.gap == (
+        "time has a gap of 1.505 s before line 603, after 3 s; the longest unbroken piece is used, "
+        "4.505 s to 11.5 s, 61% of the record"
+    )
+    assert contradictions(record)[0].name == "gap in time"
+    assert read_record(write(tmp_path)).gap == ""
+
+
+def test_of_a_time_with_gaps_the_piece_inside_the_window_is_used(tmp_path):
+    time = TIME + np.where(TIME > 6, 1.5, 0) + np.where(TIME > 9, 4.0, 0)
+    path = write(tmp_path, time_s=time, displacement_in=MOTION)
+    assert read_record(path).time[-1] == 6.0
+    assert "2 gaps, the longest of 4.005 s" in read_record(path).gap
+    inside = read_record(path, fit="7 s to 10.5 s")
+    assert (inside.time[0], inside.time[-1]) == (7.505, 10.5)
+
+
+def test_a_record_of_short_pieces_alone_is_refused(tmp_path):
+    time = np.arange(300) // 10 * 5.0 + np.arange(300) % 10 * 0.01
+    path = write(tmp_path, time_s=time, displacement_in=np.sin(time))
+    assert "fewer than the 20 samples" in refused(path)
+
+
+def test_pauses_of_a_logger_are_said_in_words(tmp_path):
+    time = TIME + 0.02 * np.cumsum(np.arange(TIME.size) % 400 == 399)
+    record = read_record(write(tmp_path, time_s=time, displacement_in=MOTION))
+    assert "the logger pauses" in record.clock.words()
+    assert "for up to 0.025 s" in record.clock.words()
+    even = read_record(write(tmp_path)).clock.words()
+    assert even == "200 Hz, jitter 0.00% of a step"
 
 
 def test_constant_displacement_is_refused(tmp_path):

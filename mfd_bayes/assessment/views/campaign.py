@@ -112,6 +112,8 @@ class CampaignView:
         What records and results gave cause to warn of.
     metric : bool
         Whether the records, and so the report, are in metric units.
+    small : bool
+        Whether forces are small, so that the report is in lbf or N.
     tested : tuple of Span
         Smallest and largest stroke, speed, frequency and actuation of the calibrated tests.
     """
@@ -137,4 +139,5 @@ class CampaignView:
     judgements: tuple[Judgement, ...] = ()
     warnings: tuple[Finding, ...] = ()
     metric: bool = False
+    small: bool = False
     tested: tuple[Span, ...] = ()

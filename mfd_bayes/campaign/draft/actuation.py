@@ -123,7 +123,7 @@ def _measured(
     mean = float(np.mean(values))
     if np.std(values) <= CONSTANT * mean:
         return f"{mean:.4g} {column.unit}", column.doubts
-    return Guess(column.name, column.unit), column.doubts
+    return replace(column, doubts=()), column.doubts
 
 
 def _agrees(measured: str | Guess, one: Candidate, level: Level) -> bool:

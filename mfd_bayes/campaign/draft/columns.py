@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.campaign.draft.shapes import by_loop, roughness
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.faults import seems_milliseconds
 from mfd_bayes.records.motion import HYSTERESIS, turning_points
 from mfd_bayes.records.readers import Table
+from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.trace import check_magnitude
 from mfd_bayes.units import factor
 
@@ -67,6 +69,8 @@ class Guess:
     unit: str | None
     doubts: tuple[str, ...] = ()
     """What is not certain, with the alternatives."""
+    number: int | None = None
+    """Number of a column, from 1, that has no name of its own; None of others."""
 
 
 def guess_columns(table: Table) -> dict[str, Guess]:
@@ -86,13 +90,22 @@ def guess_columns(table: Table) -> dict[str, Guess]:
     if missing:
         found |= _by_numbers(table, missing, taken)
     found = {role: _with_unit(table, role, guess, found) for role, guess in found.items()}
-    return _checked_velocity(table, found)
+    found = _checked_velocity(table, found)
+    return {role: _numbered(table, guess) for role, guess in found.items()}
+
+
+def _numbered(table: Table, guess: Guess) -> Guess:
+    """Guess with the column's number where it has no name of its own."""
+    if own_name(guess.name) == guess.name:
+        return guess
+    return replace(guess, number=table.number_of(guess.name))
 
 
 def unit_of(table: Table, name: str, role: str) -> str | None:
     """Unit of a column for a role, from its name or the file's row of units; None if unknown."""
-    candidates = [m[1] for m in (p.search(name) for p in (_BRACKETS, _SUFFIX, _BEHIND)) if m]
-    candidates += [table.units.get(name, ""), name.strip()]
+    own = own_name(name)
+    candidates = [m[1] for m in (p.search(own) for p in (_BRACKETS, _SUFFIX, _BEHIND)) if m]
+    candidates += [table.units.get(name, ""), own.strip()]
     for text in candidates:
         for unit in (text.replace("_per_", "/"), text.lower().replace("_per_", "/")):
             if any(_measures(unit, kind) for kind in _KINDS[role]):
@@ -142,7 +155,8 @@ def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
 
 def _score(table: Table, name: str, role: str) -> float:
     """Score of a column's name and unit for a role; 0 where it cannot have the role."""
-    words = re.findall(r"[a-z]+", _CAMEL.sub(" ", _BRACKETS.sub("", name)).lower())
+    plain = _BRACKETS.sub("", own_name(name))
+    words = re.findall(r"[a-z]+", _CAMEL.sub(" ", plain).lower())
     own = max((_WORDS[role].get(word, 0) for word in words), default=0)
     others = [known.get(w, 0) for r, known in _WORDS.items() if r != role for w in words]
     other = max(others, default=0)
@@ -160,7 +174,7 @@ def _score(table: Table, name: str, role: str) -> float:
 
 def _measures_else(table: Table, name: str, role: str) -> bool:
     """Whether the unit of a column is that of another role."""
-    match = _BRACKETS.search(name)
+    match = _BRACKETS.search(own_name(name))
     stated = match[1] if match else table.units.get(name, "")
     return bool(stated) and any(
         _measures(stated, kind) for r, kinds in _KINDS.items() if r != role for kind in kinds
@@ -168,7 +182,7 @@ def _measures_else(table: Table, name: str, role: str) -> bool:
 
 
 def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, Guess]:
-    """Time: the column that increases steadily; displacement: the smoothest other; then force."""
+    """Time: the column that increases steadily; then the pair that looks most like a loop."""
     columns = {
         name: values
         for name in table.names
@@ -178,13 +192,16 @@ def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, G
     found: dict[str, Guess] = {}
     if "time" in missing:
         steady = [name for name, values in columns.items() if _steady(values)]
+        steady.sort(key=lambda name: bool(np.ptp(np.diff(columns[name])) == 0.0))  # a counter last
         if steady:
             found["time"] = _guessed("time", steady)
             del columns[steady[0]]
     moving = sorted(
         (name for name, v in columns.items() if np.ptp(v) > 0 and not _steady(v)),
-        key=lambda name: _roughness(columns[name]),
+        key=lambda name: roughness(columns[name]),
     )
+    if {"displacement", "force"} <= missing:
+        moving = by_loop({name: columns[name] for name in moving})
     for role in ("displacement", "force"):
         if role in missing and moving:
             found[role] = _guessed(role, moving)
@@ -200,11 +217,6 @@ def _guessed(role: str, names: list[str]) -> Guess:
 def _steady(values: Array) -> bool:
     steps = np.diff(values)
     return bool(np.all(steps > 0) and steps.max() < 20 * np.median(steps))
-
-
-def _roughness(values: Array) -> float:
-    """Squared second differences over squared first ones: small where a signal is smooth."""
-    return float(np.sum(np.diff(values, 2) ** 2) / np.sum(np.diff(values) ** 2))
 
 
 def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]) -> Guess:

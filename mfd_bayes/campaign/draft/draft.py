@@ -19,7 +19,8 @@ from mfd_bayes.campaign.draft.levels import level_in_header, levels_in
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
-from mfd_bayes.records.record import read_record
+from mfd_bayes.records.record import Record, read_record
+from mfd_bayes.records.scales import Scales, scales_of
 from mfd_bayes.units import ActuationUnit
 
 _ESSENTIAL = ("time", "displacement", "force")
@@ -50,6 +51,8 @@ class TestDraft:
     """What is not certain about the actuation, and what contradicts the file's name."""
     earthquake: bool
     """Whether the file's name is that of an earthquake."""
+    scales: Scales | None = None
+    """What its loops show; None where a unit is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,12 @@ class Draft:
     """Files that are not tests of the campaign, and why."""
     unit: ActuationUnit | None
     """"ksi" where actuations are pressures, "kip" of tensions, None if unknown."""
+
+    @property
+    def scales(self) -> dict[str, Scales]:
+        """What the loops show, by file; empty where a unit of a test is unknown."""
+        found = {test.file: test.scales for test in self.tests if test.scales is not None}
+        return found if len(found) == len(self.tests) else {}
 
 
 def draft_campaign(folder: Path) -> Draft:
@@ -177,7 +186,14 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
         source=source,
         doubts=doubts,
         earthquake=_EARTHQUAKE.search(one.path.stem) is not None,
+        scales=_scales(record, roles),
     )
+
+
+def _scales(record: Record, roles: dict[str, Guess]) -> Scales | None:
+    """Scales of a record whose units are known."""
+    known = all(roles[role].unit is not None for role in _ESSENTIAL)
+    return scales_of(record.trace()) if known else None
 
 
 def _id(stem: str, taken: Sequence[str]) -> str:

@@ -25,7 +25,7 @@ _PRESSURE_UNIT = re.compile(rf"{_NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.I
 
 _HEADER_LINES = 40
 _HEADER_BYTES = 8192
-_TEXT_SUFFIXES = frozenset({".csv", ".txt", ".dat", ".tsv", ".asc"})
+_TEXT_SUFFIXES = frozenset({".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm"})
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ def commented(text: str) -> str:
     return f"# {shown}"
 
 
-def column(name: str, unit: str | None) -> str:
-    """TOML inline table of a column."""
+def column(name: str, unit: str | None, number: int | None = None) -> str:
+    """TOML inline table of a column, given by its number where it has one."""
     stated = "" if unit is None else f", unit = {quoted(unit)}"
-    return f"{{ name = {quoted(name)}{stated} }}"
+    given = f"name = {quoted(name)}" if number is None else f"column = {number}"
+    return f"{{ {given}{stated} }}"

@@ -7,7 +7,11 @@ from collections.abc import Iterable, Iterator
 
 from mfd_bayes.campaign.draft.columns import Guess
 from mfd_bayes.campaign.draft.draft import Draft, TestDraft
+from mfd_bayes.campaign.draft.priors import Units, knows, priors_text
 from mfd_bayes.campaign.draft.toml import column, commented, quoted
+
+OWN_PRIORS = "priors.toml"
+"""Name of the prior file that is written beside a campaign."""
 
 ROLES = ("time", "displacement", "force", "velocity")
 
@@ -32,7 +36,7 @@ Shared = dict[str, Guess]
 def campaign_text(draft: Draft) -> str:
     """Campaign file of a draft; valid TOML whatever the names of files and columns are."""
     shared = shared_columns(draft.tests)
-    name, why = _PRIORS[draft.unit]
+    name, why = priors_of(draft)
     title = draft.folder.resolve().name.encode("utf-8", "replace").decode()
     lines = [
         *("[campaign]", f"title = {quoted(title)}"),
@@ -47,11 +51,42 @@ def campaign_text(draft: Draft) -> str:
     return _HEAD + "\n" + "\n".join(lines) + "\n"
 
 
+def priors_of(draft: Draft) -> tuple[str, str]:
+    """Name of the priors of a draft, and why these.
+
+    Those of a shipped file where it knows such a device, else those that are read off the records.
+    """
+    name, why = _PRIORS[draft.unit]
+    if not draft.scales:
+        lacking = any(guess.unit is None for test in draft.tests for guess in test.columns.values())
+        if lacking:
+            return OWN_PRIORS, (
+                "FIXME: once the units are complete, write it by: mfd-bayes init campaign.toml"
+            )
+        return name, why
+    if knows(name, draft.scales):
+        return name, why
+    return OWN_PRIORS, "scales read off the records: no shipped file knows such a device"
+
+
+def own_priors(draft: Draft) -> str | None:
+    """Text of the prior file of a draft that needs one of its own, and whose units are known."""
+    if priors_of(draft)[0] != OWN_PRIORS or not draft.scales:
+        return None
+    columns = [test.columns for test in draft.tests]
+    units = Units(*(_usual(c[role].unit for c in columns) for role in ("force", "displacement")))
+    return priors_text(draft.scales, units)
+
+
+def _usual(units: Iterable[str | None]) -> str:
+    return Counter(unit for unit in units if unit is not None).most_common(1)[0][0]
+
+
 def doubts(draft: Draft) -> list[str]:
     """Sentences on what is not certain, each with the columns or tests that it is about."""
     shared = shared_columns(draft.tests)
     found = [("columns", doubt) for guess in shared.values() for doubt in guess.doubts]
-    if draft.unit is None:
+    if draft.unit is None and priors_of(draft)[0] != OWN_PRIORS:
         found.append(("priors", _PRIORS[None][1].removeprefix("unsure: ")))
     for test in draft.tests:
         own = [doubt for _, guess in _own_columns(test, shared) for doubt in guess.doubts]
@@ -95,10 +130,10 @@ def shared_columns(tests: Iterable[TestDraft]) -> Shared:
         guesses = [test.columns[role] for test in drafts if role in test.columns]
         if len(guesses) < len(drafts):
             continue
-        name, unit = Counter((g.name, g.unit) for g in guesses).most_common(1)[0][0]
-        alike = [g for g in guesses if (g.name, g.unit) == (name, unit)]
+        name, unit, number = Counter(map(_column_of, guesses)).most_common(1)[0][0]
+        alike = [g for g in guesses if _column_of(g) == (name, unit, number)]
         told = dict.fromkeys(doubt for g in alike for doubt in g.doubts)
-        shared[role] = Guess(name, unit, tuple(told))
+        shared[role] = Guess(name, unit, tuple(told), number)
     return shared
 
 
@@ -106,10 +141,12 @@ def _own_columns(test: TestDraft, shared: Shared) -> Iterator[tuple[str, Guess]]
     """Columns of a test that are not the shared ones."""
     for role in ROLES:
         guess, common = test.columns.get(role), shared.get(role)
-        if guess is not None and (
-            common is None or (guess.name, guess.unit) != (common.name, common.unit)
-        ):
+        if guess is not None and (common is None or _column_of(guess) != _column_of(common)):
             yield role, guess
+
+
+def _column_of(guess: Guess) -> tuple[str, str | None, int | None]:
+    return guess.name, guess.unit, guess.number
 
 
 def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
@@ -121,7 +158,7 @@ def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
     if test.actuation is None:
         yield commented(f"FIXME: {_no_actuation(test, draft)}")
     elif isinstance(test.actuation, Guess):
-        told = column(test.actuation.name, test.actuation.unit)
+        told = column(*_column_of(test.actuation))
         yield f"actuation = {told}  {commented('measured during the test')}"
     else:
         yield f"actuation = {quoted(test.actuation)}  {commented(test.source)}"
@@ -135,7 +172,7 @@ def _column_line(role: str, guess: Guess) -> str:
     remarks = [f"FIXME: {_no_unit(role)}"] if guess.unit is None else []
     remarks += [f"unsure: {doubt}" for doubt in guess.doubts]
     behind = f"  {commented('; '.join(remarks))}" if remarks else ""
-    return f"{role} = {column(guess.name, guess.unit)}{behind}"
+    return f"{role} = {column(*_column_of(guess))}{behind}"
 
 
 def _no_unit(role: str) -> str:

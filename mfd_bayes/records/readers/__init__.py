@@ -21,7 +21,7 @@ __all__ = ["SUFFIXES", "Table", "read_table"]
 
 FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
     {
-        **dict.fromkeys((".csv", ".txt", ".dat", ".tsv", ".asc"), read_text),
+        **dict.fromkeys((".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm"), read_text),
         ".xlsx": read_excel,
         ".tdms": read_tdms,
         ".json": read_json,

@@ -17,7 +17,14 @@ from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.archive import CELLS, check_archive, too_many_cells
 from mfd_bayes.records.readers.cells import is_number, missing_library, not_a_number, unreadable
-from mfd_bayes.records.readers.layout import SEARCHED, Layout, find_layout, units_of
+from mfd_bayes.records.readers.labels import labels
+from mfd_bayes.records.readers.layout import (
+    SEARCHED,
+    Layout,
+    find_layout,
+    find_numbers,
+    units_of,
+)
 from mfd_bayes.records.readers.table import Table
 
 Cells = tuple[Any, ...]
@@ -32,7 +39,7 @@ class _Sheet:
     path: Path
     number: int  # of the sheet, from 0
     title: str
-    columns: dict[str, int]  # name to number, from 1; the last where two have one name
+    columns: dict[str, int]  # name to number, from 1
     rows: list[tuple[int, Cells]]  # row number in the sheet, from 1, and cells; no blank rows
 
     def place(self, row: int) -> str:
@@ -74,22 +81,39 @@ class _Sheet:
 def read_excel(path: Path) -> Table:
     """Table of an .xlsx file: of the first sheet whose table holds numbers alone.
 
-    Where there is no such sheet, of the one with the largest share of numbers. Formulas count
-    with the values that Excel stored.
+    Where there is no such sheet, of the one with the largest share of numbers; where no sheet has
+    names above numbers, of the one with most rows of numbers. Columns without a name are called by
+    their number, from A = 1. Formulas count with the values that Excel stored.
     """
     with _workbook(path) as workbook:
         number, layout = _find(path, workbook)
         sheet = workbook.worksheets[number]
         rows = list(_filled_rows(path, sheet))
-    heading = rows[layout.names][1]
-    columns = [at for at, cell in enumerate(heading) if cell is not None]
-    # A name may hold line breaks.
-    names = tuple(" ".join(heading[at].split()) for at in columns)
-    numbers = {name: at + 1 for name, at in zip(names, columns, strict=True)}
+    numbers = _columns(rows, layout)
     held = _Sheet(path, number, sheet.title, numbers, rows[layout.data :])
     below = () if layout.units is None else rows[layout.units][1]
-    units = units_of(names, [below[at] if at < len(below) else None for at in columns])
-    return Table(path, names, held.load, held.place, units)
+    units = units_of(
+        list(numbers), [below[at - 1] if at <= len(below) else None for at in numbers.values()]
+    )
+    return Table(
+        *(path, tuple(numbers), held.load, held.place, units),
+        numbers=tuple(numbers.values()),
+        headed=layout.names is not None,
+    )
+
+
+def _columns(rows: Sequence[tuple[int, Cells]], layout: Layout) -> dict[str, int]:
+    """Name to number, from 1, of the columns that have a name or a number below it."""
+    heading = () if layout.names is None else rows[layout.names][1]
+    first = rows[layout.data][1]
+    found = {
+        at + 1: "" if at >= len(heading) or heading[at] is None else " ".join(heading[at].split())
+        for at in range(max(len(heading), len(first)))
+        if (at < len(heading) and heading[at] is not None)
+        or (at < len(first) and _holds_number(first[at]))
+    }
+    numbers = list(found)
+    return dict(zip(labels(list(found.values()), numbers), numbers, strict=True))
 
 
 @contextmanager
@@ -127,18 +151,21 @@ def _find(path: Path, workbook: Any) -> tuple[int, Layout]:
         [cells for _, cells in islice(_filled_rows(path, sheet), SEARCHED)]
         for sheet in workbook.worksheets
     ]
-    found = [
+    named = [
         (number, layout)
         for number, head in enumerate(heads)
         if (layout := find_layout(head, _holds_number)) is not None
     ]
-    if not found:
+    bare = [(n, b) for n, h in enumerate(heads) if (b := find_numbers(h, _holds_number))]
+    if not (named or bare):
         held = "; ".join(
             f"sheet {sheet.title!r} {_described(head)}"
             for sheet, head in zip(workbook.worksheets[:5], heads, strict=False)
         )
         raise RecordError(f"{path} holds no row of two names or more above numbers: {held}")
-    return max(found, key=lambda table: table[1].share)
+    if not named:
+        return max(bare, key=lambda table: table[1].count)
+    return max(named, key=lambda table: table[1].share)
 
 
 def _described(head: list[Cells]) -> str:

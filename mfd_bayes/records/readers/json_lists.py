@@ -1,4 +1,4 @@
-"""Columns out of JSON: an object of lists, a list of objects, or a form that pandas writes."""
+"""Columns out of JSON: an object of lists, a list of objects or of rows, or a form of pandas."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from mfd_bayes.records.motion import Array
 from mfd_bayes.records.numbers import why_invalid
 from mfd_bayes.records.readers.bounds import CELLS, check_columns, read_json_text
 from mfd_bayes.records.readers.cells import bad_cell, is_number, sample
+from mfd_bayes.records.readers.labels import label
 from mfd_bayes.records.readers.table import Table
 
 
@@ -32,11 +33,20 @@ def read_json(path: Path) -> Table:
     def load(wanted: Sequence[str]) -> dict[str, Array]:
         return {name: _numbers(path, name, columns[name]) for name in wanted}
 
-    return Table(path, tuple(columns), load, sample)
+    return Table(path, tuple(columns), load, sample, headed=not _is_bare(content))
+
+
+def _is_bare(content: object) -> bool:
+    """Whether it is a list of rows without names."""
+    return isinstance(content, list) and bool(content) and isinstance(content[0], list)
 
 
 def _columns(path: Path, content: object) -> dict[str, list[Any]]:
     """Columns of an object of lists, a list of rows, or pandas' "columns" and "split" forms."""
+    if _is_bare(content) and isinstance(content, list):
+        check_columns(path, len(content[0]))
+        names = [label(at + 1) for at in range(len(content[0]))]
+        return _from_rows(path, [_row(names, row) for row in content])
     match content:
         case {"columns": [*names], "data": [*rows]}:
             return _from_rows(path, [_row(names, row) for row in rows])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import groupby, takewhile
 
 from mfd_bayes.records.readers.cells import bare_unit
 from mfd_bayes.units import DIMENSIONS, measure
@@ -12,15 +12,15 @@ from mfd_bayes.units import DIMENSIONS, measure
 Row = Sequence[object]
 
 SEARCHED = 200  # number of filled rows, from the first, in which the names are looked for
-# Ratios and rates do not show that a row holds units: "1" or "cycles" may be text.
-_TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate"}
+# Ratios, rates and masses do not show that a row holds units: "1", "cycles" or "t" may be text.
+_TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate", "mass"}
 
 
 @dataclass(frozen=True)
 class Layout:
     """Rows of a table, counted from 0, and how many of its cells hold numbers."""
 
-    names: int
+    names: int | None  # None where no row of names stands above the numbers
     units: int | None  # right below the names
     data: int  # first row of numbers
     share: float  # numbers over filled cells
@@ -39,6 +39,29 @@ def find_layout(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Lay
         key=lambda layout: (layout.share, layout.count),
         default=None,
     )
+
+
+def find_numbers(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Layout | None:
+    """Layout of the longest block of rows of numbers, at least two in each, without names.
+
+    All its rows have as many cells. Free text above it is skipped.
+    """
+    found: list[Layout] = []
+    known = ((_filled(row), sum(map(is_number, row))) for row in rows)
+    for (width, bare), group in groupby(enumerate(known), lambda row: (row[1][0], row[1][1] >= 2)):
+        block = list(group)
+        count = sum(numbers for _, (_, numbers) in block)
+        if bare:
+            found.append(Layout(None, None, block[0][0], count / (width * len(block)), count))
+    return max(found, key=lambda layout: layout.count, default=None)
+
+
+def is_narrow(rows: Sequence[Row], layout: Layout) -> bool:
+    """Whether the numbers go on beyond the end of the row above them.
+
+    It is free text then, such as a title, and no row of names.
+    """
+    return layout.names is not None and _end(rows[layout.names]) < _end(rows[layout.data])
 
 
 def units_of(names: Sequence[str], cells: Row) -> Mapping[str, str]:
@@ -70,6 +93,14 @@ def _gives_units(row: Row, names: Row) -> bool:
     told = sum(measure(unit) in _TELLING for unit in units)
     words = sum(bool(unit) and measure(unit) is None for unit in units)
     return told >= 2 and len(units) == len(filled) and 2 * words <= len(units)
+
+
+def _end(row: Row) -> int:
+    return max((at + 1 for at, cell in enumerate(row) if _is_filled(cell)), default=0)
+
+
+def _filled(row: Row) -> int:
+    return sum(map(_is_filled, row))
 
 
 def _is_filled(cell: object) -> bool:

@@ -1,4 +1,4 @@
-"""Columns out of MATLAB files, v5 and v7.3: vectors, and vectors in structs."""
+"""Columns out of MATLAB files, v5 and v7.3: vectors and matrices, in structs too."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers import matlab_v5, matlab_v73
+from mfd_bayes.records.readers.bounds import COLUMNS
 from mfd_bayes.records.readers.cells import bad_cell, sample
 from mfd_bayes.records.readers.table import Table
 
@@ -19,11 +20,13 @@ _USER_BLOCK = 512  # bytes of text before the HDF5 part of a v7.3 file
 
 
 def read_matlab(path: Path) -> Table:
-    """Table of a .mat file: its vectors, and the fields of structs as ``struct.field``."""
+    """Table of a .mat file: vectors, columns of matrices, fields of structs as ``struct.field``."""
     with path.open("rb") as file:
         head = file.read(_USER_BLOCK + len(_HDF5))
     is_v73 = head.startswith(_HDF5) or head.endswith(_HDF5)
     names, read = (matlab_v73 if is_v73 else matlab_v5).open_columns(path)
+    if len(names) > COLUMNS:
+        names = tuple(name for name in names if not name.endswith(")"))  # vectors alone
     if not names:
         raise RecordError(f"{path} holds no numeric column")
 

@@ -1,4 +1,4 @@
-"""Vectors out of MATLAB files of version 5, which `save` writes by default (``-v6``, ``-v7``).
+"""Vectors and matrices out of MATLAB files of version 5, which `save` writes by default.
 
 A file is a sequence of elements: each a type, a size and that many bytes. A variable is an
 element that holds elements, and may be deflated. Arrays of real numbers are read, and those in
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers.bounds import UNPACKED, unpacks_to_too_much
+from mfd_bayes.records.readers.matrices import SIGNALS, signals_of
 
 Numbers = NDArray[np.generic]
 
@@ -81,7 +82,7 @@ def _vectors(path: Path, data: memoryview, order: str) -> Iterator[tuple[str, Nu
 
 
 def _columns(data: memoryview, order: str, field: str = "") -> Iterator[tuple[str, Numbers]]:
-    """Name and numbers of a variable that is a vector, or of each field that is one."""
+    """Name and numbers of a variable's signals, or of those of its fields."""
     matrix = _matrix(data, order)
     if matrix is None:
         return
@@ -89,12 +90,13 @@ def _columns(data: memoryview, order: str, field: str = "") -> Iterator[tuple[st
     if matrix.kind == _STRUCT and size == 1 and not field:
         for name, content in _fields(matrix, order):
             yield from _columns(content, order, f"{matrix.name}.{name}")
-    elif matrix.kind in _NUMERIC and max(matrix.shape) == size > 1:
+    elif matrix.kind in _NUMERIC and size > 1 and max(matrix.shape) * SIGNALS >= size:
         kind, content = next(matrix.content, (0, _NOTHING))
         code = _CODE.get(kind)
         if code is None or len(content) != size * np.dtype(code).itemsize:
             raise _BrokenError
-        yield field or matrix.name, np.frombuffer(content, f"{order}{code}")
+        numbers = np.frombuffer(content, f"{order}{code}").reshape(matrix.shape, order="F")
+        yield from signals_of(field or matrix.name, numbers)
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.bounds import check_names
+from mfd_bayes.records.readers.labels import own_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +22,8 @@ class Table:
     load: Callable[[Sequence[str]], dict[str, Array]]  # of names that exist; checks every cell
     place: Callable[[int], str]  # of a row, from 0: "line 17"
     units: Mapping[str, str] = field(default_factory=dict)  # by column, where the file gives one
+    numbers: tuple[int, ...] | None = None  # of the columns, from 1; by default in their order
+    headed: bool = True  # whether the file has names; without them, they are "column 1", …
 
     def __post_init__(self) -> None:
         check_names(self.path, self.names)
@@ -36,8 +39,7 @@ class Table:
         """
         for name in names:
             if self.names.count(name) != 1:
-                fault = "missing column" if name not in self.names else "more than one column"
-                raise RecordError(f"{fault} {name!r} in {self.path}; it has {_listed(self.names)}")
+                raise self._no_column(name)
         columns = self.load(names)
         sizes = {name: column.size for name, column in columns.items()}
         if len(set(sizes.values())) > 1:
@@ -46,6 +48,42 @@ class Table:
         if 0 in sizes.values():
             raise RecordError(f"{self.path} has columns but no data")
         return columns
+
+    def number_of(self, name: str) -> int:
+        """Number of a column in the file, from 1."""
+        at = self.names.index(name)
+        return at + 1 if self.numbers is None else self.numbers[at]
+
+    def name_of(self, column: str | int) -> str:
+        """Name of a column that is given by its name or its number, from 1.
+
+        Raises
+        ------
+        RecordError
+            When there is no column of that number.
+        """
+        if isinstance(column, str):
+            return column
+        numbers = self.numbers or range(1, len(self.names) + 1)
+        if column not in numbers:
+            raise RecordError(
+                f"column {column} of {self.path}: it has columns {min(numbers)} to {max(numbers)}, "
+                f"{_listed(self.names)}"
+            )
+        return self.names[numbers.index(column)]
+
+    def _no_column(self, name: str) -> RecordError:
+        """Error for a name that no column, or more than one, has."""
+        shared = [self.number_of(other) for other in self.names if own_name(other) == name]
+        if len(shared) > 1:
+            which = " or ".join(f"{{ column = {number} }}" for number in shared)
+            return RecordError(
+                f"more than one column {name!r} in {self.path}: say which by its number, {which}"
+            )
+        how = "" if self.headed else "; it has no names: give { column = 1 } or another number"
+        return RecordError(
+            f"missing column {name!r} in {self.path}; it has {_listed(self.names)}{how}"
+        )
 
 
 def _listed(names: Sequence[str]) -> str:

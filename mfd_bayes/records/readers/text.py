@@ -20,7 +20,15 @@ from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.bounds import check_columns, check_text
 from mfd_bayes.records.readers.cells import bad_cell, is_number
-from mfd_bayes.records.readers.layout import SEARCHED, Layout, find_layout, units_of
+from mfd_bayes.records.readers.labels import label, labels
+from mfd_bayes.records.readers.layout import (
+    SEARCHED,
+    Layout,
+    find_layout,
+    find_numbers,
+    is_narrow,
+    units_of,
+)
 from mfd_bayes.records.readers.table import Table
 
 BLANKS = " "
@@ -39,9 +47,10 @@ class _Text:
     path: Path
     separator: str  # one of `SEPARATORS`
     names: tuple[str, ...]
-    heading: int  # line number of the names, from 1
+    heading: int  # line number of the names, or of the first numbers, from 1
     lines: list[str]
     numbers: list[int]  # line numbers of `lines` in the file, from 1
+    as_in: str  # "one for each name in", or of numbers without names, "as many as in"
 
     def place(self, row: int) -> str:
         return f"line {self.numbers[row]}"
@@ -77,8 +86,11 @@ class _Text:
 
         if pd.__version__.startswith("2."):  # its own parser reads 1e4294967297 as 10
             options["float_precision"] = "round_trip"
+        lines = list(self.lines)
+        if self.separator != BLANKS:  # every line may lack the last columns
+            lines[0] += self.separator * (len(self.names) - 1 - lines[0].count(self.separator))
         return pd.read_csv(
-            StringIO("\n".join(self.lines).replace("\N{MINUS SIGN}", "-")),
+            StringIO("\n".join(lines).replace("\N{MINUS SIGN}", "-")),
             sep=r"\s+" if self.separator == BLANKS else self.separator,
             header=None,
             names=list(range(len(self.names))),
@@ -148,7 +160,9 @@ def read_text(path: Path) -> Table:
     """Table of a .csv, .txt, .dat, .tsv or .asc file.
 
     A table is a row of names, perhaps a row of units, and rows of numbers; the one with the
-    largest share of numbers is taken. Blank lines and those that begin with # are skipped.
+    largest share of numbers is taken. Where there is none, the longest block of rows of numbers
+    is, and its columns are called "column 1", "column 2", …. Blank lines and those that begin
+    with # are skipped.
     """
     check_text(path)
     lines = _decoded(path).split("\n")
@@ -159,20 +173,21 @@ def read_text(path: Path) -> Table:
     check_columns(path, 1 + max(line.count(sign) for line in head for sign in SEPARATORS[:-1]))
     separator, layout = _best(head) or (_written_in(head[0]), Layout(0, None, 1, 0.0, 0))
     names = _names(head, layout, separator)
-    if all(is_number(name) for name in names):
-        raise RecordError(f"{path} has no header: line {kept[0] + 1} holds numbers, not names")
-    rows = kept[layout.data :]
+    rows = _without_footer(lines, kept[layout.data :], separator, len(names))
+    top = layout.data if layout.names is None else layout.names
     text = _Text(
         path,
         separator,
         names,
-        heading=kept[layout.names] + 1,
+        heading=kept[top] + 1,
         lines=[lines[i] for i in rows],
         numbers=[i + 1 for i in rows],
+        as_in="as many as in" if layout.names is None else "one for each name in",
     )
     _check_widths(text)
     units = () if layout.units is None else _split(head[layout.units], separator)
-    return Table(path, names, text.load, text.place, units_of(names, units))
+    found = units_of(names, units)
+    return Table(path, names, text.load, text.place, found, headed=layout.names is not None)
 
 
 def _decoded(path: Path) -> str:
@@ -190,14 +205,38 @@ def _decoded(path: Path) -> str:
 
 
 def _best(head: Sequence[str]) -> tuple[str, Layout] | None:
-    """Separator whose table has the largest share of numbers, and the layout of that table."""
-    found = [(s, find_layout([_split(line, s) for line in head], _reads)) for s in SEPARATORS]
-    tables = [(separator, layout) for separator, layout in found if layout is not None]
-    return max(tables, key=lambda table: (table[1].share, table[1].count), default=None)
+    """Separator whose table has the largest share of numbers, and the layout of that table.
+
+    A table has names; without any, it is the longest block of rows of numbers.
+    """
+    tables, blocks = [], []
+    for separator in SEPARATORS:
+        rows = [_split(line, separator) for line in head]
+        layout = find_layout(rows, _reads)
+        if layout is not None and not is_narrow(rows, layout):
+            # Words with single blanks between them are names only where each has a column.
+            names = len(_names(head, layout, separator))
+            if separator != BLANKS or names == len(rows[layout.data]):
+                tables.append((separator, layout))
+        if (block := find_numbers(rows, _reads)) is not None:
+            blocks.append((separator, block))
+    found = tables or blocks
+    return max(found, key=lambda table: (table[1].share, table[1].count), default=None)
 
 
 def _reads(cell: object) -> bool:
     return is_number(cell) or is_number(cell, decimal=",")
+
+
+def _without_footer(lines: list[str], rows: list[int], separator: str, width: int) -> list[int]:
+    """Lines of numbers without the text below them, such as "End of test"."""
+    last = len(rows)
+    while last > 0:
+        cells = _split(lines[rows[last - 1]], separator)
+        if len(cells) == width or any(map(_reads, cells)):
+            break
+        last -= 1
+    return rows[:last]
 
 
 def _written_in(line: str) -> str:
@@ -214,7 +253,9 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _names(head: Sequence[str], layout: Layout, separator: str) -> tuple[str, ...]:
-    """Names of the columns, without empty ones at the end."""
+    """Names of the columns, each there once, without empty ones at the end."""
+    if layout.names is None:
+        return tuple(label(at + 1) for at in range(len(_split(head[layout.data], separator))))
     line = head[layout.names]
     names = _split(line, separator)
     if separator == BLANKS:
@@ -223,7 +264,7 @@ def _names(head: Sequence[str], layout: Layout, separator: str) -> tuple[str, ..
         names = spaced if len(spaced) == len(head[layout.data].split()) else names
     while len(names) > 1 and not names[-1]:
         names.pop()
-    return tuple(names)
+    return labels(names)
 
 
 def _check_widths(text: _Text) -> None:
@@ -238,6 +279,6 @@ def _check_widths(text: _Text) -> None:
         cells = _split(line, text.separator)
         if any(cells[width:]) or (text.separator == BLANKS and len(cells) < width):
             raise RecordError(
-                f"line {number} of {text.path}: expected {width} cells, one for each name in "
+                f"line {number} of {text.path}: expected {width} cells, {text.as_in} "
                 f"line {text.heading}, found {len(cells)}"
             )

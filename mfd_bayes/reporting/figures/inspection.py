@@ -18,6 +18,7 @@ from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import POINTS, thinned
 from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.runs.systems import US, System
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
 _COLOURS = (
@@ -32,61 +33,64 @@ _MARKS = 60  # more of one kind would hide the curve
 
 
 @look.style()
-def draw_inspection(title: str, trace: Trace, loops: Loops, faults: Sequence[Fault] = ()) -> Figure:
+def draw_inspection(
+    title: str, trace: Trace, loops: Loops, faults: Sequence[Fault] = (), system: System = US
+) -> Figure:
     """Loop, displacement and force over time, and energy per cycle of a record at its own rate.
 
     Faults are marked at their samples, if they have any, and named below the panels. Without
-    a force there is only the displacement.
+    a force there is only the displacement. Trace and loops are in the units of `system`.
     """
     marked = [fault for fault in faults if fault.samples.size]
     figure = look.new_figure(10, 5.6)
     figure.suptitle(plain(title), x=0.01, ha="left")
     if trace.force is None:
-        _draw_displacement(figure.subplots(), trace, marked)
+        _draw_displacement(figure.subplots(), trace, marked, system)
     else:
         panels = figure.subplot_mosaic(
             [["loop", "displacement"], ["loop", "force"], ["energy", "force"]],
             width_ratios=(1.0, 1.35),
             height_ratios=(1.0, 1.0, 1.0),
         )
-        _draw_loop(panels["loop"], trace, trace.force, marked)
-        _draw_displacement(panels["displacement"], trace, marked)
+        _draw_loop(panels["loop"], trace, marked, system)
+        _draw_displacement(panels["displacement"], trace, marked, system)
         panels["force"].sharex(panels["displacement"])
-        _draw_force(panels["force"], trace, trace.force, marked)
-        _draw_energy(panels["energy"], loops)
+        _draw_force(panels["force"], trace, marked, system)
+        _draw_energy(panels["energy"], loops, system)
     _legend(figure, faults)
     return figure
 
 
-def _draw_loop(axes: Axes, trace: Trace, force: NDArray[np.float64], marked: list[Fault]) -> None:
+def _draw_loop(axes: Axes, trace: Trace, marked: list[Fault], system: System) -> None:
     step = max(1, trace.samples // (2 * POINTS))
-    x = trace.displacement
+    x, force = trace.displacement, np.asarray(trace.force)
     axes.plot(x[::step], force[::step], color=colours.DATA, linewidth=0.5)
-    axes.set(xlabel="displacement, in", ylabel="force, kip")
+    axes.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
     axes.set_title("Force–displacement", fontsize=9, fontweight="normal")
     _mark(axes, x, force, marked)
 
 
-def _draw_displacement(axes: Axes, trace: Trace, marked: list[Fault]) -> None:
+def _draw_displacement(axes: Axes, trace: Trace, marked: list[Fault], system: System) -> None:
     axes.plot(*thinned(trace.time, trace.displacement), color="#555555", linewidth=0.8)
     turns = trace.turning_points
     axes.plot(trace.time[turns], trace.displacement[turns], ".", color="#999999", markersize=3)
-    axes.set(ylabel="displacement, in", xlabel="time, s")
+    axes.set(ylabel=f"displacement, {system.length}", xlabel="time, s")
     axes.set_title(f"Displacement, {turns.size} turning points", fontsize=9, fontweight="normal")
     axes.margins(x=0.01, y=0.12)  # space for the marks at the turns
     _mark(axes, trace.time, trace.displacement, marked)
 
 
-def _draw_force(axes: Axes, trace: Trace, force: NDArray[np.float64], marked: list[Fault]) -> None:
+def _draw_force(axes: Axes, trace: Trace, marked: list[Fault], system: System) -> None:
+    force = np.asarray(trace.force)
     axes.plot(*thinned(trace.time, force), color=colours.DATA, linewidth=0.6)
-    axes.set(xlabel="time, s", ylabel="force, kip")
+    axes.set(xlabel="time, s", ylabel=f"force, {system.force}")
     axes.set_title("Force", fontsize=9, fontweight="normal")
     _mark(axes, trace.time, force, marked)
 
 
-def _draw_energy(axes: Axes, loops: Loops) -> None:
+def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
     """Energy of each loop; loops of a ramp, with a shorter stroke, are hollow."""
-    axes.set(xlabel="loop", ylabel="energy, kip·in")
+    axes.set(xlabel="loop", ylabel=f"energy, {system.force}·{system.length}")
     axes.set_title("Energy per full loop (hollow: shorter stroke)", fontsize=9, fontweight="normal")
     axes.axhline(0.0, color="#999999", linewidth=0.7)
     if loops.energy is None or not loops.energy.size:

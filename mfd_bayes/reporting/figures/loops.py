@@ -43,9 +43,9 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: Syste
     figure = look.new_figure(10, 4.3)
     figure.suptitle(plain(title), x=0.01, ha="left")
     left, right = figure.subplots(1, 2, sharey=True)
-    _draw_loop(left, trace, fans, trace.displacement, trace.turning_points)
+    draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
     span = _VELOCITY_TURN * float(np.ptp(trace.velocity))
-    _draw_loop(right, trace, fans, trace.velocity, turning_points(trace.velocity, span))
+    draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
     left.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
     left.set_title("Force–displacement", fontsize=9, fontweight="normal")
     right.set(xlabel=f"velocity, {system.velocity}", ylabel=f"force, {system.force}")
@@ -140,14 +140,19 @@ def _draw_panel(axes: Axes, test: TestView) -> None:
             spine.set(edgecolor=colours.VALIDATE, linewidth=1.3, visible=True)
 
 
-def _draw_loop(
-    axes: Axes, trace: Trace, fans: Sequence[Fan], abscissa: Array, turns: NDArray[np.intp]
+def draw_loop(
+    axes: Axes,
+    fans: Sequence[Fan],
+    abscissa: Array,
+    turns: NDArray[np.intp],
+    force: Array | None = None,
 ) -> None:
+    """Draw a force, or else the first fan's median, over bands against any abscissa, (T,)."""
     for fan in fans:
         for interval, colour in look.shades(fan):
             _fill(axes, abscissa, interval, turns, colour)
-    if trace.force is not None:
-        _line(axes, abscissa, trace.force)
+    if force is not None:
+        _line(axes, abscissa, force)
     elif fans:
         _line(axes, abscissa, fans[0].median, colours.BANDS[fans[0].kind][2])
 
@@ -191,11 +196,11 @@ def _draw_column(column: NDArray[np.object_], trace: Trace, fans: Sequence[Fan],
     step = max(1, time.size // POINTS)
     column[0].plot(time[::step], trace.displacement[at][::step], color="#555555", linewidth=0.8)
     for fan in fans:
-        _draw_bands(column[1], time, fan, at, zero)
+        draw_bands(column[1], time, fan, at, zero)
     if trace.force is not None:
         column[1].plot(*thinned(time, trace.force[at]), color=colours.DATA, linewidth=0.6)
     if len(column) > 2 and trace.force is not None:
-        _draw_bands(column[2], time, fans[0], at, fans[0].median)
+        draw_bands(column[2], time, fans[0], at, fans[0].median)
         residual = (trace.force - fans[0].median)[at]
         column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
         column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
@@ -203,7 +208,10 @@ def _draw_column(column: NDArray[np.object_], trace: Trace, fans: Sequence[Fan],
     column[-1].margins(x=0.005)
 
 
-def _draw_bands(axes: Axes, time: Array, fan: Fan, at: slice, base: Array) -> None:
+def draw_bands(
+    axes: Axes, time: Array, fan: Fan, at: slice = slice(None), base: Array | float = 0.0
+) -> None:
+    """Fill the bands of a fan, less a base, (T,), over a window of time."""
     step = max(1, time.size // POINTS)
     edges = np.arange(0, time.size, step)
     for interval, colour in look.shades(fan):

@@ -97,7 +97,10 @@ def test_a_workbook_without_a_table_says_what_it_holds(tmp_path, refused):
 
 def test_a_name_that_is_there_twice_is_refused(tmp_path, refused):
     path = write(tmp_path, Data=[["a", "a"], [0, 1]])
-    assert refused(path) == f"more than one column 'a' in {path}; it has a, a"
+    assert refused(path) == (
+        f"more than one column 'a' in {path}: say which by its number, "
+        "{ column = 1 } or { column = 2 }"
+    )
 
 
 def test_what_is_no_workbook_is_refused(tmp_path, refused):

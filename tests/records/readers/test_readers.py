@@ -15,8 +15,8 @@ def test_unknown_suffixes_list_the_known_ones_and_nothing_is_unpickled(tmp_path,
     path = tmp_path / "a.pkl"
     path.write_bytes(pickle.dumps({"a": [1, 2]}))
     assert refused(path) == (
-        f"{path} has the unknown suffix '.pkl'; expected .csv, .txt, .dat, .tsv, .asc, .xlsx, "
-        ".tdms, .json, .mat"
+        f"{path} has the unknown suffix '.pkl'; expected .csv, .txt, .dat, .tsv, .asc, .lvm, "
+        ".xlsx, .tdms, .json, .mat"
     )
 
 

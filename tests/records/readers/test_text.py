@@ -93,7 +93,7 @@ def test_a_column_named_twice_is_refused(tmp_path, refused):
     [
         ("", "is empty"),
         ("\n# only\n\n", "is empty"),
-        ("1,2\n3,4\n", "has no header"),
+        ("1,2\n3,4\n", "it has no names: give { column = 1 }"),
         ("a,b\n", "no data"),
     ],
 )
@@ -239,9 +239,9 @@ def test_between_blanks_every_line_has_all_cells(tmp_path, refused, line):
     )
 
 
-def test_names_with_blanks_that_cannot_be_told_apart_are_refused(tmp_path, refused):
+def test_names_with_blanks_that_cannot_be_told_apart_are_no_names(tmp_path, refused):
     path = write(tmp_path / "a.asc", "Axial Force Time\n1 2\n3 4\n")
-    assert "expected 3 cells" in refused(path, ["Time"])
+    assert "it has no names: give { column = 1 }" in refused(path, ["Time"])
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])

@@ -1,0 +1,1 @@
+"""Devices of any size, from loggers' files to a report."""

@@ -1,0 +1,82 @@
+"""Four devices from 10 N to 2 MN: init, calibrate and report, with nothing written by hand.
+
+    python -m benchmarks.anylab.run [NUMBER OF THE DEVICE]
+
+prints a line for each device: how long it takes, what `init` guessed, how many of the true values
+that the data inform lie inside their 95 % intervals, and how `check` prints a figure. The table of
+all four stands in anylab.txt.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.anylab.devices import DEVICES, Device, write_device
+from mfd_bayes.assessment import assess
+from mfd_bayes.runs.run import open_run
+
+
+def main() -> None:
+    chosen = DEVICES[int(sys.argv[1])] if len(sys.argv) > 1 else None
+    for device in DEVICES if chosen is None else (chosen,):
+        with tempfile.TemporaryDirectory() as folder:
+            print(line_of(device, Path(folder)), flush=True)
+
+
+def line_of(device: Device, folder: Path) -> str:
+    truth = write_device(folder, device)
+    begin = time.monotonic()
+    command([str(folder)], "init")
+    campaign = folder / "campaign.toml"
+    if not device.named:
+        complete(campaign, device)
+        command([str(campaign)], "init")
+    checked = command([str(campaign), "-o", str(folder)], "prior-check", may_fail=True)
+    out = folder / "out"
+    command([str(campaign), "-o", str(out), "--effort", "quick", "--jobs", "1"], "calibrate")
+    run = open_run(out)
+    rows = [
+        (row, truth[row.subject][row.name])
+        for view in assess(run).tests
+        for row in view.rows
+        if not row.note and row.name in truth[row.subject]
+    ]
+    hits = sum(row.lower <= value <= row.upper for row, value in rows)
+    slip = max(row.median for row, _ in rows if row.name == "Fc_fwd")
+    inside = checked.splitlines()[0].split(": ")[1].split(" of")[0]
+    took = f"{time.monotonic() - begin:6.0f} s"
+    return (
+        f"{device.name:20} {took}  prior holds {inside:>4} of the force  "
+        f"truth inside {hits:3d} of {len(rows):3d} ({hits / len(rows):.0%})  "
+        f"Fc_fwd {run.system.words([slip], 'kip', 3)}"
+    )
+
+
+def complete(campaign: Path, device: Device) -> None:
+    """Write the units that are marked FIXME, and nothing else."""
+    units = {"displacement": device.length_unit, "force": device.force_unit}
+    lines = []
+    for line in campaign.read_text(encoding="utf-8").splitlines():
+        role = line.split(" = ")[0].removeprefix("columns.")
+        if role in units and "FIXME" in line and "unit =" not in line.split("#")[0]:
+            line = line.replace(" }", f', unit = "{units[role]}" }}', 1)
+        lines.append(line)
+    campaign.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def command(words: list[str], name: str, *, may_fail: bool = False) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "mfd_bayes", name, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode and not (may_fail and done.returncode == 1):
+        raise SystemExit(f"{name} {' '.join(words)}: {done.stdout}{done.stderr}")
+    return done.stdout
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""The time of a record: its rate, how even it is, and its longest piece without a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
+
+SAMPLES = 20  # fewest samples that a record, or a window of it, may have
+GAP = 10.0  # a step longer than this many median steps is a gap in time
+PAUSE = 1.5  # a step longer than this many median steps is a pause
+SHORTEST = 1e-9  # shortest step in time that is accepted, s
+JITTER = 0.01  # above this jitter, in steps, samples are interpolated onto a uniform grid
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When samples were taken.
+
+    Attributes
+    ----------
+    rate : float, Hz
+        (T - 1) over the duration, which rounded time stamps do not change; one over the median
+        step where `jitter` is above `JITTER`.
+    jitter : float
+        Largest distance of a sample from a uniform grid between the ends, in steps.
+    pauses : int
+        Number of steps longer than `PAUSE` median steps.
+    longest : float, s
+        Longest step.
+    """
+
+    rate: float
+    jitter: float
+    pauses: int
+    longest: float
+
+    def words(self) -> str:
+        """Rate, and how even it is, in words."""
+        rate = f"{self.rate:.6g} Hz"
+        if self.jitter <= JITTER:
+            return f"{rate}, jitter {self.jitter:.2%} of a step"
+        away = f"{self.jitter:.3g} steps" if self.jitter >= 1.0 else f"{self.jitter:.2%} of a step"
+        text = f"{rate}, jitter: time stamps are up to {away} off an even clock"
+        if self.pauses:
+            times = "once" if self.pauses == 1 else f"{self.pauses} times"
+            text += f"; the logger pauses {times}, for up to {self.longest:.3g} s"
+        return text
+
+
+def longest_piece(
+    time: Array, place: Callable[[int], str], window: tuple[float, float] | None
+) -> tuple[slice, str]:
+    """Samples of the longest piece of a time without a gap, and a sentence where there is one.
+
+    Parameters
+    ----------
+    time : (T,), s
+        Increasing.
+    place : callable
+        Name of a row, from 0: "line 17".
+    window : (float, float), s, optional
+        Only the part of a piece inside it counts.
+    """
+    steps = np.diff(time)
+    after = np.flatnonzero(steps > GAP * np.median(steps)) + 1
+    if not after.size:
+        return slice(0, time.size), ""
+    bounds = [0, *(int(at) for at in after), time.size]
+    start, end = (-np.inf, np.inf) if window is None else window
+    spans = [min(time[b - 1], end) - max(time[a], start) for a, b in pairwise(bounds)]
+    best = int(np.argmax(spans))
+    first, last = bounds[best], bounds[best + 1]
+    missing = float(steps[after - 1].max())
+    gaps = "a gap" if after.size == 1 else f"{after.size} gaps, the longest"
+    at = int(after[np.argmax(steps[after - 1])])
+    share = (time[last - 1] - time[first]) / (time[-1] - time[0])
+    return slice(first, last), (
+        f"time has {gaps} of {missing:.4g} s before {place(at)}, after {time[at - 1]:g} s; the "
+        f"longest unbroken piece is used, {time[first]:g} s to {time[last - 1]:g} s, "
+        f"{share:.0%} of the record"
+    )
+
+
+def check_increasing(path: Path, time: Array, place: Callable[[int], str]) -> None:
+    """Refuse a time that is too short, stands still or goes back.
+
+    Raises
+    ------
+    RecordError
+        When it is.
+    """
+    if time.size < SAMPLES:
+        raise RecordError(f"{path} has {time.size} samples; at least {SAMPLES} are needed")
+    steps = np.diff(time)
+    if not np.all(steps > 0):
+        row = int(np.argmax(steps <= 0)) + 1
+        raise RecordError(
+            f"time in {path} does not increase at {place(row)}: "
+            f"{time[row]:g} s after {time[row - 1]:g} s"
+        )
+    shortest = int(np.argmin(steps))
+    if steps[shortest] < SHORTEST:
+        raise RecordError(
+            f"time in {path} increases by {steps[shortest]:.2g} s at "
+            f"{place(shortest + 1)}; expected {SHORTEST:g} s or more"
+        )
+
+
+def clock_of(time: Array) -> Clock:
+    """Rate and evenness of an increasing time, (T,), s."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    step = float(time[-1] - time[0]) / (time.size - 1)
+    jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
+    pauses = int(np.count_nonzero(steps > PAUSE * median))
+    return Clock(1 / (median if jitter > JITTER else step), jitter, pauses, float(steps.max()))

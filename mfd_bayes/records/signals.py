@@ -1,0 +1,100 @@
+"""The signals of a record, by role and in internal units, out of the columns of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.motion import Array
+from mfd_bayes.records.readers import Table
+from mfd_bayes.records.roles import check_once, roles_of, unit_of
+from mfd_bayes.records.sources import Source, scale_of, take_off, wanted_of
+from mfd_bayes.records.trace import check_size
+from mfd_bayes.units import ActuationUnit, actuation_factor
+
+
+def sources_of(
+    table: Table,
+    columns: Mapping[str, str | int | Source],
+    units: Mapping[str, str],
+    actuation: str | None,
+) -> dict[str, Source]:
+    """Role to its source, with the column's name and its unit.
+
+    Raises
+    ------
+    MfdError
+        When a column or a unit is missing, or a role may not have what its source takes off.
+    """
+    given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
+    stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units)
+    roles = roles_of(table, {r: s.column for r, s in given.items()}, stated, actuation=actuation)
+    found = {}
+    for role, name in roles.items():
+        source = given.get(role, Source(name))
+        source.check(role, table.path)
+        found[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
+    return found
+
+
+def signals_of(
+    table: Table, sources: Mapping[str, Source]
+) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
+    """Role to signal, internal units, and to name and unit; unit of a measured actuation.
+
+    Raises
+    ------
+    MfdError
+        When a column cannot be read, or its unit does not measure what its role needs.
+    """
+    raw = table.columns(wanted_of(table, sources))
+    signals: dict[str, Array] = {}
+    named: dict[str, tuple[str, str]] = {}
+    internal: ActuationUnit | None = None
+    for role, source in sources.items():
+        name, unit = str(source.column), str(source.unit)
+        of = f"column {name!r} of {table.path}"
+        if role == "actuation":
+            scale, internal = actuation_factor(unit, of=of)
+        else:
+            scale, unit = scale_of(source, role, unit, of)
+        named[role] = name, unit
+        with np.errstate(over="ignore"):  # check_magnitude refuses infinity
+            signals[role] = raw[name] * scale
+        check_size(of, role, signals[role])
+    check_once(table, {role: name for role, (name, _) in named.items()})
+    for role, source in sources.items():
+        if not source.plain:
+            signals[role] = take_off(table, role, source, signals, raw)
+            check_size(f"the {role} of {table.path}", role, signals[role])
+    _settle(table, signals)
+    return signals, named, internal
+
+
+def _settle(table: Table, signals: dict[str, Array]) -> None:
+    """Check a measured actuation, and make all signals unchangeable."""
+    if "actuation" in signals:
+        if np.mean(signals["actuation"]) < 0:
+            raise RecordError(f"the actuation of {table.path} is negative on average")
+        # Single samples below zero are the sensor's noise.
+        signals["actuation"] = np.maximum(signals["actuation"], 0.0)
+    for signal in signals.values():
+        signal.flags.writeable = False
+
+
+def unused_of(table: Table, sources: Mapping[str, Source]) -> tuple[str, ...]:
+    """Names of the columns that no source needs."""
+    used = wanted_of(table, sources)
+    return tuple(name for name in table.names if name not in used)
+
+
+def in_words(sources: Mapping[str, Source]) -> dict[str, str]:
+    """Role to what it is made of, of those that are more than a column."""
+    return {
+        role: source.words(str(source.column), str(source.unit))
+        for role, source in sources.items()
+        if not source.plain
+    }

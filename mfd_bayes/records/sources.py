@@ -1,0 +1,232 @@
+"""What a signal of a record is made of: a column, and what is taken off it.
+
+Nothing is evaluated: each key has one meaning. ``{ name = "load", minus = { name = "pressure",
+times = "518.7 mm^2" }, minus_mass = "3 kg" }`` is F = load - pressure x area - mass x acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mfd_bayes.errors import RecordError, UnitError
+from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
+from mfd_bayes.records.readers import Table
+from mfd_bayes.records.roles import unit_of
+from mfd_bayes.units import (
+    factor,
+    measure,
+    parse_mass,
+    parse_quantity,
+    parse_window,
+    split_quantity,
+)
+
+SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
+_ORDER = 3  # of the polynomial of the differentiator
+_PARTS = ("force", "displacement")  # roles of which something may be taken off
+
+
+@dataclass(frozen=True)
+class Subtracted:
+    """A column that is taken off, times a quantity such as an area; its unit as in `Source`."""
+
+    column: str | int
+    unit: str | None = None
+    times: str = ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A column of a file, by its name or its number from 1, and what is done to it.
+
+    Attributes
+    ----------
+    column : str or int
+    unit : str, optional
+        By default that of the column's name, or of the file.
+    minus : Subtracted, optional
+    minus_mass : str
+        Mass whose inertia the load cell feels, "3 kg": times the acceleration, it is taken off.
+    tare : str
+        What the column reads at zero, "12 N", or a window over which it is 0 on average,
+        "0 s to 2 s".
+    arm : str
+        Radius, "4 in", at which the displacement is wanted: times an angle, it is the travel;
+        a torque over it is the force.
+    measured_at : str
+        Radius at which a travel or a force was measured, where that is not `arm`.
+    """
+
+    column: str | int
+    unit: str | None = None
+    minus: Subtracted | None = None
+    minus_mass: str = ""
+    tare: str = ""
+    arm: str = ""
+    measured_at: str = ""
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is the column alone."""
+        return self == Source(self.column, self.unit)
+
+    def check(self, role: str, path: object) -> None:
+        """Refuse parts that a role cannot have.
+
+        Raises
+        ------
+        RecordError
+            When there is one.
+        """
+        if self.plain:
+            return
+        if role not in _PARTS:
+            raise RecordError(
+                f"{role} of {path} is a column alone: only force and displacement "
+                "may have minus, minus_mass, tare and arm"
+            )
+        if self.minus_mass and role != "force":
+            raise RecordError(f"minus_mass of {path} belongs to the force, not to the {role}")
+        if self.measured_at and not self.arm:
+            raise RecordError(
+                f"measured_at of the {role} of {path} needs an arm, the radius at "
+                "which it is wanted"
+            )
+
+    def words(self, name: str, unit: str) -> str:
+        """What the signal is, in words, from the name and the unit that its column has."""
+        text = f"{name} [{unit}]"
+        if self.measured_at:
+            text += f" measured at a radius of {self.measured_at}, wanted at {self.arm}"
+        elif self.arm:
+            angle = measure(unit) == "ratio"
+            text += f" × an arm of {self.arm}" if angle else f" ÷ an arm of {self.arm}"
+        if self.minus is not None:
+            times = f" × {self.minus.times}" if self.minus.times else ""
+            text += f" − {self.minus.column}{times}"
+        if self.minus_mass:
+            text += f" − {self.minus_mass} × acceleration"
+        if self.tare:
+            is_window = " to " in self.tare
+            text += f" − its mean over {self.tare}" if is_window else f" − {self.tare}"
+        return text
+
+
+def wanted_of(table: Table, sources: Mapping[str, Source]) -> list[str]:
+    """Names of all columns that the sources need, each once."""
+    columns = [source.column for source in sources.values()]
+    columns += [s.minus.column for s in sources.values() if s.minus is not None]
+    return list(dict.fromkeys(table.name_of(column) for column in columns))
+
+
+def scale_of(source: Source, role: str, unit: str, of: str) -> tuple[float, str]:
+    """Factor from a column to the internal unit of its role, and a unit of that role.
+
+    Raises
+    ------
+    UnitError
+        When a unit or a radius is none, or does not lead to what the role needs.
+    """
+    if not source.arm:
+        return factor(unit, role, of=of), unit
+    arm, length = split_quantity(source.arm, of=f"arm of {of}")
+    radius = _radius(source.arm, f"arm of {of}")
+    if source.measured_at:
+        ratio = radius / _radius(source.measured_at, f"measured_at of {of}")
+        return factor(unit, role, of=of) * (ratio if role == "displacement" else 1 / ratio), unit
+    if role == "displacement" and measure(unit) == "ratio":
+        return factor(unit, "dimensionless", of=of) * radius, length
+    if role == "displacement":
+        raise UnitError(
+            f"unit {unit!r} of {of} is no angle: with an arm it must be one such as 'deg' or "
+            "'rad', or a length with measured_at, the radius at which it was measured"
+        )
+    return factor(f"{unit}/{length}", role, of=f"{of} over its arm") / arm, _force_of(unit)
+
+
+def take_off(
+    table: Table, role: str, source: Source, signals: Mapping[str, Array], raw: Mapping[str, Array]
+) -> Array:
+    """Signal of a role, internal units, less all that its source takes off.
+
+    Parameters
+    ----------
+    table : Table
+    role : str
+    source : Source
+    signals : mapping
+        Role to signal, internal units: time, displacement and this one.
+    raw : mapping
+        Name to column, in the file's units.
+
+    Raises
+    ------
+    MfdError
+        When a unit, a mass or a window cannot be used.
+    """
+    signal = signals[role]
+    of = f"the {role} of {table.path}"
+    if source.minus is not None:
+        signal = signal - _subtracted(table, role, source.minus, raw)
+    if source.minus_mass:
+        mass = parse_mass(source.minus_mass, of=f"minus_mass of {of}")
+        signal = signal - mass * acceleration(signals["time"], signals["displacement"])
+    if " to " in source.tare:
+        start, end = parse_window(source.tare)
+        inside = (signals["time"] >= start) & (signals["time"] <= end)
+        if not inside.any():
+            raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
+        signal = signal - float(np.mean(signal[inside]))
+    elif source.tare:
+        signal = signal - parse_quantity(source.tare, role, of=f"tare of {of}")
+    return signal
+
+
+def acceleration(time: Array, displacement: Array) -> Array:
+    """Acceleration, (T,), in/s², of a displacement in in at times in s.
+
+    The second derivative of a cubic fitted to the samples about each (Savitzky and Golay, 1964),
+    over a tenth of the median half-cycle; uneven times are evened first.
+    """
+    from scipy.signal import savgol_filter
+
+    even = np.linspace(time[0], time[-1], time.size)
+    turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
+    half = float(np.median(np.diff(turns))) if turns.size > 1 else float(time.size)
+    window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), time.size - 1 + time.size % 2)
+    smooth = savgol_filter(
+        np.interp(even, time, displacement), window, _ORDER, deriv=2, delta=even[1] - even[0]
+    )
+    return np.asarray(np.interp(time, even, smooth), dtype=np.float64)
+
+
+def _subtracted(table: Table, role: str, other: Subtracted, raw: Mapping[str, Array]) -> Array:
+    """What a column takes off, in the internal unit of a role."""
+    name = table.name_of(other.column)
+    unit = unit_of(
+        table,
+        f"minus of {role}",
+        name,
+        {} if other.unit is None else {f"minus of {role}": other.unit},
+    )
+    of = f"column {name!r} of {table.path}"
+    if not other.times:
+        return raw[name] * factor(unit, role, of=of)
+    value, by = split_quantity(other.times, of=f"times of {of}")
+    return raw[name] * value * factor(f"{unit}*{by}", role, of=f"{of} times {other.times}")
+
+
+def _radius(text: str, of: str) -> float:
+    radius = parse_quantity(text, "displacement", of=of)
+    if not radius > 0.0:
+        raise UnitError(f"{of}: expected a radius above 0, got {text!r}")
+    return radius
+
+
+def _force_of(unit: str) -> str:
+    """Unit of force in that of a torque: "kN" of "kN*m"."""
+    parts = [part.strip() for part in unit.replace("·", "*").split("*")]
+    return next((part for part in parts if measure(part) == "force"), "kip")

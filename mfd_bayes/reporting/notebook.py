@@ -1,0 +1,103 @@
+"""A finished calibration for notebooks: its results can be drawn, and handed to ArviZ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mfd_bayes.runs import run as runs
+from mfd_bayes.runs.run import Run
+
+if TYPE_CHECKING:
+    from mfd_bayes.calibration.result import TestResult
+    from mfd_bayes.population.predict import Band
+    from mfd_bayes.runs.systems import System
+
+
+def open_run(folder: str | Path) -> Run:
+    """Finished calibration of a run folder, whose results can be drawn.
+
+    Raises
+    ------
+    StoreError
+        When the folder is no finished run, a file in it is not what the run wrote, or another
+        process changes it meanwhile.
+    """
+    run = runs.open_run(folder)
+    extras = Notebook(run.system)
+    tests = {name: replace(test, extras=extras) for name, test in run.tests.items()}
+    return replace(run, tests=tests, extras=extras)
+
+
+@dataclass(frozen=True)
+class Notebook:
+    """Pictures in the units of a system, and ArviZ data, of results."""
+
+    system: System
+
+    def plot_band(self, band: Band, axes: Any, displacement: Any) -> Any:
+        """Axes with a band over time, or over a displacement, in."""
+        from mfd_bayes.assessment.views import Fan, Interval
+        from mfd_bayes.reporting.conversion import convert_fan
+        from mfd_bayes.reporting.figures import axes as drawn
+
+        interval = Interval(band.probability, band.lower, band.upper)
+        fan = convert_fan(Fan(band.kind, band.median, (interval,)), self.system.factor("kip"))
+        along = None
+        if displacement is not None:
+            along = np.asarray(displacement, dtype=np.float64) * self.system.factor("in")
+        where = drawn.new_axes() if axes is None else axes
+        return drawn.draw_band(where, fan, band.time, along, self.system)
+
+    def plot_loops(self, test: TestResult, axes: Any) -> Any:
+        """Axes with the measured loops of a test over its replicated records."""
+        from mfd_bayes.assessment.bands import fan_of
+        from mfd_bayes.reporting.conversion import convert_fan, convert_trace
+        from mfd_bayes.reporting.figures import axes as drawn
+        from mfd_bayes.store.netcdf import load_groups
+
+        force = load_groups(test.path)["posterior_predictive"]["force"].to_numpy()
+        fan = fan_of("observation", force.reshape(-1, force.shape[-1]).astype(np.float64))
+        shown = convert_fan(fan, self.system.factor("kip"))
+        where = drawn.new_axes() if axes is None else axes
+        return drawn.draw_measured(
+            where, convert_trace(test.trace, self.system), shown, self.system
+        )
+
+    def inference_data(self, result: TestResult | Band) -> Any:
+        """Groups of a test, or of a band, as ArviZ's functions take them."""
+        from mfd_bayes.population.predict import Band
+        from mfd_bayes.store.netcdf import arviz_data, load_groups
+
+        if isinstance(result, Band):
+            return arviz_data(_of_band(result))
+        groups = load_groups(result.path)
+        return arviz_data({**groups, "log_likelihood": _of_cycles(result)})
+
+
+def _of_band(band: Band) -> dict[str, Any]:
+    """Group of a prediction: its force draws in one chain."""
+    import xarray as xr
+
+    about = {"units": "kip", "kind": band.kind, "source": band.source}
+    force = (("chain", "draw", "time"), band.draws[None], about)
+    numbers = {"chain": [0], "draw": np.arange(len(band.draws)), "time": band.time}
+    return {"predictions": xr.Dataset({"force": force}, coords=numbers)}
+
+
+def _of_cycles(test: TestResult) -> Any:
+    """Log density of each cycle given all others, (chain, draw, cycle)."""
+    import xarray as xr
+
+    from mfd_bayes.validation.cycles import cycle_log_likelihood, find_cycles
+
+    stored, posterior = test.stored, test.posterior
+    shape = stored.stats["lp"].shape
+    cycles = find_cycles(posterior.trace, posterior.first)
+    given = cycle_log_likelihood(posterior, stored.values(), cycles)[0]
+    values = (("chain", "draw", "cycle"), given.reshape(*shape, -1))
+    numbers = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
+    return xr.Dataset({"force": values}, coords=numbers)

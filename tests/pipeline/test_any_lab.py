@@ -1,0 +1,162 @@
+"""A device of any size, in any unit: from a logger's files to priors, with nothing edited."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.campaign.draft.shapes import by_loop
+from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.cli.commands import app
+from mfd_bayes.pipeline.preparation import inspect_campaign, system_of_records
+from mfd_bayes.records.record import read_record
+from mfd_bayes.records.scales import scales_of
+from mfd_bayes.runs.systems import SI, SI_SMALL, US, US_SMALL
+
+
+@pytest.fixture(scope="module")
+def devices(benchmark_module):
+    return benchmark_module("anylab.devices")
+
+
+@pytest.fixture(scope="module")
+def run(benchmark_module):
+    return benchmark_module("anylab.run")
+
+
+def said(*words, code=0):
+    outcome = CliRunner().invoke(app, [str(word) for word in words])
+    assert outcome.exit_code == code, outcome.output
+    return outcome.output
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_init_and_inspect_read_a_device_of_any_size(devices, run, tmp_path, number):
+    device = devices.DEVICES[number]
+    devices.write_device(tmp_path, device)
+    words = said("init", tmp_path)
+    campaign = tmp_path / "campaign.toml"
+    if device.named:
+        assert "FIXME" not in words
+    else:
+        assert "guessed from the numbers" in words
+        run.complete(campaign, device)
+        said("init", campaign)
+    loaded = load_campaign(campaign)
+    assert len(loaded.tests) == 4
+    record = loaded.tests[-1].read()
+    stroke = np.ptp(record.displacement) * 25.4
+    in_mm = {"mm": 1.0, "in": 25.4}[device.length_unit]
+    assert stroke == pytest.approx(device.length * in_mm, rel=1e-3)
+    found, records = inspect_campaign(campaign)
+    system = system_of_records(records)
+    force = system.reworded(found[0].facts["slip force, read off"])
+    assert f" {system.force} " in force
+    assert 0.1 < float(force.split()[0]) < 3000.0  # to be read, whatever the device's size
+
+
+def test_priors_of_a_device_hold_its_truth_and_its_force(devices, tmp_path):
+    device = devices.DEVICES[3]
+    truth = devices.write_device(tmp_path, device)
+    said("init", tmp_path)
+    priors = load_priors("priors.toml", tmp_path)
+    for values in truth.values():
+        for name in ("Fc_fwd", "Fc_bwd", "sigma0", "k3", "d2", "d3", "noise_sd"):
+            figures = priors.parameters[name].figures
+            assert abs(np.log(values[name] / figures["median"])) < 2.5 * figures["spread"], name
+    text = (tmp_path / "priors.toml").read_text(encoding="utf-8")
+    assert "the plateau of 3bar_0.5Hz.txt and 3 more" in text
+    assert "spread a factor of 3" in text
+    assert all(len(table["reason"]) > 5 for table in tomllib.loads(text)["parameters"].values())
+
+
+def test_priors_of_another_device_are_found_wrong_with_what_would_mend_them(devices, tmp_path):
+    devices.write_device(tmp_path, devices.DEVICES[3])
+    said("init", tmp_path)
+    campaign = tmp_path / "campaign.toml"
+    for path in sorted(tmp_path.glob("*.txt"))[1:]:
+        path.unlink()
+    said("init", tmp_path, "--force")
+    words = said("prior-check", campaign, "-o", tmp_path)  # the negative control: its own priors
+    assert words.count("100%") == 1
+    text = campaign.read_text(encoding="utf-8").replace('"priors.toml"', '"mfd"')
+    campaign.write_text(text, encoding="utf-8")
+    words = said("prior-check", campaign, "-o", tmp_path, code=1)
+    assert "the prior most wrong is that of Fc_" in words
+    assert "kN, and the plateau of the loop is" in words
+    assert "give it a median of about" in words
+
+
+def test_a_priors_file_that_is_there_is_kept(devices, tmp_path):
+    devices.write_device(tmp_path, devices.DEVICES[3])
+    (tmp_path / "priors.toml").write_text("mine")
+    assert "give --force to replace it" in said("init", tmp_path, code=2)
+    assert (tmp_path / "priors.toml").read_text() == "mine"
+    assert not (tmp_path / "campaign.toml").exists()
+
+
+def test_one_campaign_in_two_units_has_the_same_density(devices, tmp_path):
+    device = devices.DEVICES[1]
+    devices.write_device(tmp_path, device)
+    path = tmp_path / "3bar_0.5Hz.txt"
+    rows = np.loadtxt(path, skiprows=1)
+    traces = []
+    for length, force, by in (("mm", "kN", (1.0, 1.0)), ("in", "kip", (25.4, 4.4482216152605))):
+        other = tmp_path / f"{force}.csv"
+        table = rows / [1.0, *by]
+        np.savetxt(other, table, "%.17g", ",", header="time_s,x,f", comments="")
+        columns = {"time": "time_s", "displacement": "x", "force": "f"}
+        record = read_record(other, columns, {"displacement": length, "force": force}, "3 bar")
+        traces.append(record.trace(gap=0.2))
+    one, two = (Posterior(trace, "mfd") for trace in traces)
+    q = one.coordinates(one.draw_prior(np.random.default_rng(1), 20))
+    np.testing.assert_allclose(one.log_prob(q), two.log_prob(q), rtol=1e-9)
+    assert np.all(np.isfinite(one.log_prob(q)))
+    wrong = Posterior(traces[0], "brfd")  # the negative control: other priors, another density
+    assert not np.allclose(one.log_prob(q), wrong.log_prob(q), rtol=1e-3)
+
+
+def test_a_loop_is_told_from_its_force_and_a_pressure(devices, tmp_path):
+    devices.write_device(tmp_path, devices.DEVICES[1])
+    for path in sorted(Path(tmp_path).glob("*.txt")):
+        _, travel, load = np.loadtxt(path, skiprows=1).T
+        pressure = 3.0 + 0.01 * np.random.default_rng(0).normal(size=travel.size)
+        found = by_loop({"p": pressure, "f": load, "x": travel})
+        assert found[:2] == ["x", "f"]
+
+
+def test_scales_are_those_of_the_device(devices, tmp_path):
+    device = devices.DEVICES[1]
+    truth = devices.write_device(tmp_path, device)
+    record = read_record(
+        tmp_path / "6bar_0.25Hz.txt",
+        {"time": "time_s", "displacement": "travel_mm", "force": "load_kN"},
+    )
+    scales, known = scales_of(record.trace()), truth["6bar_0.25Hz"]
+    slip = 0.5 * (known["Fc_fwd"] + known["Fc_bwd"])
+    assert scales.force == pytest.approx(slip, rel=0.15)
+    assert scales.build_up == pytest.approx(known["k3"], rel=1.0)
+    assert 0.3 < scales.length / (known["d2"] + known["d3"]) < 3.0
+    assert scales.noise < known["noise_sd"]
+
+
+@pytest.mark.parametrize(
+    ("text", "system", "expected"),
+    [
+        ("-0.0012 to 0.0021 kip, samples: 3", SI_SMALL, "-5.34 to 9.34 N, samples: 3"),
+        ("amplitude 0.5 (0.4 to 0.6) in, 1 Hz", SI, "amplitude 12.7 (10.2 to 15.2) mm, 1 Hz"),
+        ("k3 (47.6 [37.1, 59.7] kip/in)", SI, "k3 (8.34 [6.5, 10.5] kN/mm)"),
+        ("E, kip·in (observed 2, expected 3, off", SI, "E, kN·mm (observed 226, expected 339, off"),
+        ("+0.01 kip from the first", US_SMALL, "+10 lbf from the first"),
+        ("3 in the middle, 2 in 4 tests", SI, "3 in the middle, 2 in 4 tests"),
+        ("column 'x 3 in' of 1.0in.csv", SI, "column 'x 3 in' of 1.0in.csv"),
+        ("0.2 kip and 3 in", US, "0.2 kip and 3 in"),
+        ("5.1 kip·in (mean of 3)", SI_SMALL, "576000 N·mm (mean of 3)"),
+    ],
+)  # fmt: skip
+def test_sentences_are_in_the_units_of_the_campaign(text, system, expected):
+    assert system.reworded(text) == expected
