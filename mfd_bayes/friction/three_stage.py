@@ -42,7 +42,7 @@ class ThreeStage(Stepped):
         """Force of every parameter vector (n, 14), (n, T), kip; see `Model.force`."""
         columns = check_theta(self, theta)
         n = columns["k2"].shape[1]
-        w0 = _check_start(start, n)
+        w0 = check_start(start, n)
         columns = actuate(columns, trace, scales)
         return _force(columns, trace, w0).T
 
@@ -52,7 +52,7 @@ class ThreeStage(Stepped):
         From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
         """
         columns = check_theta(self, theta)
-        return travel(_gap(columns), trace.path, _check_start(start, columns["k2"].shape[1])).T
+        return travel(_gap(columns), trace.path, check_start(start, columns["k2"].shape[1])).T
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap, D = d2 + d3, (n,), in."""
@@ -78,12 +78,12 @@ class ThreeStage(Stepped):
             Actuation to which theta belongs; by default that of the first step.
         """
         columns = check_theta(self, theta)
-        w0 = _check_start(start, columns["k2"].shape[1])
+        w0 = check_start(start, columns["k2"].shape[1])
         damper = Damper(friction_of(columns), _gap(columns), w0, direction, reference_actuation)
         return State.at_rest(damper)
 
 
-def _check_start(start: ArrayLike | None, n: int) -> Array:
+def check_start(start: ArrayLike | None, n: int) -> Array:
     if start is None:
         return np.full(n, 0.5)
     w0 = real_numbers("start", start, FitError)
