@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.course import Place, cut, cut_few
-from mfd_bayes.friction.damper import Damper, Drive, follow
+from mfd_bayes.friction.damper import SIDES, Damper, Drive, follow
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.paper import quantities_of
 from mfd_bayes.friction.quantity import Quantity
@@ -85,7 +85,7 @@ class State:
     reference: float | None
     z: Array
     force: Array
-    place: Place = Place()
+    place: Place = field(default_factory=Place)
     displacement: float = float("nan")
     velocity: float = float("nan")
     shares: Shares = field(default_factory=dict)
@@ -215,6 +215,31 @@ class BacklashLuGre(Model):
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap D, (n,), in."""
         return values["gap"]
+
+    def crossing(self, values: Mapping[str, Array]) -> Array:
+        """Travel from slip to slip, D + F_c,fwd/k_f + F_c,bwd/k_b, (n,), in."""
+        ways = [values[f"Fc_{side}"] / values[f"k_{side}"] for side in SIDES]
+        return values["gap"] + ways[0] + ways[1]
+
+    def stages(
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
+    ) -> NDArray[np.int8]:
+        """Stage at each sample, (n, T): 1 slip, 2 stick, 3 build-up, 4 in the gap.
+
+        It slips where the spring takes up less than half of the motion. Beyond the gap the force
+        builds up where the motion loads the spring, and the device sticks where it unloads it.
+        """
+        damper = _damper(self, theta)
+        force = self.force(theta, trace, start).T
+        force -= trace.velocity[:, None] * damper.columns["sigma2"]
+        z = damper.spring.deflection(force)
+        moved = np.diff(trace.displacement, prepend=trace.displacement[0])[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.abs(np.diff(z, axis=0, prepend=z[:1]) / moved)
+        loads = moved * force > 0
+        inside = np.abs(z) < 0.5 * damper.columns["gap"]
+        stage = np.select([loads & (share < 0.5), inside, loads], [1, 4, 3], 2)
+        return stage.T.astype(np.int8)
 
 
 def _path(trace: Trace) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:

@@ -111,7 +111,7 @@ def _travelled(length: Array, sign: Array, place: Place) -> Array:
         begun[0] -= place.travelled
     stretch = np.zeros(sign.size, dtype=np.intp)
     stretch[starts[1:]] = 1
-    return total[:-1] - begun[np.cumsum(stretch)]
+    return np.asarray(total[:-1] - begun[np.cumsum(stretch)])
 
 
 def cut_few(moves: list[float], plans: list[Plan], which: Index, place: Place) -> Course:

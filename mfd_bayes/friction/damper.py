@@ -125,7 +125,7 @@ class Drive:
 
 
 def follow(damper: Damper, course: Course, drive: Drive, first: Array) -> tuple[Array, Array]:
-    """Spring force at the end of each step of the uncut motion, (M, n), kip, and the last z, (n,)."""
+    """Spring force after each step of the uncut motion, (M, n), kip, and the last z, (n,), in."""
     force = np.empty((course.ends.size, damper.size))
     z = first
     for begin, end, rows in _pieces(damper, course, drive):

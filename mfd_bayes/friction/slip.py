@@ -43,7 +43,7 @@ STIFF = 8.0
 """A step longer than this many lengths over which slip sets in ends in slip, or slides none."""
 
 OVER = 1.0
-"""Largest n ln(G/g) at which a step begins: what is above, after friction fell, is let go at once."""
+"""Largest n ln(G/g) at which a step begins: what is above, after friction fell, goes at once."""
 
 
 @dataclass(frozen=True, eq=False)

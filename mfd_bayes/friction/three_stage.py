@@ -58,6 +58,14 @@ class ThreeStage(Stepped):
         """Width of the gap, D = d2 + d3, (n,), in."""
         return values["d2"] + values["d3"]
 
+    def stages(
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
+    ) -> NDArray[np.int8]:
+        """Stage at each sample, (n, T): 1 slip, 2 stick, 3 build-up; see `Model.stages`."""
+        travel = self.travel(theta, trace, start)
+        d2, d3 = np.asarray(theta).T[[PARAMETERS.index(name) for name in ("d2", "d3")], :, None]
+        return np.select([travel >= d2 + d3, travel >= d2], [1, 3], 2).astype(np.int8)
+
     def start(
         self,
         theta: ArrayLike,
@@ -84,6 +92,7 @@ class ThreeStage(Stepped):
 
 
 def check_start(start: ArrayLike | None, n: int) -> Array:
+    """Place in the gap at the first sample, (n,), checked; its middle where none is given."""
     if start is None:
         return np.full(n, 0.5)
     w0 = real_numbers("start", start, FitError)
