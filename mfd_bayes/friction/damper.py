@@ -61,14 +61,24 @@ class Damper:
         return Material(self.spring, c["n"], c["n"] * steepest / least)
 
     @cached_property
-    def slipping(self) -> Array:
-        """Deflection s z in slip, (2, 2, n), in: forward and backward, kinetic and static."""
+    def friction(self) -> tuple[Array, Array, Array, Array]:
+        """ln F_c and e, forward and backward, and deflections s z in slip, (2, n) each.
+
+        The deflections, in, are those of kinetic friction and what static friction adds to them.
+        """
         c = self.columns
-        kinetic = np.stack([c["Fc_fwd"], -c["Fc_bwd"]])
+        kinetic = np.stack([c["Fc_fwd"], c["Fc_bwd"]])
         excess = np.stack([c["static_excess_fwd"], c["static_excess_bwd"]])
-        found = np.stack([self.spring.deflection(kinetic * a) for a in (1.0, 1.0 + excess)], axis=1)
-        found[1] *= -1.0
-        return found
+        sign = np.array([[1.0], [-1.0]])
+        slow, at = (
+            sign * self.spring.deflection(sign * kinetic * share) for share in (1.0 + excess, 1.0)
+        )
+        return np.log(kinetic), excess, at, slow - at
+
+    @cached_property
+    def reach(self) -> Array:
+        """n times the steepest slope, (n,), kip/in: over the slip force, 1/length of slip."""
+        return self.material.rate * np.minimum(self.columns["Fc_fwd"], self.columns["Fc_bwd"])
 
     @cached_property
     def plans(self) -> list[tuple[NDArray[np.intp], Plan]]:
@@ -151,36 +161,30 @@ def rows_of(damper: Damper, course: Course, part: slice, drive: Drive) -> Rows:
     static = drive.rate[origin, None] / c["v_s"]
     static *= static
     np.exp(np.negative(static, out=static), out=static)
-    kinetic = np.log(np.stack([c["Fc_fwd"], c["Fc_bwd"]]))
-    excess = np.stack([c["static_excess_fwd"], c["static_excess_bwd"]])
+    kinetic, excess, at, rise = damper.friction
     level = excess[back]
     level *= static
     level += 1.0
     np.log(level, out=level)
     level += kinetic[back]
-    at = damper.slipping
-    bound = (at[:, 1] - at[:, 0])[back]
+    bound = rise[back]
     bound *= static
-    bound += at[:, 0][back]
+    bound += at[back]
     if drive.shares:
         level += np.log(_shares(course, part, drive, back))
         bound = _bounds(damper, np.exp(level), sign)
     way = course.way[part]
     stiff, uneven = _stiff(damper, way, level), bool(drive.shares)
-    slip = damper.material.rate * np.minimum(c["Fc_fwd"], c["Fc_bwd"])
-    most = 2.0 * (np.exp(level) / slip if uneven else 1.0 / damper.material.rate[None])
+    most = 2.0 * (np.exp(level) / damper.reach if uneven else 1.0 / damper.material.rate[None])
     level *= n
     return Rows(way, sign[:, None], level, bound, most, stiff, uneven)
 
 
 def _stiff(damper: Damper, way: Array, level: Array) -> NDArray[np.bool_] | None:
     """Steps that are far longer than the way over which slip sets in, (R, n); None without any."""
-    least = np.exp(level.min(axis=0))
-    c = damper.columns
-    reach = damper.material.rate * np.minimum(c["Fc_fwd"], c["Fc_bwd"])
-    if np.all(np.max(way, axis=0) * reach <= STIFF * least):
+    if np.all(way.max(axis=0) * damper.reach <= STIFF * np.exp(level.min(axis=0))):
         return None
-    return np.asarray(way * reach > STIFF * np.exp(level))
+    return np.asarray(way * damper.reach > STIFF * np.exp(level))
 
 
 def _shares(course: Course, part: slice, drive: Drive, back: NDArray[np.intp]) -> Array:

@@ -11,6 +11,7 @@ and all steps are solved together by Newton's method: each of its steps is a lin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,10 +77,12 @@ class Rows:
     stiff: Chosen | None = None
     uneven: bool = False
 
-    @property
+    @cached_property
     def turned(self) -> NDArray[np.intp]:
         """First step of each stretch in one direction."""
-        return np.append(0, 1 + np.flatnonzero(self.sign[1:, 0] != self.sign[:-1, 0]))
+        first = np.ones(len(self.sign), dtype=bool)
+        np.not_equal(self.sign[1:, 0], self.sign[:-1, 0], out=first[1:])
+        return np.flatnonzero(first)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ Array = NDArray[np.float64]
 _INVERSIONS = 60
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spring:
     """Spring of n vectors, (n,) each (model.md section 9).
 
@@ -24,6 +26,18 @@ class Spring:
     gap: Array
     ell: Array
     k_0: Array
+
+    @cached_property
+    def _constants(self) -> tuple[Array, ...]:
+        scale = 1.0 / self.ell
+        return (
+            scale,
+            0.5 * self.gap * scale,
+            np.exp(-self.gap * scale),
+            self.k_fwd * self.ell,
+            self.k_bwd * self.ell,
+            self.k_fwd + self.k_bwd + self.k_0,
+        )
 
     def of(self, columns: NDArray[np.intp]) -> Spring:
         """Spring of some of the vectors, by their number; one may come several times."""
@@ -37,25 +51,28 @@ class Spring:
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in."""
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            a = z * (1.0 / self.ell)
-            a -= 0.5 * self.gap / self.ell
-            np.exp(a, out=a)
-            b = np.exp(-self.gap / self.ell) / a
-            a += 1.0
-            b += 1.0
-            force = np.log(a)
-            force *= self.k_fwd * self.ell
-            work = np.log(b)
-            work *= self.k_bwd * self.ell
-            force -= work
-            force += np.multiply(self.k_0, z, out=work)
-            if not np.isfinite(np.sum(force)):
-                return self._steep(z)
-            np.divide(self.k_fwd, a, out=a)
-            np.divide(self.k_bwd, b, out=b)
-            a += b
-            np.subtract(self.k_fwd + self.k_bwd + self.k_0, a, out=a)
-        return force, a
+            force, slope = self._plain(z)
+        return (force, slope) if isfinite(np.add.reduce(force, axis=None)) else self._steep(z)
+
+    def _plain(self, z: Array) -> tuple[Array, Array]:
+        """As `evaluate`, by one exponential; not finite where z is hundreds of ℓ."""
+        scale, half, ratio, fwd, bwd, steepest = self._constants
+        a = z * scale
+        a -= half
+        np.exp(a, out=a)
+        b = ratio / a
+        a += 1.0
+        b += 1.0
+        force = np.log(a)
+        force *= fwd
+        work = np.log(b)
+        work *= bwd
+        force -= work
+        force += np.multiply(self.k_0, z, out=work)
+        np.divide(self.k_fwd, a, out=a)
+        np.divide(self.k_bwd, b, out=b)
+        a += b
+        return force, np.subtract(steepest, a, out=a)
 
     def _steep(self, z: Array) -> tuple[Array, Array]:
         """As `evaluate`, where exponents of e are too large for a number."""
