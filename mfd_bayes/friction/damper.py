@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.course import Course, Plan
-from mfd_bayes.friction.slip import STIFF, Material, Rows, advance
+from mfd_bayes.friction.newton import STIFF, Material
+from mfd_bayes.friction.slip import Rows, advance
 from mfd_bayes.friction.spring import Spring
 
 Array = NDArray[np.float64]
@@ -62,7 +63,7 @@ class Damper:
 
     @cached_property
     def friction(self) -> tuple[Array, Array, Array, Array]:
-        """ln F_c and e, forward and backward, and deflections s z in slip, (2, n) each.
+        """Logarithm of F_c, and e, forward and backward, and deflections s z in slip, (2, n) each.
 
         The deflections, in, are those of kinetic friction and what static friction adds to them.
         """
