@@ -78,7 +78,7 @@ class Damper:
 
     @cached_property
     def reach(self) -> Array:
-        """n times the steepest slope, (n,), kip/in: over the slip force, 1/length of slip."""
+        """Exponent times steepest slope, (n,), kip/in; over the slip force it is `Material.rate`."""
         return self.material.rate * np.minimum(self.columns["Fc_fwd"], self.columns["Fc_bwd"])
 
     @cached_property

@@ -138,7 +138,7 @@ def _guess(material: Material, rows: Rows, starts: Index, first: Array) -> Array
 
 
 def _lag(z: Array, bound: Array, way: Array, rate: Array, slipped: Array) -> None:
-    """Let deflections in slip, (R, n), in place, follow a slip force that rises late, as they do."""
+    """Let deflections in slip, (R, n), in place, follow late a slip force that changes."""
     grown = np.exp(np.minimum((way - way[0]) * rate, 600.0))
     rise = np.diff(bound, axis=0)
     rise *= grown[1:]
