@@ -78,7 +78,7 @@ class Damper:
 
     @cached_property
     def reach(self) -> Array:
-        """Exponent times steepest slope, (n,), kip/in; over the slip force it is `Material.rate`."""
+        """Exponent times steepest slope, (n,), kip/in: `Material.rate` times the slip force."""
         return self.material.rate * np.minimum(self.columns["Fc_fwd"], self.columns["Fc_bwd"])
 
     @cached_property
@@ -86,7 +86,7 @@ class Damper:
         """Vectors that share a plan, with it.
 
         A vector's plan depends on its own parameters alone, so that its force does not depend on
-        the others in its batch. Lengths are rounded to powers of √2: few plans do.
+        the others in its batch. Lengths are rounded to powers of √2 and of 2, so few plans do.
         """
         c, rate = self.columns, self.material.rate
         fine, coarse = RESOLVED
@@ -94,7 +94,7 @@ class Damper:
         static = [c[f"Fc_{s}"] * (1.0 + c[f"static_excess_{s}"]) / c[f"k_{s}"] for s in SIDES]
         window = c["gap"] + sum(static) + SURE / rate
         fineness = np.clip(np.floor(2.0 * np.log2(step)), -99.0, 99.0)
-        steps = np.clip(np.ceil(2.0 * np.log2(window)) - fineness, 0.0, 16.0)
+        steps = np.clip(2.0 * np.ceil(np.log2(window)) - fineness, 0.0, 16.0)
         keys, which = np.unique(np.stack([fineness, steps], axis=1), axis=0, return_inverse=True)
         return [
             (np.flatnonzero(which.ravel() == i), Plan(2.0 ** (0.5 * h), 2.0 ** (0.5 * (h + w))))

@@ -52,6 +52,8 @@ class Steps:
         Steps that do not follow the one before them here.
     first : (B, n), in
         Deflection before each of those.
+    spring : (B, n), (B, n), kip, kip/in
+        Force and stiffness of the spring there.
     """
 
     way: Array
@@ -60,6 +62,7 @@ class Steps:
     stiff: Chosen | None
     breaks: Index
     first: Array
+    spring: tuple[Array, Array]
 
     @cached_property
     def starts(self) -> Index:
@@ -100,27 +103,28 @@ def _linear(
     """Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k for z + δ, (R, n) each."""
     n = material.exponent
     (log0, b0), (log1, b1) = _pushes(material, rows, *spring)
-    over = _let_go(material, rows, log0, b0) if np.max(log0) > OVER else None
+    over = _let_go(material, rows, log0, b0) if log0.max() > OVER else None
     p0 = np.exp(log0, out=log0)
     p1 = np.exp(np.minimum(log1, STIFF, out=log1), out=log1)
     c0, c1 = b0 * p0, b1 * p1
     f0, f1 = np.subtract(1.0, p0, out=p0), np.subtract(1.0, p1, out=p1)
-    # c = −h f′, so the rule's weights of f₀ and f₁ are 1/2 ∓ c/12
-    gain = _weighted(c0, -1.0 / 12.0, f0)
-    gain += _weighted(c1, 1.0 / 12.0, f1)
+    # c = −h f′: with all of the rule times 12, the weights of f₀ and f₁ are 6 ∓ c
+    t0, t1 = 6.0 - c0, 6.0 + c1
+    gain = f0 * t0
+    gain += f1 * t1
     gain *= rows.way * rows.sign
     last = rows.before(z, rows.first)
-    gain += last if over is None else np.where(over[0], over[1], last)
-    gain -= z
-    decay, own = _slope(c0, f0, b0, n), _slope(c1, f1, b1, n)
-    c0 *= 0.5
-    decay -= c0
-    decay += 1.0
-    c1 *= 0.5
-    own += c1
-    own += 1.0
-    decay /= own
-    gain /= own
+    way = (last if over is None else np.where(over[0], over[1], last)) - z
+    way *= 12.0
+    gain += way
+    t0 += _bend(b0, f0, n)
+    t0 *= c0
+    decay = np.subtract(12.0, t0, out=t0)
+    t1 -= _bend(b1, f1, n)
+    t1 *= c1
+    t1 += 12.0
+    decay /= t1
+    gain /= t1
     if over is not None:
         decay[over[0]] = 0.0
     if rows.stiff is not None:
@@ -128,20 +132,10 @@ def _linear(
     return decay, gain
 
 
-def _weighted(c: Array, twelfth: float, f: Array) -> Array:
-    found = c * twelfth
-    found += 0.5
-    found *= f
-    return found
-
-
-def _slope(c: Array, f: Array, b: Array, n: Array) -> Array:
-    """Derivative of h² f′ f/12, with that of the spring's stiffness left out; in `b`."""
+def _bend(b: Array, f: Array, n: Array) -> Array:
+    """Part h² f″ f of the derivative of h² f′ f over c, but for the spring's bend; in `b`."""
     b *= f
     b *= 1.0 - 1.0 / n
-    np.subtract(c, b, out=b)
-    b *= c
-    b *= 1.0 / 12.0
     return b
 
 
@@ -156,7 +150,7 @@ def _pushes(
         old[1:] = new[:-1]
     at = np.searchsorted(start, rows.breaks)
     known = [values[start - 1] for values in (force, slope)]
-    for some, values in zip(known, material.spring.evaluate(rows.first), strict=True):
+    for some, values in zip(known, rows.spring, strict=True):
         some[at] = values
     turn = _push(rows.sign[start] * known[0], known[1], n)
     for old, new in zip(before, turn, strict=True):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.newton import Chosen, Index, Material, Steps, newton
+from mfd_bayes.friction.spring import Spring
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,9 @@ FAR_OFF = 1.0
 
 TAIL = 24
 """Steps at the end of a stretch where the first guess follows the slip force late."""
+
+SHORT = 4
+"""In a stretch of no more steps than this it does not."""
 
 CUTS = 6
 """Most times that this is done."""
@@ -64,19 +68,21 @@ class Rows:
     stiff: Chosen | None = None
     uneven: bool = False
 
-    def steps(self, first: Array) -> Steps:
+    def steps(self, spring: Spring, first: Array) -> Steps:
         """All of them, from a deflection (n,), in."""
-        start = np.zeros(1, dtype=np.intp)
-        return Steps(self.way, self.sign, self.limit, self.stiff, start, first[None])
+        start, before = np.zeros(1, dtype=np.intp), first[None]
+        known = spring.evaluate(before)
+        return Steps(self.way, self.sign, self.limit, self.stiff, start, before, known)
 
-    def some(self, kept: Index, z: Array, first: Array) -> Steps:
+    def some(self, spring: Spring, kept: Index, z: Array, first: Array) -> Steps:
         """Some of them; the deflections after all others, (R, n), in, are known."""
         breaks = np.flatnonzero(np.diff(kept, prepend=-2) != 1)
         before = z[kept[breaks] - 1]
         if kept[0] == 0:
             before[0] = first
         stiff = None if self.stiff is None else self.stiff[kept]
-        return Steps(self.way[kept], self.sign[kept], self.limit[kept], stiff, breaks, before)
+        parts = (self.way[kept], self.sign[kept], self.limit[kept])
+        return Steps(*parts, stiff, breaks, before, spring.evaluate(before))
 
 
 def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]:
@@ -87,7 +93,7 @@ def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]
     first : (n,), in
         Deflection before the first step.
     """
-    steps = rows.steps(first)
+    steps = rows.steps(material.spring, first)
     z = _guess(material, rows, steps.starts, first)
     kept: Index | slice = slice(None)
     force, now, size = z.copy(), z, np.empty(0)
@@ -97,7 +103,7 @@ def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]
         np.abs(step, out=step)
         step *= material.rate
         size = step.max(axis=1)
-        largest = np.max(size)
+        largest = size.max()
         if largest > FAR_OFF and done < CUTS:
             _bring_back(rows, kept, now)
         z[kept], force[kept] = now, found
@@ -106,7 +112,7 @@ def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]
         moving = np.flatnonzero(size > CLOSE)
         if largest < FAR_OFF and moving.size < FEWER * size.size:
             kept = moving if isinstance(kept, slice) else kept[moving]
-            steps, now = rows.some(kept, z, first), z[kept]
+            steps, now = rows.some(material.spring, kept, z, first), z[kept]
     return force, z[-1]
 
 
@@ -129,9 +135,10 @@ def _guess(material: Material, rows: Rows, starts: Index, first: Array) -> Array
         np.subtract(bound, bend, out=bend)
         if slips.any():  # already: what remains of the corner is sharp
             bend[:, slips] = _slider(bound, way, sign * last)[:, slips]
-        tail = slice(-TAIL, None)
-        slipped = np.where(room[tail][0] * material.rate < -1.0, 1.0, 0.0)
-        _lag(bend[tail], bound[tail], way[tail], material.rate, slipped)
+        if end - begin > SHORT:
+            tail = slice(-TAIL, None)
+            slipped = np.where(room[tail][0] * material.rate < -1.0, 1.0, 0.0)
+            _lag(bend[tail], bound[tail], way[tail], material.rate, slipped)
         np.multiply(bend, sign, out=z[begin:end])
         last = z[end - 1]
     return z
