@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.course import Place, cut, cut_few
-from mfd_bayes.friction.damper import SIDES, Damper, Drive, follow
+from mfd_bayes.friction.course import Place, cut_few
+from mfd_bayes.friction.damper import SIDES, Damper, Drive, courses, follow
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.paper import quantities_of
 from mfd_bayes.friction.quantity import Quantity
@@ -130,9 +130,8 @@ class BacklashLuGre(Model):
         shares = {name: share.T[nearest] for name, share in shares.items()}
         force = np.empty((trace.samples, damper.size))
         force[0] = damper.spring.force(first)
-        for chosen, plan in damper.plans:
+        for chosen, course in courses(damper, moves):
             drive = Drive(rate, {name: _of(share, chosen) for name, share in shares.items()})
-            course = cut(moves, plan, Place())
             found, _ = follow(damper.of(chosen), course, drive, first[chosen])
             force[1:, chosen] = found[rows[1:] - 1]
         force += trace.velocity[:, None] * damper.columns["sigma2"]

@@ -114,6 +114,27 @@ def _travelled(length: Array, sign: Array, place: Place) -> Array:
     return np.asarray(total[:-1] - begun[np.cumsum(stretch)])
 
 
+def side_by_side(courses: list[Course], which: Index) -> Course:
+    """Course of vectors that follow several courses of one motion, (n,): each has its own lengths.
+
+    Where a vector has fewer steps than another, it has some of length zero.
+    """
+    if len(courses) == 1:
+        return courses[0]
+    counts = np.diff(np.stack([course.ends for course in courses]), axis=1, prepend=0)
+    most = counts.max(axis=0)
+    ends = np.cumsum(most)
+    way, share = np.zeros((2, ends[-1], len(courses)))
+    for i, course in enumerate(courses):
+        late = (ends - most) - (course.ends - counts[i])
+        at = np.arange(course.sign.size) + late[course.origin]
+        way[at, i], share[at, i] = course.way[:, 0], course.share[:, 0]
+    origin = np.repeat(np.arange(most.size), most)
+    first = courses[0]
+    sign = first.sign[first.ends - 1]
+    return Course(way[:, which], sign[origin], origin, share[:, which], ends, first.place)
+
+
 def cut_few(moves: list[float], plans: list[Plan], which: Index, place: Place) -> Course:
     """As `cut` for a few steps of vectors with several plans, (n,): each has its own lengths.
 

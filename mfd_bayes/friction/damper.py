@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.course import Course, Plan
+from mfd_bayes.friction.course import Course, Place, Plan, cut, side_by_side
 from mfd_bayes.friction.newton import STIFF, Material
 from mfd_bayes.friction.slip import Rows, advance
 from mfd_bayes.friction.spring import Spring
@@ -28,6 +28,9 @@ RESOLVED = (2.0, 0.4)
 
 SURE = 7.0
 """Lengths over which slip sets in, after which it surely has."""
+
+WORTH = 2000
+"""Numbers of an array whose computation takes as long as one more call for few vectors does."""
 
 GRID = 512
 """Deflections at which the spring is inverted for a first guess."""
@@ -117,6 +120,22 @@ class Damper:
 
 
 SIDES = ("fwd", "bwd")
+
+
+def courses(damper: Damper, moves: Array) -> Iterator[tuple[NDArray[np.intp], Course]]:
+    """Courses of a motion's steps, (M,), in, each with the vectors that follow it.
+
+    Vectors with similar plans go together, which is faster than one plan after the other.
+    """
+    cuts = [(chosen, cut(moves, plan, Place())) for chosen, plan in damper.plans]
+    cuts.sort(key=lambda part: -part[1].sign.size)
+    while cuts:
+        longest = cuts[0][1].sign.size
+        near = [(longest - c.sign.size) * some.size <= WORTH for some, c in cuts]
+        chosen, those = zip(*[part for part, n in zip(cuts, near, strict=True) if n], strict=True)
+        cuts = [part for part, n in zip(cuts, near, strict=True) if not n]
+        which = np.repeat(np.arange(len(those)), [some.size for some in chosen])
+        yield np.concatenate(chosen), side_by_side(list(those), which)
 
 
 @dataclass(frozen=True, eq=False)

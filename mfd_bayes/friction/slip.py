@@ -31,6 +31,9 @@ ITERATIONS = 40
 FEWER = 0.8
 """Newton goes on with the unsolved steps alone when they are fewer than this share."""
 
+SURE = 0.03
+"""Newton's step, over the same length, below which a solved step of the motion stays solved."""
+
 FAR_OFF = 1.0
 """Newton's step, over the same length, that may lead beyond what friction can hold: it is cut."""
 
@@ -110,7 +113,7 @@ def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]
         if not largest > CLOSE:
             break
         moving = np.flatnonzero(size > CLOSE)
-        if largest < FAR_OFF and moving.size < FEWER * size.size:
+        if largest < SURE and not rows.uneven and moving.size < FEWER * size.size:
             kept = moving if isinstance(kept, slice) else kept[moving]
             steps, now = rows.some(material.spring, kept, z, first), z[kept]
     return force, z[-1]
