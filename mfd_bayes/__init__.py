@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.sampling import Draws, sample
     from mfd_bayes.errors import MfdError
+    from mfd_bayes.friction.backlash import BacklashLuGre
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.lugre import LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
     "Band": "mfd_bayes.population.predict",
+    "BacklashLuGre": "mfd_bayes.friction.backlash",
     "BoucWen": "mfd_bayes.friction.bouc_wen",
     "Draws": "mfd_bayes.calibration.sampling",
     "LuGre": "mfd_bayes.friction.lugre",
@@ -36,6 +38,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "BacklashLuGre",
     "Band",
     "BoucWen",
     "Draws",

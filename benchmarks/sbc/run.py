@@ -53,7 +53,7 @@ REACH = 0.35  # of the picture: the control's log likelihood goes far beyond
 
 def main() -> int:
     options = read_options()
-    study = sbc_study.full_study(options.seed)
+    study = sbc_study.full_study(options.seed, options.model)
     passed = []
     blocks, pictures = [], []
     for noise, count in ((TRUE, options.tests), (WRONG, options.control)):
@@ -69,8 +69,9 @@ def main() -> int:
     place = platform_line()
     text = "\n\n".join([f"{command}\n{place}", LEGEND, *blocks]) + "\n"
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "sbc.txt").write_text(text, encoding="utf-8")
-    draw(pictures, options.out / "sbc.png")
+    name = "sbc" if options.model == "three_stage" else f"sbc_{options.model}"
+    (options.out / f"{name}.txt").write_text(text, encoding="utf-8")
+    draw(pictures, options.out / f"{name}.png")
     print(text, end="")
     return 0 if all(passed) else 1
 
@@ -81,6 +82,8 @@ def read_options() -> argparse.Namespace:
     parser.add_argument("--control", type=int, default=100, help="tests of the wrong likelihood")
     parser.add_argument("--jobs", type=int, default=2, help="processes, of one thread each")
     parser.add_argument("--seed", type=int, default=1)
+    words = "three_stage or backlash; sbc_backlash.txt and .png are that one's"
+    parser.add_argument("--model", default="three_stage", help=words)
     parser.add_argument("--work", type=Path, default=Path("out_sbc"), help="finished tests")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="table, picture")
     return parser.parse_args()
@@ -88,17 +91,19 @@ def read_options() -> argparse.Namespace:
 
 def run_tests(study: Study, noise: str, count: int, work: Path, jobs: int) -> list[Ranked]:
     """Results of tests 0 to `count`; those of an earlier run are read from `work`."""
-    settings = (dict(study.priors.parameters), study.effort, study.draws, study.seed)
+    settings = (dict(study.priors.parameters), study.effort, study.draws, study.seed, study.model)
     motion = study.motion.displacement.tobytes()
     rooms = ("records", "friction", "calibration")
     folder = work / fingerprint(settings, motion, str(sbc_study.__file__), rooms) / noise
-    tasks = [(folder / f"{i}.json", run_test, (study.seed, i, noise)) for i in range(count)]
+    tasks = [
+        (folder / f"{i}.json", run_test, (study.seed, i, noise, study.model)) for i in range(count)
+    ]
     return [Ranked(**found) for found in run_series(tasks, jobs, f"tests with {noise} noise")]
 
 
-def run_test(seed: int, index: int, noise: str) -> dict[str, object]:
+def run_test(seed: int, index: int, noise: str, model: str) -> dict[str, object]:
     """Ranks of one test, as they are stored."""
-    return vars(sbc_study.run_test(sbc_study.full_study(seed), index, noise))
+    return vars(sbc_study.run_test(sbc_study.full_study(seed, model), index, noise))
 
 
 def table(

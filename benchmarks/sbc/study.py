@@ -31,6 +31,10 @@ MEDIANS = {
     "d2": 0.10,  # in
     "d3": 0.08,
     "ell": 0.02,
+    "k_fwd": 30.0,  # kip/in
+    "k_bwd": 25.0,
+    "gap": 0.12,  # in
+    "k_0": 0.8,  # kip/in
     "v_s": 0.4,  # in/s
     "noise_sd": 0.04,  # kip
     "noise_time": 0.1,  # s
@@ -60,6 +64,8 @@ class Study:
     draws : int
         L, taken of each posterior; ranks go from 0 to L.
     seed : int
+    model : str
+        Of the truths and of the posteriors alike.
     """
 
     priors: PriorFile
@@ -67,6 +73,7 @@ class Study:
     effort: Effort
     draws: int
     seed: int
+    model: str = "three_stage"
 
 
 @dataclass(frozen=True)
@@ -85,8 +92,8 @@ class Ranked:
     error: str = ""
 
 
-def full_study(seed: int) -> Study:
-    """All 17 parameters, on two and a half cycles and four small ones inside the gap."""
+def full_study(seed: int, model: str = "three_stage") -> Study:
+    """All parameters of a model, on two and a half cycles and four small ones inside the gap."""
     time = np.arange(320) / 32.0
     fade = 1.0 / (1.0 + np.exp((time - 6.6) / 0.15))
     large = 0.5 * np.sin(2 * np.pi * 0.4 * time)
@@ -94,7 +101,7 @@ def full_study(seed: int) -> Study:
     motion = Trace.from_arrays(time, large * fade + small * (1.0 - fade))
     # the effective sample size is three times the draws that are taken
     effort = replace(EFFORTS["standard"], ess=200, limit=12000)
-    return Study(narrow_priors(), motion, effort, draws=63, seed=seed)
+    return Study(narrow_priors(), motion, effort, draws=63, seed=seed, model=model)
 
 
 def narrow_priors(sampled: Iterable[str] = QUANTITIES, **medians: float) -> PriorFile:
@@ -102,6 +109,7 @@ def narrow_priors(sampled: Iterable[str] = QUANTITIES, **medians: float) -> Prio
     middle = MEDIANS | medians
     narrow = {n: Prior("lognormal", {"median": m, "spread": SPREAD}) for n, m in middle.items()}
     narrow["offset"] = Prior("normal", {"mean": 0.0, "sd": 0.05})
+    narrow["n"] = Prior("truncated_normal", {"mean": 3.0, "sd": 0.7, "lower": 1.0})
     shipped = load_priors("mfd")
     parameters = dict(shipped.parameters) | narrow
     for name in set(parameters) - set(sampled):
@@ -134,11 +142,11 @@ def synthesize(study: Study, index: int, noise: str) -> tuple[Posterior, dict[st
     """
     rng = np.random.default_rng([study.seed, index, 0])
     blank = replace(study.motion, force=np.zeros(study.motion.samples))
-    source = Posterior(blank, study.priors, TRUE)
+    source = Posterior(blank, study.priors, TRUE, study.model)
     truth = source.draw_prior(rng, 1)
     force = source.force(truth) + truth["offset"][:, None]
     force = force + source.noise.draw(rng, blank.time, truth)
-    return Posterior(replace(blank, force=force[0]), study.priors, noise), truth
+    return Posterior(replace(blank, force=force[0]), study.priors, noise, study.model), truth
 
 
 def ranks_of(
@@ -161,7 +169,10 @@ def ranks_of(
 
 def with_derived(values: Mapping[str, Array]) -> dict[str, Array]:
     """All quantities and those that follow from them, by name."""
-    derived = {"gap": values["d2"] + values["d3"], "gamma2": values["ell"] * values["gamma1"]}
+    derived = {}
+    if "d3" in values:
+        derived["gap"] = values["d2"] + values["d3"]
+        derived["gamma2"] = values["ell"] * values["gamma1"]
     for side in ("fwd", "bwd"):
         excess = values[f"static_excess_{side}"]
         derived[f"Fs_{side}"] = values[f"Fc_{side}"] * (1.0 + excess)

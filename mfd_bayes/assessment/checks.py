@@ -239,7 +239,8 @@ def _length(found: CheckedTest) -> list[Check]:
 
 def _predictive(found: CheckedTest) -> list[Check]:
     posterior, values = found.test.posterior, found.stored.values()
-    gap = float(np.median(values["d2"] + values["d3"])) if posterior.model.has_gap else None
+    crossing = posterior.model.crossing(values)
+    gap = None if crossing is None else float(np.median(crossing))
     checks = check_predictive(posterior, found.replicas, gap)
     return [predictive_check(found.id, check, found.tolerances) for check in checks]
 

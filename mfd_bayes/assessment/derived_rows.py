@@ -40,7 +40,9 @@ def calibrated_rows(run: Run, test: TestResult, replicas: Replicas) -> tuple[Der
     level, model = trace.reference_actuation, test.posterior.model
     drawn |= derive_from_parameters(model, values, level, _area(run))
     offset = float(np.median(values["offset"]))
-    known = _measured(trace, offset, first) | {"gap": read_off(trace, offset).gap}
+    known = _measured(trace, offset, first) | dict.fromkeys(
+        ("gap", "crossing"), read_off(trace, offset).gap
+    )
     cycles = full_strokes(trace, first=first)
     return _rows((test.id, "calibrate"), drawn, known, cycles)
 

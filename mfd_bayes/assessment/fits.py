@@ -42,7 +42,10 @@ SHOWN = 2000
 ORDERS = 4
 """Number of orders of sources for the shares of a held-out test: few, for there may be many."""
 
-_CORNER = ("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3", "ell")
+_CORNER = (
+    *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
+    *("k_fwd", "k_bwd", "gap", "n", "ell"),
+)
 
 
 def calibrated_view(run: Run, test: TestResult) -> TestView:
@@ -117,15 +120,12 @@ def _stages(
 ) -> tuple[NDArray[np.int8] | None, Array | None]:
     """Stage, and travel in the gap, at each sample for the posterior medians."""
     posterior = test.posterior
-    if not posterior.model.has_gap:
-        return None, None
     medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
-    travel = posterior.model.travel(
-        posterior.theta(medians), posterior.trace, medians.get("start")
-    )[0]
-    stick, width = medians["d2"][0], medians["d2"][0] + medians["d3"][0]
-    stage = np.select([travel >= width, travel >= stick], [1, 3], 2).astype(np.int8)
-    return stage, travel
+    at = posterior.theta(medians), posterior.trace, medians.get("start")
+    stage = posterior.model.stages(*at)
+    if stage is None:
+        return None, None
+    return stage[0], posterior.model.travel(*at)[0]
 
 
 def _rows(test: str, stored: StoredTest, prior: Mapping[str, Array]) -> list[Row]:

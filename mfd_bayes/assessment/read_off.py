@@ -46,9 +46,10 @@ def _pairs(
         yield name, "kip", plateau, values[name], "slip_force"
     if "k3" in values:
         yield "k3", "kip/in", read.slope, values["k3"], "build_up"
-    gap = model.gap(values)
-    if gap is not None:
-        yield "gap", "in", read.gap, gap, "gap"
+    crossing = model.crossing(values)
+    if crossing is not None:
+        name = "crossing" if "gap" in values else "gap"
+        yield name, "in", read.gap, crossing, "gap"
 
 
 def _row(head: tuple[str, str, str], reading: float, draws: Array, tolerance: float) -> ReadingRow:

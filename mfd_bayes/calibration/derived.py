@@ -33,6 +33,7 @@ UNITS: Mapping[str, str] = {
     "peak_fwd": "kip",
     "peak_bwd": "kip",
     "gap": "in",
+    "crossing": "in",
     "C_fwd": "1",
     "C_bwd": "1",
 }
@@ -90,12 +91,14 @@ def derive_from_parameters(
     Returns
     -------
     dict
-        `gap`, in, the drum's travel from one side of the gap to the other; `C_fwd` and `C_bwd`,
+        `gap`, in, the drum's travel from one side of the gap to the other, or, where that is a
+        parameter, `crossing`, the travel from slip to slip; `C_fwd` and `C_bwd`,
         C = F_c/(p A), the friction force in slip over the actuator's thrust: the self-energizing
         of the shoes in each direction (model.md section 7).
     """
-    gap = model.gap(values)
-    found = {} if gap is None else {"gap": gap}
+    crossing = model.crossing(values)
+    name = "crossing" if "gap" in model.parameters else "gap"
+    found = {} if crossing is None else {name: crossing}
     if area is not None and pressure > 0.0:
         thrust = pressure * area
         sides = zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False)

@@ -99,7 +99,7 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
     Parameters
     ----------
     path : str or Path
-    model : {"three_stage", "lugre", "bouc_wen"}, optional
+    model : {"three_stage", "lugre", "bouc_wen", "backlash"}, optional
         Replaces the file's own.
 
     Raises

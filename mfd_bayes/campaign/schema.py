@@ -179,6 +179,7 @@ class Dependence(Part):
     Fc_bwd: Covariates = ()
     sigma0: Covariates = ()
     d2: Covariates = ()
+    gap: Covariates = ()
 
 
 def _percent(value: object) -> object:

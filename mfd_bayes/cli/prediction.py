@@ -167,7 +167,7 @@ def compare(
     ],
     models: Annotated[
         str, typer.Option(help="Two or more, with commas between them.")
-    ] = "three_stage,lugre,bouc_wen",
+    ] = "three_stage,lugre,bouc_wen,backlash",
     by: Annotated[
         str, typer.Option(help="Leave out each test, level or session of each model's run too.")
     ] = "",

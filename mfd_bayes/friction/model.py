@@ -122,6 +122,19 @@ class Model:
         """Width of the gap, (n,), in, of values by name; None without a gap."""
         return None
 
+    def crossing(self, values: Mapping[str, Array]) -> Array | None:
+        """Travel from slip to slip, (n,), in: what is read off a loop as its gap."""
+        return self.gap(values)
+
+    def stages(
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
+    ) -> NDArray[np.int8] | None:
+        """Stage of every parameter vector at each sample, (n, T); None without a gap.
+
+        1 slip, 2 stick, 3 build-up, 4 in the gap, where the model tells it from stick.
+        """
+        return None
+
 
 def travel_since_turn(theta: ArrayLike, trace: Trace) -> Array:
     """Travel since the last turning point, (n, T), in: that of a device without a gap."""

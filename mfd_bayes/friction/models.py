@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
@@ -18,6 +19,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
             ThreeStage(),
             LuGre(),
             BoucWen(),
+            BacklashLuGre(),
         )
     }
 )

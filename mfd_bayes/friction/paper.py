@@ -62,8 +62,8 @@ _QUANTITIES = (
     Quantity("d2", "displacement", "d_2", "d<sub>2</sub>", "drum travel of stage 2"),
     Quantity("d3", "displacement", "d_3", "d<sub>3</sub>", "drum travel of stage 3"),
     Quantity(
-        *("ell", "displacement", r"\ell = \gamma_2/\gamma_1"),
-        *("ℓ = γ<sub>2</sub>/γ<sub>1</sub>", "transition length"),
+        *("ell", "displacement", r"\ell", "ℓ"),
+        "transition length, γ2/γ1 of the three stages",
     ),
     Quantity("gamma1", "dimensionless", r"\gamma_1", "γ<sub>1</sub>", "transition constant"),
     Quantity("v_s", "velocity", r"\dot x_s", "ẋ<sub>s</sub>", "Stribeck velocity"),

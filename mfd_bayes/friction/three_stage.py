@@ -42,7 +42,7 @@ class ThreeStage(Stepped):
         """Force of every parameter vector (n, 14), (n, T), kip; see `Model.force`."""
         columns = check_theta(self, theta)
         n = columns["k2"].shape[1]
-        w0 = _check_start(start, n)
+        w0 = check_start(start, n)
         columns = actuate(columns, trace, scales)
         return _force(columns, trace, w0).T
 
@@ -52,11 +52,19 @@ class ThreeStage(Stepped):
         From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
         """
         columns = check_theta(self, theta)
-        return travel(_gap(columns), trace.path, _check_start(start, columns["k2"].shape[1])).T
+        return travel(_gap(columns), trace.path, check_start(start, columns["k2"].shape[1])).T
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap, D = d2 + d3, (n,), in."""
         return values["d2"] + values["d3"]
+
+    def stages(
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
+    ) -> NDArray[np.int8]:
+        """Stage at each sample, (n, T): 1 slip, 2 stick, 3 build-up; see `Model.stages`."""
+        travel = self.travel(theta, trace, start)
+        d2, d3 = np.asarray(theta).T[[PARAMETERS.index(name) for name in ("d2", "d3")], :, None]
+        return np.select([travel >= d2 + d3, travel >= d2], [1, 3], 2).astype(np.int8)
 
     def start(
         self,
@@ -78,12 +86,13 @@ class ThreeStage(Stepped):
             Actuation to which theta belongs; by default that of the first step.
         """
         columns = check_theta(self, theta)
-        w0 = _check_start(start, columns["k2"].shape[1])
+        w0 = check_start(start, columns["k2"].shape[1])
         damper = Damper(friction_of(columns), _gap(columns), w0, direction, reference_actuation)
         return State.at_rest(damper)
 
 
-def _check_start(start: ArrayLike | None, n: int) -> Array:
+def check_start(start: ArrayLike | None, n: int) -> Array:
+    """Place in the gap at the first sample, (n,), checked; its middle where none is given."""
     if start is None:
         return np.full(n, 0.5)
     w0 = real_numbers("start", start, FitError)

@@ -1,4 +1,4 @@
-"""Factors of Bouc-Wen's yield force where it follows the actuation, checked."""
+"""Factors of the slip forces of a model where they follow the actuation, checked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 Shares = dict[str, Array]
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")
-"""The parameters that follow the actuation."""
+"""The parameters of Bouc-Wen that follow the actuation."""
+
+Names = tuple[str, ...]
 
 
 def check_number(name: str, value: float, *, least: float = -np.inf) -> None:
@@ -24,13 +26,15 @@ def check_number(name: str, value: float, *, least: float = -np.inf) -> None:
         raise FitError(f"{name} must be {words}, got {value}")
 
 
-def _check_shares(scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...], ...]) -> Shares:
+def _check_shares(
+    scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...], ...], names: Names
+) -> Shares:
     shares = {name: np.asarray(share, dtype=np.float64) for name, share in scales.items()}
     expected = " or ".join(map(str, shapes))
     for name, share in shares.items():
-        if name not in ACTUATED or share.shape not in shapes:
+        if name not in names or share.shape not in shapes:
             raise FitError(
-                f"scales may hold {' and '.join(ACTUATED)} with shape {expected}, "
+                f"scales may hold {' and '.join(names)} with shape {expected}, "
                 f"got {name} with {share.shape}"
             )
         if not np.all(np.isfinite(share) & (share >= 0)):
@@ -38,14 +42,16 @@ def _check_shares(scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...]
     return shares
 
 
-def trace_shares(trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None) -> Shares:
-    """Factors of F_y at each sample, (n, T) or (1, T); empty when F_y is constant."""
+def trace_shares(
+    trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None, names: Names = ACTUATED
+) -> Shares:
+    """Factors of `names` at each sample, (n, T) or (1, T); empty when they are constant."""
     if scales is not None:
-        return _check_shares(scales, ((n, trace.samples), (1, trace.samples)))
+        return _check_shares(scales, ((n, trace.samples), (1, trace.samples)), names)
     if not trace.varying:
         return {}
     share = np.asarray(trace.actuation)[None] / (trace.reference_actuation or 1.0)
-    return dict.fromkeys(ACTUATED, share)
+    return dict.fromkeys(names, share)
 
 
 def step_shares(
@@ -53,12 +59,13 @@ def step_shares(
     reference: float | None,
     actuation: float | None,
     scales: Mapping[str, ArrayLike] | None,
+    names: Names = ACTUATED,
 ) -> Shares:
-    """Factors of F_y at a sample, (n,), (1,) or (); empty when F_y is constant."""
+    """Factors of `names` at a sample, (n,), (1,) or (); empty when they are constant."""
     if actuation is not None:
         check_number("actuation", actuation, least=0.0)
     if scales is not None:
-        return _check_shares(scales, ((n,), (1,), ()))
+        return _check_shares(scales, ((n,), (1,), ()), names)
     if actuation is None:
         return {}
-    return dict.fromkeys(ACTUATED, np.array([actuation / (reference or 1.0)]))
+    return dict.fromkeys(names, np.array([actuation / (reference or 1.0)]))

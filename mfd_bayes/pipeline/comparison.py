@@ -44,7 +44,7 @@ def compare(
     out : Path
         OUT/comparison.csv is written last.
     models : sequence of str
-        Two or more of "three_stage", "lugre" and "bouc_wen".
+        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash".
     options : Options
         `model` is ignored; with `by`, each run is also cross-validated, as by
         `crossvalidate`.

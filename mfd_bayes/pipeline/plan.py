@@ -60,7 +60,7 @@ class Options(Workplace):
         Whether to finish or replace a run folder that exists.
     command : str
         The command line, stored in the manifest.
-    model : {"three_stage", "lugre", "bouc_wen"}, optional
+    model : {"three_stage", "lugre", "bouc_wen", "backlash"}, optional
         Instead of the campaign's own.
     by : {"", "test", "level", "session"}
         What `crossvalidate` and `compare` leave out of the campaign at a time.

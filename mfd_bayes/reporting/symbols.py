@@ -11,7 +11,7 @@ from mfd_bayes.calibration.quantities import known_quantities
 
 # Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {
-    "gap": ("D", "D", "width of the gap, d2 + d3"),
+    "crossing": (r"D_\mathrm{slip}", "D<sub>slip</sub>", "travel from slip to slip"),
     "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
     "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
     "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),

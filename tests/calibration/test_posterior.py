@@ -275,7 +275,7 @@ def test_a_mask_needs_a_record_that_slips():
 def test_missing_force_unknown_names_and_missing_priors_are_refused():
     with pytest.raises(FitError, match="force"):
         Posterior(Trace.from_arrays(TIME, MOTION), "brfd")
-    with pytest.raises(FitError, match=r"'maxwell'.*three_stage, lugre, bouc_wen"):
+    with pytest.raises(FitError, match=r"'maxwell'.*three_stage, lugre, bouc_wen, backlash"):
         Posterior(TRACE, "brfd", model="maxwell")
     with pytest.raises(FitError, match=r"'pink'.*ou, iid, student_t"):
         Posterior(TRACE, "brfd", noise="pink")

@@ -99,7 +99,7 @@ def name_in(path, old, new):
 
 def test_a_new_friction_model_is_one_class_and_one_entry(folder, monkeypatch):
     path = name_in(folder / "campaign.toml", "three_stage", "coulomb")
-    with pytest.raises(CampaignError, match="'lugre' or 'bouc_wen', got 'coulomb'"):
+    with pytest.raises(CampaignError, match="'bouc_wen' or 'backlash', got 'coulomb'"):
         load_campaign(path)
     monkeypatch.setattr(models, "MODELS", {**models.MODELS, "coulomb": Coulomb()})
     posterior = Posterior(TRACE, load_priors("own.toml", folder), "iid", "coulomb")

@@ -152,7 +152,7 @@ def test_unknown_keys_name_the_nearest(folder, text, expected):
         ("[[test]]\nid = 'a'\n", "test 'a'.file is missing"),
         ("[[test]]\nfile = 'a.csv'\n", "test 1.id is missing"),
         ('[campaign]\nmodel = "two"\n' + TEST, "campaign.model in"),
-        ('[campaign]\nmodel = "two"\n' + TEST, "'lugre' or 'bouc_wen', got 'two'"),
+        ('[campaign]\nmodel = "two"\n' + TEST, "'bouc_wen' or 'backlash', got 'two'"),
         ("[campaign]\ntitle = 7\n" + TEST, "got 7"),
         ('[campaign]\nrate = "64 kip"\n' + TEST, "measures force"),
         ("[campaign]\nrate = 0\n" + TEST, "greater than 0"),

@@ -13,7 +13,7 @@ from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
 from mfd_bayes.runs.systems import US, System
 
-STAGES = {2: "stick", 3: "build-up", 1: "slip"}
+STAGES = {2: "stick", 4: "gap", 3: "build-up", 1: "slip"}
 """Stages in their order within a stroke."""
 
 _POINTS = 3000
@@ -71,7 +71,7 @@ def _along(test: TestView, system: System) -> tuple[Array, str]:
     """Abscissa of the residuals: travel since the last slip, or displacement; with its label."""
     if test.travel is None:
         return test.trace.displacement, f"displacement, {system.length}"
-    return test.travel, f"travel since the last slip, {system.length}"
+    return test.travel, f"travel since the last slip or turn, {system.length}"
 
 
 def _along_gap(axes: Axes, where: Array, residual: Array, half: Array) -> None:

@@ -1,7 +1,7 @@
 // Sorts tables, saves pictures, and draws the interactive plot of loops.
 "use strict";
 
-const STAGES = ["–", "1, slip", "2, stick", "3, build-up"];
+const STAGES = ["–", "1, slip", "2, stick", "3, build-up", "in the gap"];
 
 for (const link of document.querySelectorAll("a[data-picture]")) {
   // saved from the page itself, which may be without the run folder

@@ -1,0 +1,1 @@
+"""How well the backlash model fits real records, and what it costs."""

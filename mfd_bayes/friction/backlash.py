@@ -1,0 +1,301 @@
+"""LuGre friction in series with a spring that has a gap: no rule for turns, no energy gained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.course import Place, cut_few
+from mfd_bayes.friction.damper import SIDES, Damper, Drive, courses, follow
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.paper import quantities_of
+from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.three_stage import check_start
+from mfd_bayes.friction.yield_shares import Shares, check_number, step_shares, trace_shares
+from mfd_bayes.records.motion import vertices
+from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+ACTUATED = ("Fc_fwd", "Fc_bwd")
+"""The parameters that follow the actuation. Stiffness does not: the spring is steel."""
+
+_POSITIVE = frozenset({"k_fwd", "k_bwd", "ell", "Fc_fwd", "Fc_bwd", "v_s"})
+
+_OWN = (
+    Quantity(
+        "k_fwd",
+        "stiffness",
+        r"k_\mathrm{fwd}",
+        "k<sub>fwd</sub>",
+        "stiffness beyond the gap, forward",
+    ),
+    Quantity(
+        "k_bwd",
+        "stiffness",
+        r"k_\mathrm{bwd}",
+        "k<sub>bwd</sub>",
+        "stiffness beyond the gap, backward",
+    ),
+    Quantity("gap", "displacement", "D", "D", "width of the gap"),
+    Quantity("k_0", "stiffness", "k_0", "k<sub>0</sub>", "stiffness inside the gap"),
+    Quantity("n", "dimensionless", "n", "n", "how sharply slip sets in", least=1.0),
+)
+_ORDER = (
+    *("k_fwd", "k_bwd", "gap", "ell", "k_0", "Fc_fwd", "Fc_bwd", "n", "sigma2"),
+    *("static_excess_fwd", "static_excess_bwd", "v_s"),
+)
+
+
+def _quantities() -> tuple[Quantity, ...]:
+    known = {q.name: q for q in (*quantities_of(_ORDER), *_OWN)}
+    return tuple(known[name] for name in _ORDER)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """State of n dampers that are stepped in time; `BacklashLuGre.step` returns a new one.
+
+    Attributes
+    ----------
+    damper : Damper
+        Parameters by name.
+    reference : float, ksi or kip, or None
+        Actuation that theta belongs to.
+    z : (n,), in
+        Deflection.
+    force : (n,), kip
+        Force of the spring.
+    place : Place
+        Direction, and way since the last turn.
+    displacement, velocity : float, in, in/s
+        At the last sample; NaN before the first.
+    shares : dict of (n,) or (1,)
+        Factors of the slip forces at the last sample.
+    """
+
+    damper: Damper
+    reference: float | None
+    z: Array
+    force: Array
+    place: Place = field(default_factory=Place)
+    displacement: float = float("nan")
+    velocity: float = float("nan")
+    shares: Shares = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class BacklashLuGre(Model):
+    """LuGre friction in series with a spring that has a gap (model.md section 9).
+
+        G(z) = k_f ℓ ln(1 + e^((z − D/2)/ℓ)) − k_b ℓ ln(1 + e^(−(z + D/2)/ℓ)) + k_0 z
+        g(v) = F_c [1 + e exp(−(v/v_s)²)],   F_c and e of the direction of G
+        ż = v (1 − ½ [1 + sgn(v G)] |G/g|ⁿ),   F = G(z) + σ2 v
+
+    Between samples the velocity is taken as constant; a turn between samples has its vertex as in
+    `Trace.path`. Unloading is elastic, so the force retraces wherever the motion turns. Under a
+    varying actuation the slip force changes linearly between samples; the spring does not.
+    """
+
+    name: ClassVar[str] = "backlash"
+    quantities: ClassVar[tuple[Quantity, ...]] = _quantities()
+    has_gap: ClassVar[bool] = True
+    laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
+    slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
+
+    def force(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Force of every parameter vector, (n, 12), (n, T), kip; see `Model.force`.
+
+        Fc_fwd and Fc_bwd follow the actuation. `start` is the place between slip backward, 0,
+        and slip forward, 1.
+        """
+        damper = _damper(self, theta)
+        first = damper.begin(check_start(start, damper.size))
+        shares = trace_shares(trace, damper.size, scales, ACTUATED)
+        moves, rate, nearest, rows = _path(trace)
+        shares = {name: share.T[nearest] for name, share in shares.items()}
+        force = np.empty((trace.samples, damper.size))
+        force[0] = damper.spring.force(first)
+        for chosen, course in courses(damper, moves):
+            drive = Drive(rate, {name: _of(share, chosen) for name, share in shares.items()})
+            found, _ = follow(damper.of(chosen), course, drive, first[chosen])
+            force[1:, chosen] = found[rows[1:] - 1]
+        force += trace.velocity[:, None] * damper.columns["sigma2"]
+        return force.T
+
+    def start(
+        self,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        *,
+        direction: int | None = None,
+        reference_actuation: float | None = None,
+    ) -> State:
+        """State of n dampers before their first sample, to be stepped in time.
+
+        Parameters
+        ----------
+        theta, start
+            As in `force`.
+        direction : ignored
+            No direction has to be known before the motion.
+        reference_actuation : float, ksi or kip, optional
+            Actuation that theta belongs to; when left out, that of the first sample with one.
+
+        Raises
+        ------
+        FitError
+            When a shape or a value does not fit.
+        """
+        damper = _damper(self, theta)
+        z = damper.begin(check_start(start, damper.size))
+        if reference_actuation is not None:
+            check_number("reference_actuation", reference_actuation, least=0.0)
+        return State(damper, reference_actuation, z, damper.spring.force(z))
+
+    def step(
+        self,
+        state: State,
+        displacement: float,
+        velocity: float,
+        dt: float,
+        actuation: float | None = None,
+        *,
+        scales: Mapping[str, ArrayLike] | None = None,
+    ) -> tuple[Array, State]:
+        """Force at the next sample, (n,), kip, and the state after it; equals `force`.
+
+        Parameters
+        ----------
+        state : State
+            It is not changed and may be used again.
+        displacement, velocity : float, in, in/s
+        dt : float, s
+            Time since the previous sample; ignored at the first.
+        actuation : float, ksi or kip, optional
+            Slip forces are proportional to it; when left out, the reference actuation.
+        scales : mapping of (n,), (1,) or a number, optional
+            Factors of Fc_fwd and Fc_bwd, used instead of the actuation.
+
+        Raises
+        ------
+        FitError
+            When a number is not finite, dt not positive, the actuation negative, or a name
+            or a value in `scales` does not fit.
+        """
+        check_number("displacement", displacement)
+        check_number("velocity", velocity)
+        if state.reference is None and actuation is not None:
+            state = replace(state, reference=actuation)
+        size = state.damper.size
+        shares = step_shares(size, state.reference, actuation, scales, ACTUATED)
+        after = replace(state, displacement=displacement, velocity=velocity, shares=shares)
+        if not np.isnan(state.displacement):
+            check_number("dt", dt)
+            if dt <= 0:
+                raise FitError(f"dt must be positive, got {dt} s")
+            after = _moved(state, after, dt)
+        return after.force + velocity * state.damper.columns["sigma2"], after
+
+    def gap(self, values: Mapping[str, Array]) -> Array:
+        """Width of the gap D, (n,), in."""
+        return values["gap"]
+
+    def crossing(self, values: Mapping[str, Array]) -> Array:
+        """Travel from slip to slip, D + F_c,fwd/k_f + F_c,bwd/k_b, (n,), in."""
+        ways = [values[f"Fc_{side}"] / values[f"k_{side}"] for side in SIDES]
+        return values["gap"] + ways[0] + ways[1]
+
+    def stages(
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
+    ) -> NDArray[np.int8]:
+        """Stage at each sample, (n, T): 1 slip, 2 stick, 3 build-up, 4 in the gap.
+
+        It slips where the spring takes up less than half of the motion. Beyond the gap the force
+        builds up where the motion loads the spring, and the device sticks where it unloads it.
+        """
+        damper = _damper(self, theta)
+        force = self.force(theta, trace, start).T
+        force -= trace.velocity[:, None] * damper.columns["sigma2"]
+        z = damper.spring.deflection(force)
+        moved = np.diff(trace.displacement, prepend=trace.displacement[0])[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.abs(np.diff(z, axis=0, prepend=z[:1]) / moved)
+        loads = moved * force > 0
+        inside = np.abs(z) < 0.5 * damper.columns["gap"]
+        stage = np.select([loads & (share < 0.5), inside, loads], [1, 4, 3], 2)
+        return stage.T.astype(np.int8)
+
+
+def _path(trace: Trace) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Steps, in, and their speeds, in/s, with vertices; nearest samples; rows of the samples."""
+    t, x = trace.time, trace.displacement
+    left, place, vertex = vertices(t, x, trace.velocity)
+    at, samples = left + 1, np.arange(t.size)
+    nearest = np.insert(samples, at, np.where(place < 0.5, left, at))
+    t = np.insert(t, at, t[left] + place * (t[at] - t[left]))
+    moves = np.diff(np.insert(x, at, vertex))
+    return moves, moves / np.diff(t), nearest, samples + np.searchsorted(at, samples, side="right")
+
+
+def _moved(before: State, after: State, dt: float) -> State:
+    """State at the end of a step, through the vertex if the motion turns in it."""
+    x = np.array([before.displacement, after.displacement])
+    t, histories = np.array([0.0, dt]), [before.shares, after.shares]
+    if before.velocity * after.velocity < 0:
+        left, place, vertex = vertices(t, x, np.array([before.velocity, after.velocity]))
+        x, t = np.insert(x, left + 1, vertex), np.insert(t, left + 1, place * dt)
+        histories[1:1] = [before.shares if share < 0.5 else after.shares for share in place]
+    moves = np.diff(x)
+    damper = before.damper
+    course = cut_few(moves.tolist(), *damper.plan_of_each, before.place)
+    drive = Drive(moves / np.diff(t), _together(histories, damper.size))
+    force, z = follow(damper, course, drive, before.z)
+    return replace(after, z=z, force=force[-1], place=course.place)
+
+
+def _together(histories: list[Shares], n: int) -> Shares:
+    """Factors at some instants, one after the other, (M, n); 1 where there is none."""
+    names = {name for shares in histories for name in shares}
+    one = np.ones(1)
+    return {
+        name: np.stack([np.broadcast_to(h.get(name, one), (n,)) for h in histories])
+        for name in names
+    }
+
+
+def _of(share: Array, chosen: NDArray[np.intp]) -> Array:
+    """Columns of some vectors, if each has its own."""
+    return share if share.shape[1] == 1 else share[:, chosen]
+
+
+def _damper(model: BacklashLuGre, theta: ArrayLike) -> Damper:
+    """Dampers of theta, or a FitError that names what does not fit."""
+    values = real_numbers("theta", theta, FitError)
+    width = len(model.parameters)
+    if values.ndim != 2 or values.shape[1] != width:
+        raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
+    columns = dict(zip(model.parameters, np.ascontiguousarray(values.T), strict=True))
+    for q in model.quantities:
+        column = columns[q.name]
+        bad = ~(np.isfinite(column) & (column >= q.least))
+        bad |= (column == 0.0) & (q.name in _POSITIVE)
+        if np.any(bad):
+            words = "positive" if q.name in _POSITIVE else f"at least {q.least:g}"
+            got = column[np.argmax(bad)]
+            raise FitError(f"parameter {q.name} must be finite and {words}, got {got}")
+    return Damper(columns)

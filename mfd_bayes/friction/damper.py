@@ -1,0 +1,229 @@
+"""The backlash model's parameters, and its force along a course, for many vectors at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.friction.course import Course, Place, Plan, cut, side_by_side
+from mfd_bayes.friction.newton import STIFF, Material
+from mfd_bayes.friction.slip import Rows, advance
+from mfd_bayes.friction.spring import Spring
+
+Array = NDArray[np.float64]
+Shares = dict[str, Array]
+
+FLOOR = 1e-6
+"""Least share of the slip force that is left at zero actuation, so that nothing divides by zero."""
+
+PIECE = 1 << 15
+"""Size of a piece's arrays, in numbers: small enough for the cache."""
+
+RESOLVED = (2.0, 0.4)
+"""Longest step near a turn: over the length in which slip sets in, and over g/k."""
+
+SURE = 7.0
+"""Lengths over which slip sets in, after which it surely has."""
+
+WORTH = 2000
+"""Numbers of an array whose computation takes as long as one more call for few vectors does."""
+
+GRID = 512
+"""Deflections at which the spring is inverted for a first guess."""
+
+
+@dataclass(frozen=True, eq=False)
+class Damper:
+    """n dampers by their parameters, (n,) each, at the reference actuation."""
+
+    columns: dict[str, Array]
+
+    @property
+    def size(self) -> int:
+        """Number of vectors n."""
+        return self.columns["n"].size
+
+    def of(self, chosen: NDArray[np.intp]) -> Damper:
+        """Some of the dampers."""
+        return Damper({name: column[chosen] for name, column in self.columns.items()})
+
+    @cached_property
+    def spring(self) -> Spring:
+        """Their springs."""
+        return Spring(*(self.columns[name] for name in ("k_fwd", "k_bwd", "gap", "ell", "k_0")))
+
+    @cached_property
+    def material(self) -> Material:
+        """What does not change along a motion."""
+        c = self.columns
+        steepest = np.maximum(c["k_fwd"], c["k_bwd"]) + c["k_0"]
+        least = np.minimum(c["Fc_fwd"], c["Fc_bwd"])
+        return Material(self.spring, c["n"], c["n"] * steepest / least)
+
+    @cached_property
+    def friction(self) -> tuple[Array, Array, Array, Array]:
+        """Logarithm of F_c, and e, forward and backward, and deflections s z in slip, (2, n) each.
+
+        The deflections, in, are those of kinetic friction and what static friction adds to them.
+        """
+        c = self.columns
+        kinetic = np.stack([c["Fc_fwd"], c["Fc_bwd"]])
+        excess = np.stack([c["static_excess_fwd"], c["static_excess_bwd"]])
+        sign = np.array([[1.0], [-1.0]])
+        slow, at = (
+            sign * self.spring.deflection(sign * kinetic * share) for share in (1.0 + excess, 1.0)
+        )
+        return np.log(kinetic), excess, at, slow - at
+
+    @cached_property
+    def reach(self) -> Array:
+        """Exponent times steepest slope, (n,), kip/in: `Material.rate` times the slip force."""
+        return self.material.rate * np.minimum(self.columns["Fc_fwd"], self.columns["Fc_bwd"])
+
+    @cached_property
+    def plans(self) -> list[tuple[NDArray[np.intp], Plan]]:
+        """Vectors that share a plan, with it.
+
+        A vector's plan depends on its own parameters alone, so that its force does not depend on
+        the others in its batch. Lengths are rounded to powers of √2 and of 2, so few plans do.
+        """
+        c, rate = self.columns, self.material.rate
+        fine, coarse = RESOLVED
+        step = np.minimum(fine, coarse * c["n"]) / rate
+        static = [c[f"Fc_{s}"] * (1.0 + c[f"static_excess_{s}"]) / c[f"k_{s}"] for s in SIDES]
+        window = c["gap"] + sum(static) + SURE / rate
+        fineness = np.clip(np.floor(2.0 * np.log2(step)), -99.0, 99.0)
+        steps = np.clip(2.0 * np.ceil(np.log2(window)) - fineness, 0.0, 16.0)
+        keys, which = np.unique(np.stack([fineness, steps], axis=1), axis=0, return_inverse=True)
+        return [
+            (np.flatnonzero(which.ravel() == i), Plan(2.0 ** (0.5 * h), 2.0 ** (0.5 * (h + w))))
+            for i, (h, w) in enumerate(keys.tolist())
+        ]
+
+    @cached_property
+    def plan_of_each(self) -> tuple[list[Plan], NDArray[np.intp]]:
+        """The plans, and which of them each vector has, (n,)."""
+        which = np.empty(self.size, dtype=np.intp)
+        for i, (chosen, _) in enumerate(self.plans):
+            which[chosen] = i
+        return [plan for _, plan in self.plans], which
+
+    def begin(self, start: Array) -> Array:
+        """Deflection z at the first sample, (n,), in, at a share of its range."""
+        c = self.columns
+        low = -0.5 * c["gap"] - c["Fc_bwd"] / c["k_bwd"]
+        return low + start * (0.5 * c["gap"] + c["Fc_fwd"] / c["k_fwd"] - low)
+
+
+SIDES = ("fwd", "bwd")
+
+
+def courses(damper: Damper, moves: Array) -> Iterator[tuple[NDArray[np.intp], Course]]:
+    """Courses of a motion's steps, (M,), in, each with the vectors that follow it.
+
+    Vectors with similar plans go together, which is faster than one plan after the other.
+    """
+    cuts = [(chosen, cut(moves, plan, Place())) for chosen, plan in damper.plans]
+    cuts.sort(key=lambda part: -part[1].sign.size)
+    while cuts:
+        longest = cuts[0][1].sign.size
+        near = [(longest - c.sign.size) * some.size <= WORTH for some, c in cuts]
+        chosen, those = zip(*[part for part, n in zip(cuts, near, strict=True) if n], strict=True)
+        cuts = [part for part, n in zip(cuts, near, strict=True) if not n]
+        which = np.repeat(np.arange(len(those)), [some.size for some in chosen])
+        yield np.concatenate(chosen), side_by_side(list(those), which)
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What drives dampers along a course: speeds and, where friction follows it, the actuation.
+
+    Attributes
+    ----------
+    rate : (M,), in/s
+        Velocity in each step of the uncut motion.
+    shares : dict of (M + 1, n) or (M + 1, 1)
+        Factors of the slip forces at the ends of those steps, by name; empty when constant.
+    """
+
+    rate: Array
+    shares: Shares
+
+
+def follow(damper: Damper, course: Course, drive: Drive, first: Array) -> tuple[Array, Array]:
+    """Spring force after each step of the uncut motion, (M, n), kip, and the last z, (n,), in."""
+    force = np.empty((course.ends.size, damper.size))
+    z = first
+    for begin, end, rows in _pieces(damper, course, drive):
+        part, z = advance(damper.material, rows, z)
+        low, high = np.searchsorted(course.ends, [begin + 1, end + 1])
+        force[low:high] = part[course.ends[low:high] - begin - 1]
+    return force, z
+
+
+def _pieces(damper: Damper, course: Course, drive: Drive) -> Iterator[tuple[int, int, Rows]]:
+    length = max(PIECE // max(damper.size, 1), 1)
+    for begin in range(0, course.sign.size, length):
+        end = min(begin + length, course.sign.size)
+        part = slice(begin, end)
+        yield begin, end, rows_of(damper, course, part, drive)
+
+
+def rows_of(damper: Damper, course: Course, part: slice, drive: Drive) -> Rows:
+    """Part of a course, with the slip force in each step."""
+    c, n = damper.columns, damper.columns["n"]
+    sign, origin = course.sign[part], course.origin[part]
+    back = (sign < 0).astype(np.intp)
+    static = drive.rate[origin, None] / c["v_s"]
+    static *= static
+    np.exp(np.negative(static, out=static), out=static)
+    kinetic, excess, at, rise = damper.friction
+    level = excess[back]
+    level *= static
+    level += 1.0
+    np.log(level, out=level)
+    level += kinetic[back]
+    bound = rise[back]
+    bound *= static
+    bound += at[back]
+    if drive.shares:
+        level += np.log(_shares(course, part, drive, back))
+        bound = _bounds(damper, np.exp(level), sign)
+    way = course.way[part]
+    stiff, uneven = _stiff(damper, way, level), bool(drive.shares)
+    most = 2.0 * (np.exp(level) / damper.reach if uneven else 1.0 / damper.material.rate[None])
+    level *= n
+    return Rows(way, sign[:, None], level, bound, most, stiff, uneven)
+
+
+def _stiff(damper: Damper, way: Array, level: Array) -> NDArray[np.bool_] | None:
+    """Steps that are far longer than the way over which slip sets in, (R, n); None without any."""
+    if np.all(way.max(axis=0) * damper.reach <= STIFF * np.exp(level.min(axis=0))):
+        return None
+    return np.asarray(way * damper.reach > STIFF * np.exp(level))
+
+
+def _shares(course: Course, part: slice, drive: Drive, back: NDArray[np.intp]) -> Array:
+    """Factor of the slip force in each step, (R, n) or (R, 1)."""
+    origin, middle = course.origin[part], course.share[part]
+    found = []
+    for side in SIDES:
+        share = drive.shares.get(f"Fc_{side}", np.ones((drive.rate.size + 1, 1)))
+        found.append((1.0 - middle) * share[origin] + middle * share[origin + 1])
+    return np.maximum(np.where(back[:, None] == 0, *found), FLOOR)
+
+
+def _bounds(damper: Damper, level: Array, sign: Array) -> Array:
+    """About the deflection s z at which the spring holds the slip forces, (R, n)."""
+    spring, signed = damper.spring, sign[:, None] * level
+    most = np.max(
+        np.abs(spring.deflection(np.stack([signed.min(axis=0), signed.max(axis=0)]))), axis=0
+    )
+    z = np.linspace(-most, most, GRID)
+    force = spring.force(z)
+    found = [np.interp(signed[:, i], force[:, i], z[:, i]) for i in range(damper.size)]
+    return sign[:, None] * np.stack(found, axis=1)

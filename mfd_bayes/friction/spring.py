@@ -1,0 +1,105 @@
+"""The spring of the backlash model: two stiff sides with a rounded gap between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_INVERSIONS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Spring:
+    """Spring of n vectors, (n,) each (model.md section 9).
+
+    G(z) = k_f ℓ ln(1 + e^((z − D/2)/ℓ)) − k_b ℓ ln(1 + e^(−(z + D/2)/ℓ)) + k_0 z
+    """
+
+    k_fwd: Array
+    k_bwd: Array
+    gap: Array
+    ell: Array
+    k_0: Array
+
+    @cached_property
+    def _constants(self) -> tuple[Array, ...]:
+        scale = 1.0 / self.ell
+        return (
+            scale,
+            0.5 * self.gap * scale,
+            np.exp(-self.gap * scale),
+            self.k_fwd * self.ell,
+            self.k_bwd * self.ell,
+            self.k_fwd + self.k_bwd + self.k_0,
+        )
+
+    def of(self, columns: NDArray[np.intp]) -> Spring:
+        """Spring of some of the vectors, by their number; one may come several times."""
+        parts = (self.k_fwd, self.k_bwd, self.gap, self.ell, self.k_0)
+        return Spring(*(part[columns] for part in parts))
+
+    def force(self, z: Array) -> Array:
+        """Force G(z), (..., n), kip."""
+        return self.evaluate(z)[0]
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in."""
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            force, slope = self._plain(z)
+        return (force, slope) if isfinite(np.add.reduce(force, axis=None)) else self._steep(z)
+
+    def _plain(self, z: Array) -> tuple[Array, Array]:
+        """As `evaluate`, by one exponential; not finite where z is hundreds of ℓ."""
+        scale, half, ratio, fwd, bwd, steepest = self._constants
+        a = z * scale
+        a -= half
+        np.exp(a, out=a)
+        b = ratio / a
+        a += 1.0
+        b += 1.0
+        force = np.log(a)
+        force *= fwd
+        work = np.log(b)
+        work *= bwd
+        force -= work
+        force += np.multiply(self.k_0, z, out=work)
+        np.divide(self.k_fwd, a, out=a)
+        np.divide(self.k_bwd, b, out=b)
+        a += b
+        return force, np.subtract(steepest, a, out=a)
+
+    def _steep(self, z: Array) -> tuple[Array, Array]:
+        """As `evaluate`, where exponents of e are too large for a number."""
+        a, b = (z - 0.5 * self.gap) / self.ell, (z + 0.5 * self.gap) / self.ell
+        force = self.k_fwd * self.ell * np.logaddexp(0.0, a)
+        force -= self.k_bwd * self.ell * np.logaddexp(0.0, -b)
+        force += self.k_0 * z
+        with np.errstate(over="ignore"):
+            slope = self.k_fwd / (1.0 + np.exp(-a)) + self.k_bwd / (1.0 + np.exp(b))
+        return force, slope + self.k_0
+
+    def deflection(self, force: Array) -> Array:
+        """Deflection at which the force is G, (..., n): the inverse of `force`.
+
+        Bisection between bounds, with Newton's step wherever it stays inside them.
+        """
+        softest = np.minimum(self.k_fwd, self.k_bwd)
+        uneven = np.log1p(np.maximum(self.k_fwd, self.k_bwd) / softest)
+        high = 0.5 * self.gap + self.ell * (2.0 + uneven) + np.abs(force) / softest
+        low, z = -high, np.zeros(high.shape)
+        for _ in range(_INVERSIONS):
+            found, slope = self.evaluate(z)
+            error = found - force
+            step = error / np.maximum(slope, 1e-300)
+            if np.all(np.abs(step) <= 1e-13 * (self.ell + np.abs(z))):
+                return z - step
+            low, high = np.where(error < 0, z, low), np.where(error > 0, z, high)
+            new = z - step
+            z = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
+        return z

@@ -1,0 +1,205 @@
+"""The backlash model's physics: an ODE solver, closed forms, memory and energy."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from mfd_bayes.records.trace import Trace
+from tests.friction.backlash_cases import (
+    MODEL,
+    OMEGA,
+    VALUES,
+    first,
+    of_sine,
+    of_walk,
+    sine,
+    spring,
+    theta,
+    vectors,
+    walk,
+)
+
+BAR = 2e-3  # of the peak
+
+
+def off(force, expected):
+    return np.max(np.abs(force - expected)) / np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("n", [1.0, 2.0, 6.0])
+@pytest.mark.parametrize("amplitude", [1.0, 0.15, 0.05])
+def test_force_equals_an_ode_solver_in_full_and_partial_cycles_and_in_the_gap(n, amplitude):
+    values, trace = VALUES | {"n": n}, sine(amplitude)
+    assert off(MODEL.force(theta(n=n), trace)[0], of_sine(trace, amplitude, values)) < BAR
+
+
+def test_another_exponent_is_told_apart_by_the_same_check():
+    trace = sine(0.3)
+    assert off(MODEL.force(theta(n=3.2), trace)[0], of_sine(trace, 0.3, VALUES)) > BAR
+
+
+@pytest.mark.parametrize(("size", "seed"), [(0.01, 1), (0.05, 2), (0.3, 3)])
+def test_a_random_walk_equals_an_ode_solver(size, seed):
+    trace = walk(seed, samples=60, size=size)
+    values = VALUES | {"n": 1.0 + 2.0 * seed, "gap": 0.1 * seed}
+    batch = theta(n=values["n"], gap=values["gap"])
+    assert off(MODEL.force(batch, trace)[0], of_walk(trace, values)) < BAR
+
+
+def test_a_varying_actuation_equals_an_ode_solver():
+    def level(time):
+        return 1 + 0.5 * np.sin(2.2 * time)
+
+    trace = sine(0.5, actuation=level(np.arange(0, 5, 0.005)))
+    mean = trace.reference_actuation
+    expected = of_sine(trace, 0.5, VALUES, lambda t: level(t) / mean)
+    assert off(MODEL.force(theta(), trace)[0], expected) < BAR
+
+
+def test_without_a_gap_and_with_n_1_it_is_dahls_closed_form():
+    """k_fwd = k_bwd without a gap is the spring k z, whatever ℓ; Dahl (1968) for the loading."""
+    k, slip = 40.0, 2.0
+    batch = theta(
+        k_fwd=k,
+        k_bwd=k,
+        gap=0.0,
+        k_0=0.0,
+        n=1.0,
+        sigma2=0.0,
+        Fc_fwd=slip,
+        Fc_bwd=slip,
+        static_excess_fwd=0.0,
+        static_excess_bwd=0.0,
+    )
+    time = np.linspace(0, 3, 3001)
+    motion = np.interp(time, [0, 1, 2, 3], [0.0, 0.2, -0.1, 0.3])
+    force = MODEL.force(batch, Trace.from_arrays(time, motion, velocity=np.zeros(time.size)))[0]
+    expected, now = np.empty(time.size), 0.0
+    for begin, end in ((0, 1000), (1000, 2000), (2000, 3000)):
+        way = np.abs(motion[begin : end + 1] - motion[begin])
+        sign = 1.0 if motion[end] > motion[begin] else -1.0
+        free = max(-sign * now, 0.0) / k  # unloading is elastic down to no force
+        loaded = np.maximum(way - free, 0.0)
+        begun = max(sign * now, 0.0)
+        part = slip - (slip - begun) * np.exp(-k * loaded / slip)
+        expected[begin : end + 1] = np.where(way < free, now + sign * k * way, sign * part)
+        now = expected[end]
+    assert off(force, expected) < 1e-3
+
+
+@pytest.mark.parametrize("turn", [0.05, 0.16, 0.3, 0.6, 1.2])
+def test_unloading_from_a_turn_anywhere_follows_the_spring_back(turn):
+    """Forward to the turn, then back until friction pushes the other way."""
+    motion = np.concatenate([np.linspace(0.0, turn, 200), np.linspace(turn, turn - 0.04, 40)[1:]])
+    trace = Trace.from_arrays(np.arange(239) * 0.01, motion, velocity=np.zeros(239))
+    batch = vectors(20, seed=3)
+    batch[:, MODEL.parameters.index("sigma2")] = 0.0
+    for row, force in zip(batch, MODEL.force(batch, trace), strict=True):
+        values = dict(zip(MODEL.parameters, row, strict=True))
+        z = brentq(lambda z, p=values, f=force[199]: spring(z, p) - f, -9, 9, xtol=1e-14)
+        expected = spring(z + motion[199:] - motion[199], values)
+        pushing = expected > 0
+        np.testing.assert_allclose(force[199:][pushing], expected[pushing], atol=1e-6)
+        assert np.ptp(force[199:]) > 0
+
+
+def test_a_motion_inside_the_gap_keeps_its_memory():
+    """Back and forth many times where the spring is far below slip: the force is the same."""
+    time = np.arange(0, 40, 0.01)
+    trace = Trace.from_arrays(time, 0.04 * np.sin(OMEGA * time))
+    force = MODEL.force(theta(n=6.0, sigma2=0.0), trace)[0]
+    np.testing.assert_allclose(force[200:400], force[-200:], atol=1e-5)
+    assert np.ptp(force[-200:]) > 0.02
+
+
+def closed_motions(count, seed, samples=48):
+    """Closed random motions, each taken several times, until the device follows it."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(samples) / samples
+    for _ in range(count):
+        size = rng.lognormal(-2.0, 1.0)
+        waves = rng.normal(size=(4, 2)) / np.arange(1, 5)[:, None]
+        angle = 2 * np.pi * np.arange(1, 5)[:, None] * time
+        loop = size * (waves[:, :1] * np.sin(angle) + waves[:, 1:] * np.cos(angle)).sum(axis=0)
+        motion = np.concatenate([np.tile(loop, 4), loop[:1]])
+        yield motion, np.arange(motion.size) * rng.lognormal(-4.0, 1.0)
+
+
+def lost(batch, motion, time):
+    """Energy that the spring force takes up in the last round, over peak force times way, (n,)."""
+    trace = Trace.from_arrays(time, motion, velocity=np.zeros(time.size))
+    fine = np.linspace(0, time.size - 1, 4 * (time.size - 1) + 1)
+    trace = Trace.from_arrays(
+        np.interp(fine, np.arange(time.size), time),
+        np.interp(fine, np.arange(time.size), motion),
+        velocity=np.zeros(fine.size),
+    )
+    last = slice(-4 * 48 - 1, None)
+    force = MODEL.force(batch, trace)[:, last]
+    work = np.trapezoid(force, trace.displacement[last], axis=1)
+    way = np.abs(np.diff(trace.displacement[last])).sum()
+    return work / (np.abs(force).max(axis=1) * way)
+
+
+def test_a_closed_motion_never_gives_energy():
+    batch = vectors(25, seed=9)
+    found = [lost(batch, *case) for case in closed_motions(20, seed=4)]
+    assert np.min(found) > -1e-4
+    assert np.max(found) > 0.1
+
+
+def test_no_motion_keeps_the_force_of_the_start():
+    trace = Trace.from_arrays([0.0, 1.0, 2.0], [0.3, 0.3, 0.3])
+    for w0 in (0.0, 0.3, 1.0):
+        expected = spring(first(VALUES, w0), VALUES)
+        np.testing.assert_allclose(MODEL.force(theta(), trace, w0), np.full((1, 3), expected))
+
+
+def test_slip_is_at_the_friction_of_its_direction():
+    force = MODEL.force(theta(sigma2=0.0), sine())[0]
+    fast = np.abs(OMEGA * np.cos(OMEGA * sine().time)) > 0.98 * OMEGA
+    assert np.max(force[fast]) == pytest.approx(VALUES["Fc_fwd"], rel=1e-3)
+    assert np.min(force[fast]) == pytest.approx(-VALUES["Fc_bwd"], rel=1e-3)
+
+
+def test_forward_and_backward_mirror_each_other():
+    trace, batch = walk(11), vectors(5)
+    mirrored = Trace.from_arrays(
+        trace.time, -trace.displacement, velocity=-trace.velocity, hysteresis=0.0
+    )
+    pairs = (("k_fwd", "k_bwd"), ("Fc_fwd", "Fc_bwd"), ("static_excess_fwd", "static_excess_bwd"))
+    other = batch.copy()
+    for pair in pairs:
+        i, j = (MODEL.parameters.index(name) for name in pair)
+        other[:, [i, j]] = batch[:, [j, i]]
+    found = MODEL.force(other, mirrored, 0.7)
+    np.testing.assert_allclose(found, -MODEL.force(batch, trace, 0.3), atol=1e-8)
+
+
+def test_force_is_continuous_in_time():
+    coarse, fine = (sine(0.3, rate=rate, seconds=4.0) for rate in (250.0, 2000.0))
+    steps = [np.max(np.abs(np.diff(MODEL.force(vectors(8), t)))) for t in (coarse, fine)]
+    assert steps[1] < steps[0] / 6
+
+
+@pytest.mark.parametrize("back", [1.0, -1.0])
+@pytest.mark.parametrize("n", [1.0, 3.0, 20.0])
+def test_friction_that_falls_lets_go_as_the_motion_goes_on(n, back):
+    motion = np.concatenate([np.linspace(0, 1, 50), np.ones(5), 1 + back * np.linspace(0, 0.5, 50)])
+    level = np.where(np.arange(105) < 52, 1.0, 1e-9)
+    still = np.zeros(105)
+    trace = Trace.from_arrays(np.arange(105) * 0.01, motion, actuation=level, velocity=still)
+    force = MODEL.force(theta(k_0=0.0, n=n), trace)[0]
+    np.testing.assert_allclose(force[50:55], force[49], rtol=1e-9)  # nothing moves
+    assert abs(force[-1]) < 1e-3 * force[49]
+
+
+def test_no_actuation_at_all_gives_no_nan():
+    force = MODEL.force(theta(sigma2=0.0), sine(actuation=np.zeros(1000)), 0.5)
+    assert np.max(np.abs(force[0, 200:])) < 1e-4
+
+
+@pytest.mark.parametrize("changes", [{"ell": 1e-5}, {"gap": 30.0}, {"n": 300.0}, {"k_fwd": 1e6}])
+def test_extreme_dampers_have_finite_forces_within_friction(changes):
+    force = MODEL.force(theta(sigma2=0.0, **changes), sine(rate=50.0))[0]
+    assert np.all(np.abs(force[50:]) <= 2.2 * 1.2 * 1.01)
