@@ -121,7 +121,7 @@ def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():
         "m" * 99,
         "degC",
         "degF",
-        "kg",
+        "mol",
         "__import__",
     ],
 )

@@ -138,11 +138,14 @@ def test_time_that_does_not_increase_is_named_by_line(folder):
     assert_refused(folder, "p500.csv", "line 30", "time", "does not increase")
 
 
-def test_a_gap_in_time_is_named_by_line(folder):
+def test_of_a_time_with_a_gap_the_longest_piece_is_used_and_named_by_line(folder, tmp_path):
     table = signals()
-    table[100:, 0] += 1.0
+    table[60:, 0] += 1.0
     write_csv(folder / "p500.csv", table)
-    assert_refused(folder, "p500.csv", "line 102", "gap of 1.02 s")
+    outcome = here("inspect", folder / "p500.csv", "-o", tmp_path / "look")
+    assert outcome.exit_code == 0
+    for words in ("gap in time: time has a gap of 1.02 s before line 62", "is used, 2.2 s to 5 s"):
+        assert words in outcome.stdout
 
 
 def test_a_motion_that_stands_still_is_refused(folder):
