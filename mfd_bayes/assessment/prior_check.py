@@ -98,7 +98,7 @@ def _misfits(priors: PriorFile, scales: Scales) -> Iterator[Misfit]:
         **dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"), slip),
         "sigma0": ("kip/in", scales.unloading, "the slope after a reversal"),
         "k3": rise,
-        "k": rise,
+        **dict.fromkeys(("k", "k_fwd", "k_bwd"), rise),
         "d2": ("in", 0.5 * scales.length, "half the travel until the force has come back"),
     }
     for name, (unit, value, source) in shown.items():

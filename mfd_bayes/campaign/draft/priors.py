@@ -89,7 +89,9 @@ def _own(found: Mapping[str, Scales], whole: Scales, units: Units) -> dict[str, 
     figures = {
         "sigma0": (whole.unloading, "the slope after reversals"),
         "k3": (whole.build_up, "the slope at which the force comes back"),
-        "k": (whole.build_up, "the slope at which the force comes back"),
+        **dict.fromkeys(
+            ("k", "k_fwd", "k_bwd"), (whole.build_up, "the slope at which the force comes back")
+        ),
     }
     slopes = {
         name: _lognormal(value, "force/length", 1.5, f"{what}; {_factor(1.5)}")
