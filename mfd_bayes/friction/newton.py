@@ -154,7 +154,7 @@ def _pushes(
     n, start = material.exponent, rows.starts
     force, slope = spring
     ahead, share = np.multiply(rows.sign, force, out=room[0]), np.multiply(slope, n, out=room[1])
-    after = _push(ahead, share, n)
+    after = push(ahead, share, n)
     before = room[2], room[3]
     for old, new in zip(before, after, strict=True):
         old[1:] = new[:-1]
@@ -162,7 +162,7 @@ def _pushes(
     known = [values[start - 1] for values in (force, slope)]
     for some, values in zip(known, rows.spring, strict=True):
         some[at] = values
-    turn = _push(rows.sign[start] * known[0], known[1] * n, n)
+    turn = push(rows.sign[start] * known[0], known[1] * n, n)
     for old, new in zip(before, turn, strict=True):
         old[start] = new
     for log, share in (before, after):
@@ -171,7 +171,7 @@ def _pushes(
     return before, after
 
 
-def _push(ahead: Array, share: Array, n: Array) -> tuple[Array, Array]:
+def push(ahead: Array, share: Array, n: Array) -> tuple[Array, Array]:
     """Logarithm of Gⁿ, and n G′/G where G pushes against the motion; `ahead` is overwritten."""
     share *= ahead > 0
     np.maximum(ahead, TINY, out=ahead)
