@@ -94,7 +94,7 @@ def main() -> None:
     add_data_option(parser)
     traces = records(parser.parse_args().data)
     print("Each record of the 36 lb session fitted by itself, by least squares, RRSE\n")
-    print(f"{processor()}; load {load()}\n")
+    print(f"{processor()}; {load()}\n")
     head = "".join(f"{model:>13s}" for model in MODELS)
     print(f"{'record':26s}{'samples':>8s}{'published':>11s}{head}   over published")
     shares: dict[str, list[float]] = {model: [] for model in MODELS}

@@ -168,7 +168,7 @@ def step_by_step():
 def main():
     """Print the tables; exit status 1 where a bar does not hold."""
     print("What a force of the backlash model costs, one thread of one core\n")
-    print(f"{processor()}; load {load()}")
+    print(f"{processor()}; {load()}")
     print(f"{versions('numpy', 'scipy', 'numba', 'jax')}\n")
     failed = beside_peers()
     over_size()

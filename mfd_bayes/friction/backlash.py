@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.course import Place, cut_few
-from mfd_bayes.friction.damper import SIDES, Damper, Drive, courses, follow
+from mfd_bayes.friction.damper import SIDES, Damper, Drive, courses, follow, rows_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.paper import quantities_of
 from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.single import Bent, advance_few
 from mfd_bayes.friction.three_stage import check_start
 from mfd_bayes.friction.yield_shares import Shares, check_number, step_shares, trace_shares
 from mfd_bayes.records.motion import vertices
@@ -69,10 +70,8 @@ class State:
         Parameters by name.
     reference : float, ksi or kip, or None
         Actuation that theta belongs to.
-    z : (n,), in
-        Deflection.
-    force : (n,), kip
-        Force of the spring.
+    bent : (n,), in, (n,), kip, (n,), kip/in
+        Deflection, force and stiffness of the spring.
     place : Place
         Direction, and way since the last turn.
     displacement, velocity : float, in, in/s
@@ -83,8 +82,7 @@ class State:
 
     damper: Damper
     reference: float | None
-    z: Array
-    force: Array
+    bent: Bent
     place: Place = field(default_factory=Place)
     displacement: float = float("nan")
     velocity: float = float("nan")
@@ -165,7 +163,7 @@ class BacklashLuGre(Model):
         z = damper.begin(check_start(start, damper.size))
         if reference_actuation is not None:
             check_number("reference_actuation", reference_actuation, least=0.0)
-        return State(damper, reference_actuation, z, damper.spring.force(z))
+        return State(damper, reference_actuation, (z, *damper.spring.evaluate(z)))
 
     def step(
         self,
@@ -209,7 +207,7 @@ class BacklashLuGre(Model):
             if dt <= 0:
                 raise FitError(f"dt must be positive, got {dt} s")
             after = _moved(state, after, dt)
-        return after.force + velocity * state.damper.columns["sigma2"], after
+        return after.bent[1] + velocity * state.damper.columns["sigma2"], after
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap D, (n,), in."""
@@ -264,8 +262,8 @@ def _moved(before: State, after: State, dt: float) -> State:
     damper = before.damper
     course = cut_few(moves.tolist(), *damper.plan_of_each, before.place)
     drive = Drive(moves / np.diff(t), _together(histories, damper.size))
-    force, z = follow(damper, course, drive, before.z)
-    return replace(after, z=z, force=force[-1], place=course.place)
+    rows = rows_of(damper, course, slice(0, None), drive)
+    return replace(after, bent=advance_few(damper.material, rows, before.bent), place=course.place)
 
 
 def _together(histories: list[Shares], n: int) -> Shares:

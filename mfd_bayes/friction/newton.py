@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.friction.arrays import scratch
 from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.friction.spring import Spring
 
@@ -72,24 +73,26 @@ class Steps:
         found[self.breaks] = True
         return np.flatnonzero(found)
 
-    def before(self, after: Array, first: Array) -> Array:
-        """What is before each step, of what is after each, and before those that break."""
-        found = np.empty_like(after)
-        found[1:] = after[:-1]
-        found[self.breaks] = first
-        return found
+    def before(self, after: Array, out: Array) -> Array:
+        """Deflection before each step, of that after each, written to `out`."""
+        out[1:] = after[:-1]
+        out[self.breaks] = self.first
+        return out
 
 
 def newton(material: Material, steps: Steps, z: Array) -> tuple[Array, Array]:
     """Force G of improved deflections, kip, and their improvement, in, (R, n) each.
+
+    The force is valid until the next call.
 
     Parameters
     ----------
     z : (R, n), in
         Deflection after each step.
     """
-    force, slope = material.spring.evaluate(z)
-    decay, drive = _linear(material, steps, z, (force, slope))
+    room = scratch(12, *z.shape)
+    force, slope = material.spring.evaluate(z, room[:4])
+    decay, drive = _linear(material, steps, z, (force, slope), room[2:])
     decay[steps.breaks] = 0.0
     step = solve(decay, drive, np.zeros(z.shape[1]))
     slope *= step
@@ -98,23 +101,28 @@ def newton(material: Material, steps: Steps, z: Array) -> tuple[Array, Array]:
 
 
 def _linear(
-    material: Material, rows: Steps, z: Array, spring: tuple[Array, Array]
+    material: Material, rows: Steps, z: Array, spring: tuple[Array, Array], room: list[Array]
 ) -> tuple[Array, Array]:
-    """Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k for z + δ, (R, n) each."""
+    """Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k for z + δ, (R, n) each, in `room`."""
     n = material.exponent
-    (log0, b0), (log1, b1) = _pushes(material, rows, *spring)
+    (log0, b0), (log1, b1) = _pushes(material, rows, spring, room[:4])
     over = _let_go(material, rows, log0, b0) if log0.max() > OVER else None
     p0 = np.exp(log0, out=log0)
     p1 = np.exp(np.minimum(log1, STIFF, out=log1), out=log1)
-    c0, c1 = b0 * p0, b1 * p1
+    c0, c1, t0, t1, gain, way = room[4:]
+    np.multiply(b0, p0, out=c0)
+    np.multiply(b1, p1, out=c1)
     f0, f1 = np.subtract(1.0, p0, out=p0), np.subtract(1.0, p1, out=p1)
     # c = −h f′: with all of the rule times 12, the weights of f₀ and f₁ are 6 ∓ c
-    t0, t1 = 6.0 - c0, 6.0 + c1
-    gain = f0 * t0
-    gain += f1 * t1
+    np.subtract(6.0, c0, out=t0)
+    np.add(6.0, c1, out=t1)
+    np.multiply(f0, t0, out=gain)
+    gain += np.multiply(f1, t1, out=way)
     gain *= rows.way * rows.sign
-    last = rows.before(z, rows.first)
-    way = (last if over is None else np.where(over[0], over[1], last)) - z
+    rows.before(z, out=way)
+    if over is not None:
+        np.copyto(way, over[1], where=over[0])
+    way -= z
     way *= 12.0
     gain += way
     t0 += _bend(b0, f0, n)
@@ -128,7 +136,7 @@ def _linear(
     if over is not None:
         decay[over[0]] = 0.0
     if rows.stiff is not None:
-        _slide(material, rows, (last, z), (decay, gain))
+        _slide(material, rows, (rows.before(z, out=way), z), (decay, gain))
     return decay, gain
 
 
@@ -140,19 +148,21 @@ def _bend(b: Array, f: Array, n: Array) -> Array:
 
 
 def _pushes(
-    material: Material, rows: Steps, force: Array, slope: Array
+    material: Material, rows: Steps, spring: tuple[Array, Array], room: list[Array]
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Logarithm of (G/g)ⁿ, and n h G′/G, before and after each step, (R, n) each."""
     n, start = material.exponent, rows.starts
-    after = _push(rows.sign * force, slope, n)
-    before = np.empty_like(after[0]), np.empty_like(after[1])
+    force, slope = spring
+    ahead, share = np.multiply(rows.sign, force, out=room[0]), np.multiply(slope, n, out=room[1])
+    after = push(ahead, share, n)
+    before = room[2], room[3]
     for old, new in zip(before, after, strict=True):
         old[1:] = new[:-1]
     at = np.searchsorted(start, rows.breaks)
     known = [values[start - 1] for values in (force, slope)]
     for some, values in zip(known, rows.spring, strict=True):
         some[at] = values
-    turn = _push(rows.sign[start] * known[0], known[1], n)
+    turn = push(rows.sign[start] * known[0], known[1] * n, n)
     for old, new in zip(before, turn, strict=True):
         old[start] = new
     for log, share in (before, after):
@@ -161,9 +171,8 @@ def _pushes(
     return before, after
 
 
-def _push(ahead: Array, slope: Array, n: Array) -> tuple[Array, Array]:
+def push(ahead: Array, share: Array, n: Array) -> tuple[Array, Array]:
     """Logarithm of Gⁿ, and n G′/G where G pushes against the motion; `ahead` is overwritten."""
-    share = slope * n
     share *= ahead > 0
     np.maximum(ahead, TINY, out=ahead)
     share /= ahead

@@ -48,24 +48,28 @@ class Spring:
         """Force G(z), (..., n), kip."""
         return self.evaluate(z)[0]
 
-    def evaluate(self, z: Array) -> tuple[Array, Array]:
-        """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in."""
+    def evaluate(self, z: Array, room: list[Array] | None = None) -> tuple[Array, Array]:
+        """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in.
+
+        With `room`, four arrays of z's shape, they are the first two of those.
+        """
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            force, slope = self._plain(z)
+            force, slope = self._plain(z, room or [np.empty(z.shape) for _ in range(4)])
         return (force, slope) if isfinite(np.add.reduce(force, axis=None)) else self._steep(z)
 
-    def _plain(self, z: Array) -> tuple[Array, Array]:
+    def _plain(self, z: Array, room: list[Array]) -> tuple[Array, Array]:
         """As `evaluate`, by one exponential; not finite where z is hundreds of ℓ."""
         scale, half, ratio, fwd, bwd, steepest = self._constants
-        a = z * scale
+        force, a, b, work = room
+        np.multiply(z, scale, out=a)
         a -= half
         np.exp(a, out=a)
-        b = ratio / a
+        np.divide(ratio, a, out=b)
         a += 1.0
         b += 1.0
-        force = np.log(a)
+        np.log(a, out=force)
         force *= fwd
-        work = np.log(b)
+        np.log(b, out=work)
         work *= bwd
         force -= work
         force += np.multiply(self.k_0, z, out=work)

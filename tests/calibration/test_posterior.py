@@ -24,6 +24,8 @@ CASES = pytest.mark.parametrize(
         ("three_stage", "student_t", "sample"),
         ("lugre", "ou", "sample"),
         ("bouc_wen", "ou", "sample"),
+        ("backlash", "ou", "sample"),
+        ("backlash", "staged", "mask"),
     ],
 )
 
@@ -56,12 +58,14 @@ def test_likelihood_is_that_of_the_model_computed_by_hand(model, noise, start):
     posterior = build(model, noise, start)
     q = points(posterior, 3)
     values = posterior.values(q)
-    place = values["start"] if model == "three_stage" else None
+    place = values["start"] if posterior.model.has_gap else None
     force = posterior.model.force(posterior.model.theta(values), TRACE, place)
     residual = FORCE - values["offset"][:, None] - force
     np.testing.assert_allclose(posterior.residual(q), residual, rtol=1e-12, atol=1e-12)
     first = posterior.first
-    expected = NOISES[noise].log_density(residual[:, first:], TIME[first:], values)
+    travel = posterior.travel(values)
+    travel = None if travel is None else travel[:, first:]
+    expected = NOISES[noise].log_density(residual[:, first:], TIME[first:], values, travel)
     np.testing.assert_allclose(posterior.log_likelihood(q), expected, rtol=1e-12)
 
 

@@ -78,7 +78,7 @@ def test_what_is_not_finite_is_named_by_line_and_column(tmp_path, column, value)
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e-3, 1e3, 1e9])
-@pytest.mark.parametrize("model", ["lugre", "three_stage", "bouc_wen"])
+@pytest.mark.parametrize("model", ["lugre", "three_stage", "bouc_wen", "backlash"])
 def test_a_force_of_any_size_that_is_taken_has_a_likelihood(tmp_path, scale, model):
     write(tmp_path, force_kip=scale * FORCE)
     (task,) = plan(tmp_path, model=model).tasks

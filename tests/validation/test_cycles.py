@@ -150,7 +150,7 @@ def test_a_record_of_too_few_cycles_is_refused():
         find_cycles(harmonic(seconds=2.2))
 
 
-@pytest.mark.parametrize("model", ["three_stage", "lugre", "bouc_wen"])
+@pytest.mark.parametrize("model", ["three_stage", "lugre", "bouc_wen", "backlash"])
 @pytest.mark.parametrize("noise", ["ou", "iid", "staged", "student_t"])
 @pytest.mark.parametrize("start", ["sample", "mask"])
 def test_cycles_have_the_posteriors_own_likelihood(model, noise, start):
