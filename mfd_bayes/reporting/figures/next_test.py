@@ -80,6 +80,6 @@ def _draw_curve(axes: Axes, advice: Advice, system: System) -> None:
     )
     axes.set_ylim(0.0, 1.1 * float(np.max(curve + arms)))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlabel("further tests, each the best to add")
+    axes.set_xlabel("further tests, the best together")
     axes.set_ylabel(f"expected width, {system.unit(advice.unit)}")
     axes.set_title("When it is enough", fontweight="normal", fontsize=9)
