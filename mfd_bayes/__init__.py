@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.lugre import LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
+    from mfd_bayes.planning.advice import Advice
+    from mfd_bayes.planning.candidate import Candidate, Limits
+    from mfd_bayes.planning.goal import Goal
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
@@ -21,10 +24,14 @@ if TYPE_CHECKING:
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
+    "Advice": "mfd_bayes.planning.advice",
     "Band": "mfd_bayes.population.predict",
     "BacklashLuGre": "mfd_bayes.friction.backlash",
     "BoucWen": "mfd_bayes.friction.bouc_wen",
+    "Candidate": "mfd_bayes.planning.candidate",
     "Draws": "mfd_bayes.calibration.sampling",
+    "Goal": "mfd_bayes.planning.goal",
+    "Limits": "mfd_bayes.planning.candidate",
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
     "Posterior": "mfd_bayes.calibration.posterior",
@@ -38,10 +45,14 @@ _HOMES = {
 }
 
 __all__ = [
+    "Advice",
     "BacklashLuGre",
     "Band",
     "BoucWen",
+    "Candidate",
     "Draws",
+    "Goal",
+    "Limits",
     "LuGre",
     "MfdError",
     "Posterior",

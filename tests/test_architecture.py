@@ -20,6 +20,7 @@ ROOMS = (
     "jobs",
     "calibration",
     "population",
+    "planning",
     "campaign",
     "runs",
     "validation",
@@ -69,7 +70,7 @@ HOMES = {
     "threadpoolctl": ("mfd_bayes.jobs.cluster",),
     "typer": (
         *("mfd_bayes.cli.commands", "mfd_bayes.cli.arguments", "mfd_bayes.cli.preparation"),
-        *("mfd_bayes.cli.calibration", "mfd_bayes.cli.prediction"),
+        *("mfd_bayes.cli.calibration", "mfd_bayes.cli.prediction", "mfd_bayes.cli.planning"),
         *("mfd_bayes.cli.console", "mfd_bayes.cli.exits"),
     ),
     "rich": ("mfd_bayes.cli.console", "mfd_bayes.cli.progress"),
@@ -190,7 +191,7 @@ def test_what_is_run_would_be_seen() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["commands", "arguments", "preparation", "calibration", "prediction"]
+    "name", ["commands", "arguments", "preparation", "calibration", "prediction", "planning"]
 )
 def test_commands_call_the_pipeline_alone(name: str) -> None:
     ours = files_of(imports_of(PACKAGE / "cli" / f"{name}.py"))

@@ -184,7 +184,7 @@ def shown(field):
         return "none"
     if default == () or isinstance(default, schema.Columns):
         return "`[]`" if default == () else "`{}`"
-    return f'`"{default}"`'
+    return f"`{default:g}`" if isinstance(default, float) else f'`"{default}"`'
 
 
 @pytest.mark.parametrize(
@@ -193,6 +193,7 @@ def shown(field):
         ("[campaign]", schema.Settings),
         ("[columns]", schema.Columns),
         ("[dependence]", schema.Dependence),
+        ("[goal]", schema.Wish),
         ("[[test]]", schema.Entry),
     ],
 )

@@ -34,6 +34,18 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("compare", "campaign.toml", "-o", "new", "--models", "lugre,bouc_wen", "--by", "test"),
     ("inspect", "a.csv", "-o", "looks"),
     ("report", "out", "--quiet"),
+    (
+        "next",
+        "out",
+        "--goal",
+        "band",
+        "--candidates",
+        "500 psi",
+        "--limits",
+        "9 in",
+        "--draws",
+        "200",
+    ),
     ("check", "out", "--all"),
 )
 CAMPAIGN = "".join(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from mfd_bayes.campaign.content import read_content
+from mfd_bayes.campaign.goal import wanted_of
 from mfd_bayes.campaign.schema import (
     Column,
     Columns,
@@ -119,6 +120,7 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
         raise CampaignError(f"cannot read {path}: {error}") from error
     tests = tuple(_test(path, folder, content.columns, entry) for entry in content.test)
     _check_together(path, tests, content.campaign.area)
+    wanted_of(path, content.goal, tests[0].actuation_unit)
     return Campaign(
         path=path,
         folder=folder,

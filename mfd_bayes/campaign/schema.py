@@ -220,6 +220,19 @@ class Entry(Part):
     session: Annotated[str, Field(max_length=100)] = ""
 
 
+class Wish(Part):
+    """The table `[goal]`: what is to be known better, and by which tests."""
+
+    quantity: Annotated[str, Field(min_length=1, max_length=100)] = "band"
+    of: Annotated[str, Field(max_length=100)] = ""
+    kind: Literal["device", "new_test"] = "device"
+    at: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+    probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.95
+    session: Annotated[str, Field(max_length=100)] = ""
+    candidates: Annotated[tuple[str, ...], Field(max_length=2000)] = ()
+    limits: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+
+
 class Content(Part):
     """A whole campaign file."""
 
@@ -227,6 +240,7 @@ class Content(Part):
     columns: Columns = Columns()
     laws: dict[Annotated[str, AfterValidator(_known_key)], LawName] = {}
     dependence: Dependence = Dependence()
+    goal: Wish | None = None
     tolerances: dict[Annotated[str, AfterValidator(_known_tolerance)], Tolerance] = {}
     test: Annotated[tuple[Entry, ...], Field(min_length=1)]
 
@@ -242,6 +256,7 @@ def known_keys(table: str) -> list[str]:
         "campaign": Settings,
         "columns": Columns,
         "dependence": Dependence,
+        "goal": Wish,
         "test": Entry,
         "minus": Minus,
         "displacement": DisplacementColumn,

@@ -96,6 +96,9 @@ def report(
     excel: Annotated[
         bool, typer.Option("--excel", help="Write Tables I and II as tables.xlsx too.")
     ] = False,
+    next_test: Annotated[
+        bool, typer.Option("--next", help="Add a section on which test to make next.")
+    ] = False,
     units: arguments.Units = None,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
@@ -113,7 +116,7 @@ def report(
         from mfd_bayes.pipeline import commands as pipeline
 
         with progress.watch(quiet=quiet) as observe:
-            forms = pipeline.Forms(pdf, word, excel)
+            forms = pipeline.Forms(pdf, word, excel, next_test)
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):

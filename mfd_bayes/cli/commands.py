@@ -13,6 +13,7 @@ import typer
 
 from mfd_bayes.cli.calibration import calibrate, check, demo, draws, report
 from mfd_bayes.cli.environment import settle_environment
+from mfd_bayes.cli.planning import next_test
 from mfd_bayes.cli.prediction import compare, crossvalidate, predict
 from mfd_bayes.cli.preparation import init, inspect, prior_check
 from mfd_bayes.cli.streams import checked_streams
@@ -49,12 +50,14 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     (_USE, crossvalidate, "open out/report.html, then mfd-bayes compare --help"),
     (_USE, compare, "open out/MODEL/report.html of the model that is favoured"),
     (_USE, draws, "read the table with pandas, R or another program; or mfd-bayes predict --help"),
+    (_USE, next_test, "make the test, add it to campaign.toml, and calibrate again"),
     (_TRY, demo, "open out/report.html, then mfd-bayes inspect test.csv with a file of yours"),
 )
 """Panel of the help, command, and what to do next."""
 
 for _panel, _command, _next in _COMMANDS:
-    app.command(rich_help_panel=_panel, epilog=f"Next: {_next}")(_command)
+    _name = "next" if _command is next_test else None  # next is a word of Python
+    app.command(_name, rich_help_panel=_panel, epilog=f"Next: {_next}")(_command)
 
 
 def _version(wanted: bool) -> None:

@@ -153,6 +153,14 @@ def print_design(rows: Sequence[DesignRow]) -> None:
     open_console().print(table)
 
 
+def print_rows(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print rows of cells, the first of which is a test."""
+    table = _table(title, ["test"], heads)
+    for cells in rows:
+        _add(table, *cells)
+    open_console().print(table)
+
+
 def print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
     """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
     from mfd_bayes.assessment.width import width_sentence

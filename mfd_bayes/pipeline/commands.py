@@ -19,6 +19,7 @@ from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.draws import write_draws
+from mfd_bayes.pipeline.next_test import Wish, next_test
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.prediction import predict
 from mfd_bayes.pipeline.preparation import (
@@ -40,6 +41,7 @@ __all__ = [
     "Options",
     "Question",
     "Step",
+    "Wish",
     "calibrate_campaign",
     "calibrate_plan",
     "check",
@@ -56,6 +58,7 @@ __all__ = [
     "is_whole",
     "left_out_shown",
     "needs_priors",
+    "next_test",
     "plan_campaign",
     "predict",
     "prior_check",

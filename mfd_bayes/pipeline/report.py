@@ -77,6 +77,9 @@ def write_report(
     system = named_system(units, run.system)
     observe(Step("report", "checks and bands"))
     view = replace(assess(run), metric=system.name == SI.name)
+    if forms.next_test:
+        observe(Step("report", "which test next"))
+        view = replace(view, next_test=run.next_test())
     run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)

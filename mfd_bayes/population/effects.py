@@ -81,6 +81,18 @@ class Effect:
         row = solve_triangular(self.root, self._correlation([cell])[0], lower=True)
         return row, float(np.sqrt(np.maximum(1.0 - row @ row, 0.0)))
 
+    def rows(self, cells: Sequence[Cell]) -> Array:
+        """Weights of independent parts in its own cells' effects and then in those of others.
+
+        (own + others, own + others), lower triangular; others are not among its own.
+        """
+        every = (*self.cells, *cells)
+        new = Effect(self.name, self.group, self.members, every, (), self.kernel)
+        near = 1e-12 * np.eye(len(every))  # effects of very near levels are the same but for this
+        rows = np.linalg.cholesky(new._correlation(every) + near)
+        rows[: len(self.cells), : len(self.cells)] = self.root
+        return np.asarray(rows)
+
     def cell_of(self, setting: Setting, others: Sequence[Setting]) -> Cell:
         """Cell of a setting: its session, and the actuation of others at its level, if any."""
         return _cell(self.name, setting, others)

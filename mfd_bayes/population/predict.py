@@ -210,16 +210,16 @@ class Predictor:
         source: str,
     ) -> Band:
         """Band of drawn tests (n, d); what is no number is refused."""
-        unknown = _unknown(self.population, forecast.draws, rng)
+        unknown = draw_unknown(self.population, forecast.draws, rng)
         scales = _scales(self.population, trace, index) if trace.varying else {}
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, forecast.draws)
         drawn = Drawn(parts, unknown, scales, discrepancy=learned)
-        values = self._values(drawn)
-        damper = self._force(trace, drawn)
+        values = self.values(drawn)
+        damper = self.force(trace, drawn)
         if forecast.kind == "observation":
-            drawn = replace(drawn, noise=self._noise(rng, trace, values))
-        force, _ = self._total(trace, drawn, damper)
+            drawn = replace(drawn, noise=self.draw_noise(rng, trace, values))
+        force, _ = self.total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
         band = band_of(trace.time, force, forecast, source, values)
         return replace(band, shares=self._shares(trace, drawn, forecast))
@@ -229,25 +229,23 @@ class Predictor:
         if not forecast.permutations:
             return {}
         some = drawn.first(int(np.clip(VALUES // trace.samples, FEWEST, DRAWS)))
-        total, names = partial(self._total, trace), self.population.layout.names
+        total, names = partial(self.total, trace), self.population.layout.names
         return shares_of(some, names, total, forecast.permutations, forecast.seed)
 
-    def _total(
-        self, trace: Trace, drawn: Drawn, damper: Array | None = None
-    ) -> tuple[Array, Array]:
+    def total(self, trace: Trace, drawn: Drawn, damper: Array | None = None) -> tuple[Array, Array]:
         """Force, and the damper's part of it where that is not known yet, (n, T) each, kip."""
-        damper = self._force(trace, drawn) if damper is None else damper
+        damper = self.force(trace, drawn) if damper is None else damper
         if drawn.noise is None:
             return damper, damper
-        return damper + self._values(drawn)["offset"][:, None] + drawn.noise, damper
+        return damper + self.values(drawn)["offset"][:, None] + drawn.noise, damper
 
-    def _values(self, drawn: Drawn) -> dict[str, Array]:
+    def values(self, drawn: Drawn) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""
         return {**self.population.values(drawn.parts), **drawn.unknown}
 
-    def _force(self, trace: Trace, drawn: Drawn) -> Array:
+    def force(self, trace: Trace, drawn: Drawn) -> Array:
         """The damper's force with the discrepancy of the model, (n, T), kip."""
-        values = self._values(drawn)
+        values = self.values(drawn)
         theta = self.model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
         force = self.model.force_unbounded(
@@ -259,7 +257,9 @@ class Predictor:
         slip = slip_force_of(self.model, values)
         return force + residual.discrepancy(trace, slip, drawn.discrepancy)
 
-    def _noise(self, rng: np.random.Generator, trace: Trace, values: Mapping[str, Array]) -> Array:
+    def draw_noise(
+        self, rng: np.random.Generator, trace: Trace, values: Mapping[str, Array]
+    ) -> Array:
         """Draws of the record's noise, (n, T), kip."""
         residual = self.population.residual
         if residual is not None:
@@ -272,7 +272,7 @@ class Predictor:
         return self.model.travel(self.model.theta(values), trace, values.get("start"))
 
 
-def _unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
+def draw_unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
     """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
     shared = set(population.layout.names)
     unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}

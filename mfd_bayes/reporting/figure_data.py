@@ -10,7 +10,7 @@ import numpy as np
 from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
 from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
-from mfd_bayes.reporting.tables import csv_text
+from mfd_bayes.reporting.tables import csv_text, next_csv
 from mfd_bayes.runs.systems import US, System
 from mfd_bayes.runs.tested import conditions
 from mfd_bayes.units import percent
@@ -50,6 +50,8 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
         yield table_of("overview"), _overview(tests, system)
     if view.tested:
         yield table_of("tested"), _tested(view, system)
+    if view.next_test is not None:
+        yield table_of("next"), next_csv(view.next_test, system, view.actuation_unit)
     view = in_system(replace(view, tests=()), system)
     if view.laws:
         yield table_of("laws"), _laws(view)

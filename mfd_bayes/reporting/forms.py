@@ -10,11 +10,12 @@ from mfd_bayes.reporting.pdf import find_browser
 
 @dataclass(frozen=True)
 class Forms:
-    """Forms of a report that are written only where they are asked for: they need more software."""
+    """Parts of a report that are made only where asked for: they need more software or time."""
 
     pdf: bool = False
     word: bool = False
     excel: bool = False
+    next_test: bool = False
 
     def check(self) -> None:
         """Refuse a form that cannot be made, before anything is written.

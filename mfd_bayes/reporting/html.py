@@ -17,10 +17,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
 from mfd_bayes.assessment.checks import INFORMED
+from mfd_bayes.assessment.next_test import advice_sentence, shown_rows, together_words
 from mfd_bayes.assessment.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.assessment.width import width_sentence
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
 from mfd_bayes.reporting import symbols
+from mfd_bayes.reporting.conversion import shown_in
 from mfd_bayes.reporting.digest import (
     convergence_of,
     derived_of,
@@ -43,6 +45,9 @@ Pair = tuple[System, System]
 
 ONE_PAGE = 12
 """A report of more tests has a page for each."""
+
+NEXT = 10
+"""Candidates for the next test that the page shows."""
 
 _HEAD = 24
 """Bytes of a PNG up to the end of its size."""
@@ -130,6 +135,7 @@ def _shared(view: CampaignView) -> dict[str, Any]:
         "view": view,
         "sources": list(shares),
         "width": width_sentence(shares),
+        "next": _next(view),
         "calibrated": [test for test in view.tests if test.role != "validate"],
         "held_out": [test for test in view.tests if test.role == "validate"],
         "names": list(dict.fromkeys(row.name for test in view.tests for row in test.rows)),
@@ -148,6 +154,20 @@ def _shared(view: CampaignView) -> dict[str, Any]:
         "trade_off": TRADE_OFF,
         "sensitive": SENSITIVE,
         "script": _script("report.js"),
+    }
+
+
+def _next(view: CampaignView) -> dict[str, Any] | None:
+    """Sentences and rows on the next test, where it was asked for."""
+    if view.next_test is None:
+        return None
+    units = shown_in(view), view.actuation_unit
+    return {
+        "sentences": [
+            advice_sentence(view.next_test, *units),
+            *together_words(view.next_test, *units),
+        ],
+        "rows": shown_rows(view.next_test, *units, NEXT),
     }
 
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from mfd_bayes.assessment.design import BASES, DesignRow
+from mfd_bayes.assessment.next_test import advice_rows
 from mfd_bayes.assessment.views import (
     CampaignView,
     Check,
@@ -19,6 +20,7 @@ from mfd_bayes.assessment.views import (
     Row,
     ScoreRow,
 )
+from mfd_bayes.planning.advice import Advice
 from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
@@ -101,6 +103,12 @@ def crossvalidation_csv(found: LeftOutView, system: System = US) -> str:
     fitted = (f"fitted_width_95_{system.force}", f"fitted_crps_{system.force}")
     head = ("part", "test", *_scores(system), *fitted, "width_ratio", "crps_ratio", "whole_95")
     return csv_text(head, map(dataclasses.astuple, (*found.rows, found.mean)))
+
+
+def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
+    """Candidates for the next test, the best first, and what each is expected to tell."""
+    rows = advice_rows(advice, system, actuation_unit)
+    return csv_text(list(rows[0]), (list(row.values()) for row in rows))
 
 
 def law_scores_csv(choices: Iterable[LawChoice]) -> str:

@@ -132,6 +132,9 @@ _DRAWS = tuple(map(draws_as, ("csv", "parquet")))
 _OUTPUTS = (POPULATION, *_TABLES, *_DRAWS, "report.html", "report.pdf", CAMPAIGN, PRIORS)
 
 
+ADVICE = ("next.csv", "next.json", "next.png")
+"""What `mfd-bayes next` writes into a run folder where it is told no other place."""
+
 DISCARDED = f".{MANIFEST}.discarded"
 
 
@@ -203,7 +206,7 @@ def discard(out: Path) -> None:
         for name in FOLDERS:
             if (out / name).exists():
                 shutil.rmtree(out / name)
-        for name in _OUTPUTS:
+        for name in (*_OUTPUTS, *ADVICE):
             (out / name).unlink(missing_ok=True)
         begun.unlink()
     except OSError as error:

@@ -16,6 +16,10 @@ from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import State
+from mfd_bayes.planning.advice import Advice
+from mfd_bayes.planning.candidate import Limits
+from mfd_bayes.planning.goal import Goal
+from mfd_bayes.planning.study import Effort
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Band, Forecast, Predictor
@@ -36,6 +40,7 @@ from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.systems import System, is_small, sized, system_of
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Use
+from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
 
@@ -186,6 +191,36 @@ class Run:
             band = predictor.predict(trace, forecast)
         band = replace(band, remarks=self._remarks(trace, test), extras=self.extras)
         return self._recalibrated(band, scores) if recalibrate else band
+
+    def next_test(
+        self,
+        goal: str | Goal | None = None,
+        candidates: Candidates | None = None,
+        *,
+        limits: str | Limits | None = None,
+        draws: int = 2000,
+        seed: int = 0,
+    ) -> Advice:
+        """Table of tests that could be made next, and of what each is expected to tell.
+
+        Parameters
+        ----------
+        goal : str or Goal, optional
+            "energy at 1000 psi, 0.5 Hz, 1 in"; by default the campaign file's, or "band".
+        candidates : str or sequence, optional
+            "500|1350 psi, 0.5 Hz, 1 in"; by default a grid from the campaign's range.
+        limits : str or Limits, optional
+            Of the actuator, "10 in/s, 6 in, 20 kip".
+
+        Raises
+        ------
+        CampaignError
+            When a text is not understood, or the limits leave no candidate.
+        """
+        wanted = stored_wish(self.folder, self.manifest)
+        wanted = with_given(wanted, self.manifest, goal, candidates, limits)
+        effort = Effort(draws, seed)
+        return next_test(self.population, self.tests, self.manifest, wanted, effort)
 
     def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:
         """The calibrated test that is asked for by its id."""

@@ -9,6 +9,7 @@ from mfd_bayes.assessment.views.check import Check
 from mfd_bayes.assessment.views.judgement import Judgement
 from mfd_bayes.assessment.views.law import LawChoice, LawView
 from mfd_bayes.assessment.views.test import Row, ScoreRow, TestView
+from mfd_bayes.planning.advice import Advice
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.results import ComparisonRow
 from mfd_bayes.runs.tested import Span
@@ -116,6 +117,8 @@ class CampaignView:
         Whether forces are small, so that the report is in lbf or N.
     tested : tuple of Span
         Smallest and largest stroke, speed, frequency and actuation of the calibrated tests.
+    next_test : Advice or None
+        Which test to make next, where it was asked for.
     """
 
     title: str
@@ -141,3 +144,4 @@ class CampaignView:
     metric: bool = False
     small: bool = False
     tested: tuple[Span, ...] = ()
+    next_test: Advice | None = None

@@ -4,6 +4,7 @@ from mfd_bayes.reporting.figures.backend import mpl
 from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_shared, draw_test
 from mfd_bayes.reporting.figures.inspection import draw_inspection
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops
+from mfd_bayes.reporting.figures.next_test import draw_next
 from mfd_bayes.reporting.figures.style import to_png
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "draw_history",
     "draw_inspection",
     "draw_loops",
+    "draw_next",
     "draw_shared",
     "draw_test",
     "mpl",

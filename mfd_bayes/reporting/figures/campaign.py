@@ -14,6 +14,7 @@ from mfd_bayes.assessment.views import CampaignView, Fan, TestView
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.next_test import draw_next
 from mfd_bayes.reporting.figures.posteriors import (
     draw_chains,
     draw_corner,
@@ -31,7 +32,7 @@ _FIGURES_HELD = 8
 def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
     """PNGs of the figures that show all tests together, one at a time, each with its key.
 
-    Keys are "overview", "tested", "laws" and "truth"; a figure with nothing to show is left out.
+    Keys are "overview", "tested", "next", "laws" and "truth"; what has nothing to show is left out.
     """
     return _pngs(shared_figures(view))
 
@@ -55,6 +56,8 @@ def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     tested = draw_tested(view, system)
     if tested is not None:
         yield "tested", tested
+    if view.next_test is not None:
+        yield "next", draw_next(view.next_test, system, view.actuation_unit, "Which test next")
     view = in_system(replace(view, tests=()), system)
     drawn = {
         "laws": draw_laws(

@@ -1,0 +1,179 @@
+"""The advice on the next test in words, and as a table in the units of a system."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mfd_bayes.planning.advice import Advice, Row, Together
+from mfd_bayes.planning.candidate import Candidate
+from mfd_bayes.planning.goal import AT_MOTIONS, GAP
+from mfd_bayes.planning.study import CURVE, TOGETHER
+from mfd_bayes.runs.systems import System
+
+LITTLE = 0.01
+"""A test that is expected to narrow the band by less than this share is not worth the frame."""
+
+_SURE = 1.96  # errors of a 95 % interval
+
+_COUNT = ("none", "one", "two", "three", "four", "five", "six")
+
+
+def candidate_words(candidate: Candidate, system: System, unit: str) -> str:
+    """A test in words: "1350 psi, 0.5 Hz, 1 in", with its waveform where it is no sine."""
+    level = system.words([candidate.actuation], unit, actuation=True)
+    amplitude = system.words([candidate.amplitude], "in", 3)
+    text = f"{level}, {candidate.frequency:.3g} Hz, {amplitude}"
+    return text if candidate.waveform == "sine" else f"{text}, {candidate.waveform}"
+
+
+def goal_words(advice: Advice, system: System, unit: str) -> str:
+    """What is to be known better, in words."""
+    goal = advice.goal
+    if goal.quantity == "band":
+        scatter = ", with test-to-test scatter," if goal.kind == "new_test" else ""
+        what = f"the {100 * goal.probability:.3g} % band{scatter}"
+    else:
+        what = f"the {100 * goal.probability:.3g} % interval of the {goal.words}"
+    if goal.quantity not in AT_MOTIONS or (goal.quantity == GAP):
+        return what
+    if not goal.at:
+        return f"{what} over the campaign's range"
+    given = [p.actuation for p in goal.at if p.actuation is not None]
+    return f"{what} at {system.words(given, unit, actuation=True)}" if given else what
+
+
+def advice_sentence(advice: Advice, system: System, unit: str) -> str:
+    """Which test to make next, what it is expected to tell, and when it is enough."""
+    best, goal = advice[0], goal_words(advice, system, unit)
+    if best.reduction < LITTLE:
+        return (
+            f"No test on this list is expected to narrow {goal} by more than "
+            f"{100 * LITTLE:.0f} %: for this goal it is enough.{_scatter(advice)}"
+        )
+    test = candidate_words(best.candidate, system, unit)
+    text = f"One test at {test} is expected to narrow {goal} by {in_percent(best)}"
+    again = next((row for row in advice if row.repeat), None)
+    if again is not None and again is not best:
+        old = candidate_words(again.candidate, system, unit)
+        text += f"; repeating {old} by {in_percent(again)}"
+    elif again is best:
+        text += "; that repeats a test that was made"
+    return f"{text}. {_enough(advice)}{_scatter(advice)}"
+
+
+def in_percent(found: Row | Together) -> str:
+    """Expected reduction with its 95 % interval: "18 % (14 to 22)"."""
+    gain = found.gain
+    low = max(0.0, gain.reduction - _SURE * gain.error)
+    high = min(1.0, gain.reduction + _SURE * gain.error)
+    digits = 0 if gain.reduction >= 0.1 else 1
+    figures = (f"{100 * share:.{digits}f}" for share in (gain.reduction, low, high))
+    return "{} % ({} to {})".format(*figures)
+
+
+def _enough(advice: Advice) -> str:
+    """After how many tests nothing on the list gains much any more."""
+    steps = [t.gain.reduction for t in advice.together]
+    if len(steps) <= TOGETHER:
+        return ""
+    after = max(100 * (steps[TOGETHER] - steps[TOGETHER - 1]), 0.0)
+    return (
+        f"After {_COUNT[TOGETHER]} more tests nothing on this list gains more than "
+        f"{max(after, 0.5):.2g} % of today's width."
+    )
+
+
+def _scatter(advice: Advice) -> str:
+    if advice.goal.kind != "new_test":
+        return ""
+    return " Test-to-test scatter is part of this band, and no test takes it away."
+
+
+def together_words(advice: Advice, system: System, unit: str) -> list[str]:
+    """The best two and three tests together, a sentence each."""
+    found = []
+    for together in advice.together[1:TOGETHER]:
+        tests = "; ".join(candidate_words(c, system, unit) for c in together.candidates)
+        count = _COUNT[len(together.candidates)]
+        found.append(f"The best {count} together, {in_percent(together)}: {tests}.")
+    return found
+
+
+def advice_rows(advice: Advice, system: System, unit: str) -> list[dict[str, str | float]]:
+    """Rows of the table, the best first, and then what the limits rule out; by column."""
+    level = "psi" if unit == "ksi" else "lbf"
+    by = system.factor(unit) if system.name == "si" else 1000.0
+    name = system.unit(unit) if system.name == "si" else level
+
+    def row(candidate: Candidate, found: Row | None, why: str) -> dict[str, str | float]:
+        nan = float("nan")
+        figures = {
+            "expected_reduction": nan if found is None else found.reduction,
+            "error": nan if found is None else found.error,
+            "cost_h": candidate.cost,
+            "reduction_per_h": nan if found is None else found.per_hour,
+            "information_nat": nan if found is None else found.information,
+            "information_error": nan if found is None else found.information_error,
+        }
+        return {
+            "candidate": candidate_words(candidate, system, unit),
+            **figures,
+            f"actuation_{name}": candidate.actuation * by,
+            "frequency_Hz": candidate.frequency,
+            f"amplitude_{system.length}": candidate.amplitude * system.factor("in"),
+            "cycles": candidate.cycles,
+            "waveform": candidate.waveform,
+            "repeats_a_test": "" if found is None else "yes" if found.repeat else "no",
+            "ruled_out_by": why,
+        }
+
+    rows = [row(found.candidate, found, "") for found in advice]
+    return rows + [row(candidate, None, why) for candidate, why in advice.ruled_out]
+
+
+def advice_content(advice: Advice, system: System, unit: str) -> dict[str, Any]:
+    """Everything of the advice, for JSON."""
+    factor = system.factor(advice.unit)
+    return {
+        "goal": goal_words(advice, system, unit),
+        "unit": system.unit(advice.unit),
+        "width_now": advice.width * factor,
+        "draws": advice.draws,
+        "sentence": advice_sentence(advice, system, unit),
+        "candidates": advice_rows(advice, system, unit),
+        "together": [_content(t, system, unit) for t in advice.together[:TOGETHER]],
+        "curve": [
+            {"tests": number, "expected_width": float(width) * factor}
+            for number, width in enumerate(advice.curve[: CURVE + 1])
+        ],
+    }
+
+
+def _content(together: Together, system: System, unit: str) -> dict[str, Any]:
+    return {
+        "candidates": [candidate_words(c, system, unit) for c in together.candidates],
+        "expected_reduction": together.gain.reduction,
+        "error": together.gain.error,
+        "information_nat": together.gain.information,
+        "cost_h": sum(c.cost for c in together.candidates),
+    }
+
+
+def shown_rows(advice: Advice, system: System, unit: str, most: int) -> Sequence[tuple[str, ...]]:
+    """Cells of the first rows, and of the best repeat, as a terminal shows them."""
+    chosen = list(advice[:most])
+    again = next((row for row in advice if row.repeat), None)
+    if again is not None and again not in chosen:
+        chosen.append(again)
+    return [
+        (
+            candidate_words(row.candidate, system, unit),
+            in_percent(row),
+            f"{row.cost:.2f}",
+            f"{100 * row.per_hour:.1f} %",
+            f"{row.information:.3f} ± {row.information_error:.3f}",
+            "yes" if row.repeat else "",
+        )
+        for row in chosen
+    ]

@@ -1,0 +1,129 @@
+"""What is to be known better: a goal in the user's words."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.planning.candidate import Candidate, Parts, parse_tests
+from mfd_bayes.population.laws import default_laws
+from mfd_bayes.units import ActuationUnit
+
+AT_MOTIONS = {
+    "band": "force along the loop",
+    "energy": "energy per cycle",
+    "peak": "peak forces",
+    "peak_fwd": "peak force forward",
+    "peak_bwd": "peak force backward",
+    "slip": "slip forces",
+}
+"""Quantities at stated motions and actuations, and what they are."""
+
+OF_LAWS = {"slope": "slope of a law", "exponent": "exponent of a law"}
+
+GAP = "gap"
+
+KINDS = ("device", "new_test")
+
+_FORM = re.compile(
+    r"\s*(?P<name>[A-Za-z_]+(?: force)?)(?:\s+of\s+(?P<of>\w+))?(?:\s+at\s+(?P<at>.+))?\s*",
+    re.DOTALL,
+)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is to be known better of a new device.
+
+    Attributes
+    ----------
+    quantity : str
+        A key of `AT_MOTIONS` or `OF_LAWS`, or "gap".
+    of : str
+        Quantity whose law is meant; "" for others.
+    kind : {"device", "new_test"}
+        Of the band: of the mean property, or with test-to-test scatter, of which no test can take
+        anything away.
+    at : tuple of Parts
+        Motions and actuations; none for the campaign's range.
+    probability : float
+        Of the band.
+    session : str
+        Session that it is about, where the campaign declares several.
+    """
+
+    quantity: str = "band"
+    of: str = ""
+    kind: str = "device"
+    at: tuple[Parts, ...] = ()
+    probability: float = 0.95
+    session: str = ""
+
+    def places(self, typical: Sequence[Candidate]) -> list[Candidate]:
+        """Motions and actuations that it is about; the typical ones where it names none."""
+        return [parts.completed(typical[0]) for parts in self.at] or list(typical)
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        if self.quantity in OF_LAWS:
+            return f"{self.quantity} of {self.of}"
+        return {"band": "band", GAP: "width of the gap"}.get(
+            self.quantity, AT_MOTIONS.get(self.quantity, self.quantity)
+        )
+
+
+def parse_goal(text: str, unit: ActuationUnit, *, of: str = "--goal") -> Goal:
+    """Goal of ``"energy at 1000 psi, 0.5 Hz, 1 in"``, ``"band"``, ``"exponent of Fc_fwd"``.
+
+    Raises
+    ------
+    CampaignError
+        When the quantity is unknown, or what it is of or at is not understood.
+    """
+    match = _FORM.fullmatch(text) if len(text) < 5000 else None
+    form = (
+        f"{of}: a goal reads 'energy at 1000 psi, 0.5 Hz, 1 in' or 'band' or 'exponent of Fc_fwd'"
+    )
+    if match is None:
+        raise CampaignError(f"{form}, got {text[:80]!r}")
+    name = match["name"].removesuffix(" force").lower()
+    at = tuple(parse_tests(match["at"], unit, of=of)) if match["at"] else ()
+    kind = match["of"] if name == "band" and match["of"] else "device"
+    about = match["of"] or ""
+    goal = Goal(name, about if name in OF_LAWS else "", kind, at)
+    check_goal(goal, of=of)
+    if about and name not in OF_LAWS and name != "band":
+        raise CampaignError(f"{form}: 'of {about}' is for slope, exponent and band alone")
+    return goal
+
+
+def check_goal(goal: Goal, *, of: str = "--goal") -> None:
+    """Refuse a goal that cannot be.
+
+    Raises
+    ------
+    CampaignError
+        When its quantity, its kind or its probability is unknown.
+    """
+    known = (*AT_MOTIONS, GAP, *OF_LAWS)
+    if goal.quantity not in known:
+        near = difflib.get_close_matches(goal.quantity, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+        raise CampaignError(f"{of}: unknown quantity {goal.quantity!r}; {hint}")
+    if goal.kind not in KINDS:
+        raise CampaignError(
+            f"{of}: a band is of {' or '.join(KINDS)}, not of {goal.kind!r}: noise and offset of a "
+            "record are no quantity of the population"
+        )
+    laws = tuple(default_laws())
+    if goal.quantity in OF_LAWS and goal.of not in laws:
+        raise CampaignError(
+            f"{of}: {goal.quantity} needs a quantity that follows the actuation, such as "
+            f"'{goal.quantity} of {laws[0]}'; they are {', '.join(laws)}; got {goal.of!r}"
+        )
+    if not 0.0 < goal.probability < 1.0:
+        raise CampaignError(f"{of}: probability must lie between 0 and 1, got {goal.probability}")

@@ -1,0 +1,266 @@
+"""Candidates simulated, and judged one by one and together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.noise import Noise
+from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.friction.model import Model
+from mfd_bayes.planning.advice import Advice, Row, Together
+from mfd_bayes.planning.asked import draw_goals, unit_of
+from mfd_bayes.planning.candidate import Candidate, Limits
+from mfd_bayes.planning.choice import Pool, Set, choose, greedy
+from mfd_bayes.planning.devices import Devices
+from mfd_bayes.planning.gain import Gain, Goals, gain_of
+from mfd_bayes.planning.goal import Goal
+from mfd_bayes.planning.grid import repeats, typical_of
+from mfd_bayes.planning.loop import loop_of
+from mfd_bayes.planning.regression import directions_of, fit_left_out
+from mfd_bayes.planning.summaries import summarise
+from mfd_bayes.population.population import Population
+from mfd_bayes.population.setting import setting_of
+from mfd_bayes.records.numbers import whole_number
+
+Array = NDArray[np.float64]
+
+TOGETHER = 3
+"""Largest set of tests that is optimised by exchange."""
+
+CURVE = 6
+"""Number of further tests up to which the expected width is given."""
+
+SHORTLIST = 12
+"""Candidates, the best first, that are simulated again, so that a second copy can be chosen."""
+
+COPIES = 2
+"""Further copies of each of them."""
+
+TOO_STRONG = 0.025
+"""A candidate may pass the limit of the force with this probability."""
+
+FEWEST = 200
+"""Fewest draws."""
+
+NO_GAP = 0.1
+"""Length that stands for the gap of a model without one, in."""
+
+NEXT = "(the session of the next test)"
+"""Session of candidates, where tests were made in several."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a campaign knows.
+
+    Attributes
+    ----------
+    population : Population
+    model : Model
+    noise : Noise
+    tests : tuple of Candidate
+        The tests that were made.
+    sessions : tuple of str
+        Their sessions.
+    """
+
+    population: Population
+    model: Model
+    noise: Noise
+    tests: tuple[Candidate, ...]
+    sessions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is simulated."""
+
+    draws: int = 2000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if whole_number("draws", self.draws, 0, FitError) < FEWEST:
+            raise FitError(f"advice needs at least {FEWEST} draws, got {self.draws}")
+        whole_number("seed", self.seed, 0, FitError)
+
+
+def advise(
+    situation: Situation,
+    goal: Goal,
+    candidates: Sequence[Candidate],
+    limits: Limits,
+    effort: Effort,
+) -> Advice:
+    """Candidates with what each is expected to tell of a goal, the best first.
+
+    Raises
+    ------
+    CampaignError
+        When the limits leave no candidate, or the goal cannot be known better by any.
+    """
+    study = _Study(situation, goal, _allowed(candidates, limits), effort)
+    judged = [study.judge(number, 0) for number in range(len(study.candidates))]
+    strong = {number for number, found in enumerate(judged) if found.force > _force(limits)}
+    if len(strong) == len(judged):
+        raise CampaignError(
+            f"the limit of the force, {limits.force:.4g} kip, forbids every candidate: give "
+            "candidates of less actuation, or check its unit"
+        )
+    fine = [number for number in range(len(judged)) if number not in strong]
+    order = sorted(fine, key=lambda number: -judged[number].gain.reduction)
+    copies = [(n, study.judge(n, k)) for n in order[:SHORTLIST] for k in range(1, COPIES + 1)]
+    rows = [_row(study, n, [judged[n], *(c for m, c in copies if m == n)]) for n in order]
+    named = [*((n, judged[n]) for n in order), *copies]
+    return Advice(
+        goal=goal,
+        unit=unit_of(goal, situation.population.actuation_unit),
+        width=study.goals.width,
+        rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
+        together=study.together(named),
+        ruled_out=_ruled_out(candidates, limits, [study.candidates[n] for n in sorted(strong)]),
+        tests=situation.tests,
+        draws=study.devices.index.size,
+    )
+
+
+def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
+    """Draws of a goal as a campaign knows it now."""
+    return _Study(situation, goal, (), effort).goals
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A simulated test: its gain, its columns for sets, and a large quantile of its peak force."""
+
+    gain: Gain
+    block: Array
+    force: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Study:
+    """One question about a campaign."""
+
+    situation: Situation
+    goal: Goal
+    candidates: Sequence[Candidate]
+    effort: Effort
+
+    @cached_property
+    def gap(self) -> float:
+        """About the width of the gap, in."""
+        population, layout = self.situation.population, self.situation.population.layout
+        values = layout.coordinates.values(population.levels.reshape(population.size, -1))
+        found = self.situation.model.gap(values)
+        return NO_GAP if found is None else float(np.median(found))
+
+    @cached_property
+    def places(self) -> list[Candidate]:
+        """Motions and actuations that the goal is about."""
+        return self.goal.places(typical_of(self.situation.tests))
+
+    @cached_property
+    def sessions(self) -> tuple[str, str]:
+        """Session that the goal is about, and session of the candidates."""
+        known = dict.fromkeys(self.situation.sessions)
+        if len(known) == 1:
+            return (next(iter(known)),) * 2
+        return self.goal.session, NEXT
+
+    @cached_property
+    def devices(self) -> Devices:
+        """Draws of the population for everything that is asked."""
+        now, then = self.sessions
+        asked = [
+            setting_of(loop_of(candidate, self.gap).trace, session)
+            for session, those in ((now, self.places), (then, self.candidates))
+            for candidate in those
+        ]
+        rng = np.random.default_rng([self.effort.seed, 0])
+        kinds = self.situation.model, self.situation.noise
+        return Devices.draw(self.situation.population, kinds, asked, self.effort.draws, rng)
+
+    @cached_property
+    def goals(self) -> Goals:
+        """Draws of the goal."""
+        return draw_goals(self.goal, self.places, self.devices, self.gap, self.sessions[0])
+
+    def judge(self, number: int, copy: int) -> _Judged:
+        """One copy of a candidate, simulated and judged."""
+        candidate = self.candidates[number]
+        loop = loop_of(candidate, self.gap)
+        seed = (self.effort.seed, 1, number, copy)
+        force = self.devices.measured(loop, self.sessions[1], candidate.cycles, seed)
+        directions = directions_of(summarise(loop, force, self.gap))
+        fit = fit_left_out(self.goals.values, directions)
+        gain = gain_of(self.goals, fit, np.random.default_rng([self.effort.seed, 2]))
+        peaks = np.abs(force).max(axis=1)
+        return _Judged(
+            gain, _block(directions, fit.fitted), float(np.quantile(peaks, 1 - TOO_STRONG))
+        )
+
+    def together(self, named: Sequence[tuple[int, _Judged]]) -> tuple[Together, ...]:
+        """The best sets of simulated tests, named by their candidates."""
+        pool = Pool(self.goals, [judged.block for _, judged in named])
+        sets = choose(len(named), pool.reduction, TOGETHER)
+        sets += greedy(sets[-1], len(named), pool.reduction, CURVE)
+        return tuple(
+            Together(tuple(self.candidates[named[k][0]] for k in chosen), self._gain(pool, chosen))
+            for chosen in sets
+        )
+
+    def _gain(self, pool: Pool, chosen: Set) -> Gain:
+        columns = np.concatenate([pool.blocks[k] for k in chosen], axis=1)
+        fit = fit_left_out(self.goals.values, columns, curved=False)
+        return gain_of(self.goals, fit, np.random.default_rng([self.effort.seed, 2]))
+
+
+def _block(directions: Array, fitted: Array) -> Array:
+    """Columns that carry what a test tells: its directions, and the main ways of its fit."""
+    away = fitted - fitted.mean(axis=0)
+    scale = np.maximum(away.std(axis=0), 1e-300)
+    left, sizes, _ = np.linalg.svd(away / scale, full_matrices=False)
+    kept = left[:, :2][:, sizes[:2] > 1e-6 * max(float(sizes[0]), 1e-300)]
+    return np.concatenate([directions, kept * np.sqrt(len(fitted))], axis=1)
+
+
+def _row(study: _Study, number: int, copies: Sequence[_Judged]) -> Row:
+    """Row of a candidate: the mean over its copies, with the error of one."""
+    reduction = float(np.mean([copy.gain.reduction for copy in copies]))
+    information = float(np.mean([copy.gain.information for copy in copies]))
+    gain = replace(copies[0].gain, reduction=reduction, information=information)
+    candidate = study.candidates[number]
+    return Row(candidate, gain, repeats(candidate, study.situation.tests))
+
+
+def _force(limits: Limits) -> float:
+    return np.inf if limits.force is None else limits.force
+
+
+def _allowed(candidates: Sequence[Candidate], limits: Limits) -> list[Candidate]:
+    found = [candidate for candidate in dict.fromkeys(candidates) if limits.allow(candidate)]
+    if not found:
+        raise CampaignError(
+            "the limits of velocity and stroke forbid every candidate: give other candidates, or "
+            "check the limits' units"
+        )
+    return found
+
+
+def _ruled_out(
+    candidates: Sequence[Candidate], limits: Limits, strong: Sequence[Candidate]
+) -> tuple[tuple[Candidate, str], ...]:
+    """Candidates that the limits forbid, each with the limit that does."""
+    found: list[tuple[Candidate, str]] = []
+    for candidate in dict.fromkeys(candidates):
+        if candidate in strong:
+            found.append((candidate, "force"))
+        elif not limits.allow(candidate):
+            slow = limits.velocity is None or candidate.speed <= limits.velocity
+            found.append((candidate, "stroke" if slow else "velocity"))
+    return tuple(found)

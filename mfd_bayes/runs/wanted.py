@@ -1,0 +1,82 @@
+"""What is asked of a run about its next test: goal, candidates and limits, given or its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.campaign.content import read_content
+from mfd_bayes.campaign.goal import Wanted, wanted_of
+from mfd_bayes.planning.advice import Advice
+from mfd_bayes.planning.candidate import Candidate, Limits, Parts, parse_limits, parse_tests
+from mfd_bayes.planning.goal import Goal, check_goal, parse_goal
+from mfd_bayes.planning.grid import grid_of, tested_of, typical_of
+from mfd_bayes.planning.study import Effort, Situation, advise
+from mfd_bayes.population.population import Population
+from mfd_bayes.runs.folder import CAMPAIGN, check_stored
+from mfd_bayes.runs.manifest import Manifest
+
+Candidates = str | Sequence[str | Candidate]
+"""Tests in words, or as they are."""
+
+
+def stored_wish(folder: Path, manifest: Manifest) -> Wanted:
+    """The goal of the campaign file that a run has stored; the default where it has none."""
+    if not (folder / CAMPAIGN).is_file():
+        return Wanted()
+    path = check_stored(folder, CAMPAIGN, manifest.files or {})
+    return wanted_of(path, read_content(path).goal, manifest.settings.actuation_unit)
+
+
+def with_given(
+    wanted: Wanted,
+    manifest: Manifest,
+    goal: str | Goal | None,
+    candidates: Candidates | None,
+    limits: str | Limits | None,
+) -> Wanted:
+    """What is wanted, where it is not given otherwise.
+
+    Raises
+    ------
+    CampaignError
+        When a text is not understood.
+    """
+    unit = manifest.settings.actuation_unit
+    if isinstance(goal, str):
+        goal = replace(parse_goal(goal, unit), session=wanted.goal.session)
+    elif goal is not None:
+        check_goal(goal, of="goal")
+    if isinstance(limits, str):
+        limits = parse_limits(limits)
+    chosen = wanted.candidates if candidates is None else _parsed(candidates, manifest)
+    return Wanted(goal or wanted.goal, chosen, limits or wanted.limits)
+
+
+def _parsed(candidates: Candidates, manifest: Manifest) -> list[Parts]:
+    unit = manifest.settings.actuation_unit
+    if isinstance(candidates, str):
+        return parse_tests(candidates, unit)
+    found: list[Parts] = []
+    for one in candidates:
+        found += [Parts(**vars(one))] if isinstance(one, Candidate) else parse_tests(one, unit)
+    return found or parse_tests("", unit)
+
+
+def next_test(
+    population: Population,
+    tests: Mapping[str, TestResult],
+    manifest: Manifest,
+    wanted: Wanted,
+    effort: Effort,
+) -> Advice:
+    """Table of the wanted candidates, or of a grid from the campaign's range."""
+    done = tuple(tested_of(test.trace) for test in tests.values())
+    sessions = tuple(manifest.settings.tests[name].session for name in tests)
+    some = next(iter(tests.values())).posterior
+    situation = Situation(population, some.model, some.noise, done, sessions)
+    typical = typical_of(done)[0]
+    candidates = [parts.completed(typical) for parts in wanted.candidates] or grid_of(done)
+    return advise(situation, wanted.goal, candidates, wanted.limits, effort)

@@ -1,0 +1,138 @@
+"""Candidates and limits in words, and mistakes in them in one sentence."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.planning import grid as of_grid
+from mfd_bayes.planning.candidate import (
+    MOST,
+    SETUP,
+    Candidate,
+    Limits,
+    Parts,
+    parse_limits,
+    parse_tests,
+)
+from mfd_bayes.planning.grid import grid_of, repeats, typical_of
+from mfd_bayes.records.harmonic import Harmonic
+from mfd_bayes.records.trace import Trace
+
+TYPICAL = Candidate(1.0, 0.5, 1.0, 3.0)
+
+
+def test_a_test_in_words_is_read():
+    (found,) = parse_tests("1350 psi, 0.5 Hz, 25.4 mm, 5 cycles, triangle, 2 h", "ksi")
+    expected = Candidate(1.35, 0.5, 1.0, 5.0, "triangle", 2.0)
+    whole = found.completed(TYPICAL)
+    assert vars(whole) == pytest.approx(vars(expected))
+    assert whole.cost == 2.0
+
+
+def test_bars_and_semicolons_give_a_grid():
+    found = parse_tests("500|1000 psi, 0.1|0.5|1 Hz, sine|triangle; 2 ksi", "ksi")
+    assert len(found) == 2 * 3 * 2 + 1
+    assert {p.actuation for p in found} == {0.5, 1.0, 2.0}
+    assert found[-1] == Parts(actuation=2.0)
+    assert parse_tests(["500 psi", "1000 psi"], "ksi") == parse_tests("500 psi;1000 psi", "ksi")
+
+
+def test_what_is_not_given_is_that_of_a_typical_test_but_for_its_cost():
+    typical = Candidate(1.0, 0.5, 1.0, 3.0, price=9.0)
+    found = Parts(actuation=0.5).completed(typical)
+    assert found == Candidate(0.5, 0.5, 1.0, 3.0)
+    assert found.cost == pytest.approx(SETUP + 6.0 / 3600.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "got ''"),
+        ("12", "no unit"),
+        ("fast", "no number with a unit"),
+        ("500 psi, 600 psi", "two values of the actuation"),
+        ("500 lbf", "is a pressure, '500 lbf' is not"),
+        ("1 Hz, -1 in", "above zero"),
+        ("0 Hz", "above zero"),
+        ("0.5 cycles", "1 to 100 cycles"),
+        ("1000 cycles", "1 to 100 cycles"),
+        ("-5 psi", "must not be negative"),
+        ("1 kg", "measures"),
+        ("500|x psi", "unit 'x psi' of '500 x psi' is unknown"),
+        ("500 psi,", "no number with a unit"),
+        ("|".join(["1"] * 101) + " psi, 1|2|3|4|5|6|7|8|9|10 Hz", f"more than {MOST}"),
+        ("9" * 30000, "longer"),
+    ],
+)
+def test_a_bad_test_ends_in_one_sentence(text, said):
+    with pytest.raises(CampaignError) as caught:
+        parse_tests(text, "ksi")
+    sentence = str(caught.value)
+    assert sentence.startswith("--candidates: ")
+    assert said in sentence
+    assert "\n" not in sentence
+
+
+def test_limits_are_read_in_any_order_and_unit():
+    found = parse_limits("50 kN, 254 mm/s, 6 in")
+    assert vars(found) == pytest.approx({"velocity": 10.0, "stroke": 6.0, "force": 11.24}, rel=1e-3)
+    assert parse_limits("6 in") == Limits(stroke=6.0)
+
+
+@pytest.mark.parametrize("text", ["", "6", "6 in, 7 in", "-1 kip", "0 in/s", "3 s", "6 in 7 kip"])
+def test_bad_limits_end_in_one_sentence(text):
+    with pytest.raises(CampaignError, match=r"--limits: limits read '10 in/s, 6 in, 20 kip'"):
+        parse_limits(text)
+
+
+def test_limits_are_kept():
+    limits = Limits(velocity=3.0, stroke=1.9)
+    assert not limits.allow(Candidate(1.0, 0.5, 0.96))  # a sine's speed is 3.016 in/s
+    assert limits.allow(Candidate(1.0, 0.5, 0.95))
+    assert limits.allow(Candidate(1.0, 1.5, 0.5, waveform="triangle"))  # 3 in/s
+    assert not Limits(stroke=1.9).allow(Candidate(1.0, 0.1, 0.96))
+    assert Limits().allow(Candidate(1.0, 100.0, 100.0))
+
+
+# --- the campaign's own grid
+
+
+def test_a_record_is_known_by_its_harmonic_test():
+    trace = Harmonic(1.0, 0.5, 4).trace(0.8)
+    found = of_grid.tested_of(trace)
+    assert (found.actuation, found.frequency, found.amplitude) == (0.8, 0.5, 1.0)
+
+
+def test_an_irregular_motion_has_the_frequency_of_its_peak_speed():
+    time = np.arange(2001) / 100
+    rise = np.exp(-(((time - 10) / 3) ** 2)) * np.sin(2 * np.pi * 0.7 * time)
+    found = of_grid.tested_of(Trace.from_arrays(time, rise, 0.8))
+    assert 0.5 < found.frequency < 0.9
+
+
+def test_the_grid_repeats_every_test_and_goes_a_little_beyond():
+    tests = [Candidate(p, f, 1.0) for p in (0.5, 1.0, 1.5) for f in (0.05, 0.5)]
+    grid = grid_of(tests)
+    assert sum(repeats(c, tests) for c in grid) == len(tests)
+    levels = {c.actuation for c in grid}
+    assert {0.5, 0.75, 1.0, 1.5} < levels
+    assert 1.5 < max(levels) < 2.0
+    assert len(set(grid)) == len(grid) <= 200
+
+
+def test_many_levels_do_not_make_a_long_grid():
+    tests = [Candidate(0.1 * k, 0.1 * k, 0.2 * k) for k in range(1, 40)]
+    assert len(grid_of(tests)) < 200
+
+
+def test_one_level_has_a_lower_and_a_higher_one_beside_it():
+    grid = grid_of([Candidate(1.0, 0.5, 1.0)])
+    levels = {c.actuation for c in grid}
+    assert min(levels) < 1.0 < max(levels)
+
+
+def test_the_range_has_its_ends_and_the_median_motion():
+    found = typical_of([Candidate(0.5, 0.1, 1.0), Candidate(1.5, 0.5, 1.0)])
+    assert [c.actuation for c in found] == [0.5, 0.75, 1.0, 1.25, 1.5]
+    assert {c.frequency for c in found} == {0.3}
+    assert len(typical_of([Candidate(0.5, 0.1, 1.0)])) == 1

@@ -1,0 +1,47 @@
+"""Goals in words."""
+
+import pytest
+
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.planning.candidate import Candidate
+from mfd_bayes.planning.goal import Goal, parse_goal
+
+
+def test_goals_are_read():
+    assert parse_goal("band", "ksi") == Goal()
+    assert parse_goal("band of new_test", "ksi").kind == "new_test"
+    energy = parse_goal("Energy at 1000 psi, 0.5 Hz, 1 in; 1500 psi, 0.5 Hz, 1 in", "ksi")
+    assert energy.quantity == "energy"
+    assert [part.actuation for part in energy.at] == [1.0, 1.5]
+    assert parse_goal("peak force at 2 ksi", "ksi").quantity == "peak"
+    assert parse_goal("exponent of Fc_fwd", "ksi").of == "Fc_fwd"
+
+
+def test_a_goal_without_places_is_about_the_range():
+    typical = [Candidate(0.5, 0.5, 1.0), Candidate(1.0, 0.5, 1.0)]
+    assert Goal().places(typical) == typical
+    (place,) = parse_goal("band at 800 psi", "ksi").places(typical)
+    assert place == Candidate(0.8, 0.5, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "a goal reads"),
+        ("widht", "unknown quantity"),
+        ("energie", "did you mean 'energy'"),
+        ("band of observation", "band is of device or new_test"),
+        ("exponent", "exponent needs a quantity that follows the actuation"),
+        ("slope of k9", "slope needs a quantity"),
+        ("gap of Fc_fwd", "'of Fc_fwd' is for slope, exponent and band alone"),
+        ("band at", "got 'band at'"),
+        ("band at 12", "no unit"),
+        ("band at 100 lbf", "is a pressure"),
+        ("energy @ 1000 psi", "a goal reads"),
+    ],
+)
+def test_a_bad_goal_ends_in_one_sentence(text, said):
+    with pytest.raises(CampaignError) as caught:
+        parse_goal(text, "ksi")
+    assert said in str(caught.value)
+    assert str(caught.value).startswith("--goal: ")

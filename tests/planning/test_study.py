@@ -1,0 +1,198 @@
+"""Advice on populations of given values, whose best next tests are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.planning.candidate import Candidate, Limits
+from mfd_bayes.planning.devices import Devices
+from mfd_bayes.planning.gain import gain_of
+from mfd_bayes.planning.goal import Goal, parse_goal
+from mfd_bayes.planning.loop import loop_of
+from mfd_bayes.planning.regression import fit_left_out
+from mfd_bayes.planning.study import Effort, advise, goals_of
+from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.setting import setting_of
+
+SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
+AT_ONE = Candidate(1.0, 0.5, 1.0)
+EFFORT = Effort(1600)
+
+
+def ask(situation, goal, *candidates, limits=None, effort=EFFORT):
+    return advise(situation, goal, candidates or (AT_ONE,), limits or Limits(), effort)
+
+
+@pytest.mark.parametrize(("level", "scatter"), [(0.05, 0.05), (0.03, 0.09), (0.08, 0.04)])
+def test_one_more_test_of_known_scatter_has_its_closed_form(make_situation, level, scatter):
+    """A test tells the slip force less its scatter: 1/v' = 1/level² + 1/scatter²."""
+    (row,) = ask(make_situation(level=level, scatter=scatter), SLIP)
+    closed = 1.0 - scatter / np.hypot(level, scatter)
+    assert abs(row.reduction - closed) < 2.0 * row.error + 0.01
+    assert row.information == pytest.approx(-np.log(1.0 - closed), abs=0.05 + 0.1 * closed)
+
+
+def test_a_copy_of_a_test_has_a_scatter_of_its_own(make_situation):
+    """With n copies the scatter is less by √n."""
+    advice = ask(make_situation(level=0.05, scatter=0.05), SLIP)
+    closed = [1.0 - 1.0 / np.sqrt(1.0 + n) for n in (1, 2, 3)]
+    np.testing.assert_allclose([t.gain.reduction for t in advice.together], closed, atol=0.04)
+    assert [len(t.candidates) for t in advice.together] == [1, 2, 3]
+    np.testing.assert_allclose(advice.curve[0], advice.width)
+    assert np.all(np.diff(advice.curve) < 0.0)
+
+
+def test_tests_of_the_next_session_have_its_effect_in_common(make_situation):
+    """Where sessions differ by 0.1, copies in the next one average their scatter, not that."""
+    situation = make_situation(effect=0.1, levels=(1.0, 1.0, 1.0), sessions=("a", "a", "b"))
+    advice = ask(situation, SLIP)
+    closed = [1.0 - np.sqrt(1.0 - 0.05**2 / (0.05**2 * (1 + 1 / n) + 0.1**2)) for n in (1, 2, 3)]
+    np.testing.assert_allclose([t.gain.reduction for t in advice.together], closed, atol=0.03)
+
+
+def test_a_test_at_a_new_level_tells_how_that_level_lies_off_the_law(make_situation):
+    """Level and law are known; a new level deviates by about 0.1, near ones alike."""
+    situation = make_situation(level=0.001, scatter=0.03, effect=0.1, levels=(0.25, 0.5, 1.0))
+    far = parse_goal("slip at 8 ksi, 0.5 Hz, 1 in", "ksi")
+    there, near, known = (Candidate(p, 0.5, 1.0) for p in (8.0, 7.0, 1.0))
+    found = {row.candidate: row.reduction for row in ask(situation, far, there, near, known)}
+    assert found[there] == pytest.approx(1.0 - 0.03 / np.hypot(0.03, 0.1), abs=0.06)
+    assert 0.3 < found[near] < found[there]
+    assert found[known] < 0.01
+
+
+def test_a_repeat_is_worth_little_with_tiny_scatter_and_more_with_large(make_situation):
+    """What one test left unknown at its level is its scatter; elsewhere it is the exponent."""
+    far = parse_goal("slip at 1500 psi, 0.5 Hz, 1 in", "ksi")
+    elsewhere = Candidate(1.5, 0.5, 1.0)
+    found = {}
+    for scatter in (0.002, 0.1):
+        situation = make_situation(level=scatter, scatter=scatter, exponent=0.1)
+        advice = ask(situation, far, AT_ONE, elsewhere, effort=Effort(800))
+        found[scatter] = {row.candidate: row for row in advice}
+    assert found[0.002][AT_ONE].reduction < 0.01
+    assert found[0.002][AT_ONE].repeat
+    assert found[0.002][elsewhere].reduction > 0.8
+    assert found[0.1][AT_ONE].reduction > 0.1
+    assert not found[0.1][elsewhere].repeat
+
+
+def test_a_test_that_cannot_inform_has_no_gain(make_situation):
+    """The exponent cannot be learned at the level at which the laws have no effect."""
+    situation = make_situation(level=0.001, scatter=0.05, exponent=0.2)
+    goal = parse_goal("exponent of Fc_fwd", "ksi")
+    found = {
+        r.candidate.actuation: r for r in ask(situation, goal, AT_ONE, Candidate(1.5, 0.5, 1.0))
+    }
+    assert 0.0 <= found[1.0].reduction < 0.01
+    assert 0.0 <= found[1.0].information < 0.02
+    assert found[1.5].reduction > 0.3  # the control
+
+
+def test_scatter_of_a_single_test_is_not_reduced(make_situation):
+    situation = make_situation(level=0.03, scatter=0.09)
+    at = parse_goal("band at 900|1000 psi", "ksi").at
+    for seed in (0, 1):
+        device, new_test = (
+            ask(situation, Goal(kind=kind, at=at), effort=Effort(800, seed))[0]
+            for kind in ("device", "new_test")
+        )
+        # of the variance of a new test only a tenth is the law's
+        assert new_test.reduction < 0.02
+        assert device.reduction > 0.025
+
+
+def test_every_gain_is_positive_and_the_table_is_in_order(make_situation):
+    candidates = [Candidate(p, f, a) for p, f in ((0.5, 0.1), (2.0, 2.0)) for a in (0.02, 1.0)]
+    advice = ask(make_situation(exponent=0.2), Goal(), *candidates, effort=Effort(200))
+    assert len(advice) == len(candidates)
+    assert all(row.reduction >= 0.0 and row.information >= 0.0 for row in advice)
+    assert all(row.error >= 0.0 for row in advice)
+    assert advice["reduction"] == sorted(advice["reduction"], reverse=True)
+    assert [row.candidate for row in advice] == advice["candidate"]
+    with pytest.raises(KeyError, match="no column 'gain'"):
+        advice["gain"]
+
+
+def test_forbidden_candidates_are_never_proposed(make_situation):
+    fast, long = Candidate(1.0, 2.0, 1.0), Candidate(1.0, 0.1, 4.0)
+    strong = Candidate(9.0, 0.5, 1.0)
+    situation, few = make_situation(exponent=0.2), Effort(200)
+    limits = Limits(velocity=8.0, stroke=6.0, force=8.0)
+    every = AT_ONE, fast, long, strong
+    advice = ask(situation, Goal(), *every, limits=limits, effort=few)
+    assert dict(advice.ruled_out) == {fast: "velocity", long: "stroke", strong: "force"}
+    proposed = {row.candidate for row in advice}
+    proposed |= {c for together in advice.together for c in together.candidates}
+    assert proposed == {AT_ONE}
+    free = ask(situation, Goal(), *every, effort=few)
+    assert {row.candidate for row in free} == {AT_ONE, fast, long, strong}  # the control
+
+
+def test_limits_that_leave_nothing_are_said(make_situation):
+    for limits in (Limits(stroke=0.1), Limits(force=0.001)):
+        with pytest.raises(CampaignError, match="every candidate"):
+            ask(make_situation(), Goal(), limits=limits)
+
+
+def test_a_goal_that_is_known_without_doubt_is_said(make_situation):
+    with pytest.raises(CampaignError, match="the same in all draws"):
+        ask(make_situation(), parse_goal("exponent of Fc_fwd", "ksi"))
+    with pytest.raises(CampaignError, match="no law of 'Fy_fwd' was inferred"):
+        ask(make_situation(), Goal("slope", "Fy_fwd"))
+
+
+def test_the_same_seed_gives_the_same_advice(make_situation):
+    first, again = (ask(make_situation(), SLIP, effort=Effort(400, 3))["reduction"] for _ in "ab")
+    other = ask(make_situation(), SLIP, effort=Effort(400, 4))["reduction"]
+    assert first == again
+    assert first != other
+
+
+def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
+    """The same quantiles as `run.predict`, which draws parameters of its own."""
+    situation = make_situation(level=0.05, scatter=0.08)
+    loop = loop_of(AT_ONE, 0.16)
+    rng = np.random.default_rng(0)
+    kinds = situation.model, situation.noise
+    settings = [setting_of(loop.trace)]
+    devices = Devices.draw(situation.population, kinds, settings, 1600, rng)
+    predictor = Predictor(situation.population, *kinds)
+    for kind, scattered in (("device", False), ("new_test", True)):
+        ours = devices.damper(loop, "", scattered=scattered, seed=(1,))
+        band = predictor.predict(loop.trace, Forecast(kind, draws=1600))
+        middle = loop.first + loop.travel.size // 2 + 3  # in slip
+        widths = [np.ptp(np.quantile(d[:, middle], [0.05, 0.95])) for d in (ours, band.draws)]
+        assert widths[0] == pytest.approx(widths[1], rel=0.1)
+
+
+def test_cycles_average_noise(make_situation):
+    """With noise alone the energy of n cycles scatters by √n less."""
+    situation = make_situation(level=1e-9, scatter=1e-9)
+    noisy = replace(situation.population, latent=situation.population.latent.copy())
+    column = noisy.layout.names.index("noise_sd")
+    noisy.latent[..., 0, column] += np.log(30.0) / noisy.layout.spread[column]
+    loop = loop_of(AT_ONE, 0.16)
+    kinds = situation.model, situation.noise
+    rng = np.random.default_rng(0)
+    devices = Devices.draw(noisy, kinds, [setting_of(loop.trace)], 1600, rng)
+    one, nine = (loop.energy(devices.measured(loop, "", n, (1,))).std() for n in (1.0, 9.0))
+    assert one / nine == pytest.approx(3.0, rel=0.1)
+
+
+def test_summaries_carry_what_the_whole_loop_tells(make_situation):
+    """Every sample of the simulated loop, without noise, tells hardly more."""
+    situation = make_situation(level=0.05, scatter=0.05)
+    (row,) = ask(situation, SLIP)
+    goals = goals_of(situation, SLIP, EFFORT)
+    loop = loop_of(AT_ONE, 0.16)
+    kinds = situation.model, situation.noise
+    settings = [setting_of(loop.trace), setting_of(loop.trace)]
+    rng = np.random.default_rng([0, 0])
+    devices = Devices.draw(situation.population, kinds, settings, 1600, rng)
+    whole = devices.damper(loop, "", scattered=True, seed=(0, 1, 0, 0))
+    left, _, _ = np.linalg.svd(whole - whole.mean(axis=0), full_matrices=False)
+    every = gain_of(goals, fit_left_out(goals.values, 40.0 * left[:, :20]), rng)
+    assert row.reduction > every.reduction - 0.03
