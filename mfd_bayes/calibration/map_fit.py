@@ -75,7 +75,7 @@ def find_modes(
     modes: list[Mode] = []
     for end in ends:
         mode = climb(posterior.log_prob, end, scale[1])
-        if not any(_same(mode, other) for other in modes):
+        if not any(is_same(mode, other) for other in modes):
             modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
@@ -226,7 +226,7 @@ def _gradient(density: Density, points: Array, step: float) -> Array:
     return gradient
 
 
-def _same(mode: Mode, other: Mode) -> bool:
+def is_same(mode: Mode, other: Mode) -> bool:
     """Whether two modes are the same: near by the other's covariance, and equally high."""
     gap = mode.q - other.q
     distance = gap @ np.linalg.solve(other.covariance, gap)
