@@ -29,7 +29,7 @@ HALF = 0.5
 
 QUANTILES = (0.025, 0.5, 0.975)
 
-STARTS = 4
+STARTS = 3
 """Largest number of points from which the modes of another fit are searched."""
 
 _TAG = 17
@@ -155,8 +155,9 @@ def _known(first: Posterior, draws: Draws) -> dict[str, Array]:
 
 
 def _starts(first: Posterior, draws: Draws) -> dict[str, Array]:
-    """The same quantities at the median of the draws and at the best modes, (m,) each."""
-    flat = draws.q.reshape(-1, first.dim)
-    points = [np.median(flat, axis=0), *(mode.q for mode in draws.modes[: STARTS - 1])]
+    """The same quantities at the best modes, or at the median of the only one, (m,) each."""
+    points = [mode.q for mode in draws.modes[:STARTS]]
+    if len(points) == 1:
+        points = [np.median(draws.q.reshape(-1, first.dim), axis=0)]
     values = first.values(np.array(points))
     return {name: values[name] for name in set(first.names) - set(first.noise.parameters)}

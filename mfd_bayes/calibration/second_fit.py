@@ -7,7 +7,7 @@ where the weights cannot be trusted are walkers sent.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from mfd_bayes.calibration.diagnostics import psis, tempering
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.map_fit import Mode, climb, is_same, prior_scale
-from mfd_bayes.calibration.mixture import Proposal, learn
+from mfd_bayes.calibration.mixture import Either, Proposal, learn
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.starts import around_modes
 from mfd_bayes.errors import FitError
@@ -26,17 +26,17 @@ from mfd_bayes.errors import FitError
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
 
-DRAWS = 3000
+DRAWS = 2000
 """Draws of each proposal."""
 
-ROUNDS = 6
+ROUNDS = 8
 """Largest number of proposals before walkers are sent."""
 
 LARGEST_K = 0.7
 """Pareto k above which importance weights cannot be trusted."""
 
-LEAST = 100.0
-"""Effective number of weighted draws that is enough for a median and an interval."""
+ENOUGH = 200.0
+"""Effective number of weighted draws from which no further proposal is needed."""
 
 SHARE = 0.1
 """Effective number of draws, as a share of all, from which the next proposal is learned."""
@@ -48,11 +48,14 @@ TRIED = 64
 """Prior draws of what the first fit does not have, of which each start takes the best."""
 
 WALK = Effort(
-    name="second fit", ess=50, limit=1200, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1
+    name="second fit", ess=50, limit=400, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1
 )
 """Sampling where weights fail: enough for a median and an interval, not for their digits."""
 
-OF_DRAWS, BY_WEIGHTS, BY_WALKERS = "draws, weighted", "second fit", "second sampling"
+APART = 1.2
+"""R̂ of these walkers above which they do not tell where the posterior is."""
+
+AT_ONCE, BY_WEIGHTS, BY_WALKERS = "one proposal", "several proposals", "walkers"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +68,9 @@ class SecondFit:
         Unconstrained coordinates.
     weights : (n,)
         They sum to 1.
-    how : {"draws, weighted", "second fit", "second sampling"}
-        Whether a proposal learned from the first fit's draws was enough, or proposals learned
-        anew, or walkers were needed.
+    how : {"one proposal", "several proposals", "walkers"}
+        Whether a proposal learned from the first fit's draws and the second one's modes was
+        enough, or more were learned from weighted draws, or walkers had to be sent.
     k : float
         Pareto k of the weights; of walkers, that of the weights that failed.
     size : float
@@ -101,7 +104,7 @@ def fit_again(
     Raises
     ------
     FitError
-        When there is no density around any start.
+        When there is no density around any start, or walkers did not settle.
     """
     modes = _modes_near(posterior, starts, rng)
     anchors = around_modes(modes, 1.0)
@@ -110,12 +113,19 @@ def fit_again(
     some = {name: column[pick] for name, column in draws.items()}
     begin = _completed(posterior, some, anchors.draw(random, DRAWS))
     found = _weighted(posterior.log_prob, begin, anchors, rng)
-    if found.k <= LARGEST_K and found.size >= LEAST:
-        return found
+    return found if found.k <= LARGEST_K else _walked(posterior, modes, found.k, rng)
+
+
+def _walked(
+    posterior: Posterior, modes: Sequence[Mode], k: float, rng: np.random.Generator
+) -> SecondFit:
+    """Draws of walkers, all with the same weight."""
     chains = sample_density(posterior.log_prob, modes, WALK, rng)
+    if not chains.convergence.worst_r_hat <= APART:
+        raise FitError("neither weighted draws nor walkers settled")
     flat = chains.q.reshape(-1, posterior.dim)
-    size = chains.convergence.worst_ess
-    return SecondFit(flat, np.full(len(flat), 1.0 / len(flat)), BY_WALKERS, found.k, size)
+    weights = np.full(len(flat), 1.0 / len(flat))
+    return SecondFit(flat, weights, BY_WALKERS, k, chains.convergence.worst_ess)
 
 
 def _modes_near(
@@ -151,27 +161,28 @@ def _completed(posterior: Posterior, known: Mapping[str, Array], rest: Array) ->
 def _weighted(
     density: Density, begin: Array, anchors: Proposal, rng: np.random.Generator
 ) -> SecondFit:
-    """Weighted draws of the best of several proposals; the first is learned from `begin`.
+    """Weighted draws of several proposals, the first of them learned from `begin`.
 
-    Population Monte Carlo (Cappé et al., 2004) with tempered weights (Koblents and Míguez, 2015).
+    Adaptive multiple importance sampling (Cornuet, Marin, Mira and Robert, 2012): each draw is
+    weighted by the density over the mean of all proposals, and the next proposal is learned from
+    all draws, with tempered weights (Koblents and Míguez, 2015).
     """
     random = np.random.RandomState(int(rng.integers(2**32)))
-    best = SecondFit(begin, np.full(len(begin), 1.0 / len(begin)), OF_DRAWS, np.inf, 0.0)
-    source = begin
-    for number in range(ROUNDS):
-        proposal = learn(source, PARTS, rng, anchors)
-        q = proposal.draw(random, DRAWS)
-        ratios = density(q) - proposal.log_density(q)
+    parts: list[Proposal] = []
+    q, heights, source = np.empty((0, begin.shape[1])), np.empty(0), begin
+    while True:
+        parts.append(learn(source, PARTS, rng, anchors))
+        fresh = parts[-1].draw(random, DRAWS)
+        q, heights = np.concatenate([q, fresh]), np.append(heights, density(fresh))
+        together = Either(np.full(len(parts), 1.0 / len(parts)), parts)
+        ratios = heights - together.log_density(q)
         if not np.any(np.isfinite(ratios)):
-            break
+            raise FitError("no density around the first fit")
         smooth, k = psis(ratios)
         weights = np.exp(smooth)
         size = float(1.0 / np.sum(weights**2))
-        if k < best.k:
-            how = BY_WEIGHTS if number else OF_DRAWS
-            best = SecondFit(q, weights / weights.sum(), how, k, size)
-        if k <= LARGEST_K and size >= LEAST:
-            break
+        if len(parts) == ROUNDS or (k <= LARGEST_K and size >= ENOUGH):
+            how = AT_ONCE if len(parts) == 1 else BY_WEIGHTS
+            return SecondFit(q, weights / weights.sum(), how, k, size)
         shares = special.softmax(tempering(ratios, SHARE) * (ratios - ratios.max()))
-        source = q[rng.choice(DRAWS, size=DRAWS, p=shares)]
-    return best
+        source = q[rng.choice(len(q), size=DRAWS, p=shares)]

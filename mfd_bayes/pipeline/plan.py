@@ -66,6 +66,8 @@ class Options(Workplace):
         Instead of the campaign's own.
     by : {"", "test", "level", "session"}
         What `crossvalidate` and `compare` leave out of the campaign at a time.
+    noises : tuple of str
+        The noises that `compare` compares.
     """
 
     effort: str = "standard"
@@ -76,6 +78,7 @@ class Options(Workplace):
     model: ModelName | None = None
     noise: NoiseName | None = None
     by: str = ""
+    noises: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+"""Mistakes planted into real sessions, and who names them."""
