@@ -1,1 +1,1 @@
-"""Mistakes planted into real sessions, and who names them."""
+"""Real tests under every noise model, and what their runs say of it."""

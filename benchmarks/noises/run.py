@@ -1,4 +1,4 @@
-"""Four real tests under every noise: where it decides a parameter, is that said?
+"""Four real tests under every noise: where it decides a parameter, the run must say so.
 
     python -m benchmarks.noises.run FOLDER > benchmarks/noises/noises.txt
 
