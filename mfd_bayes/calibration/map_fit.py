@@ -169,12 +169,12 @@ def climb(density: Density, begin: Array, sd: Array) -> Mode:
     """
     q, covariance = begin, np.diag((0.1 * sd) ** 2)
     for _ in range(2):  # the second time whitened by the curvature near the mode
-        q = _ascend(density, q, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+        q = ascend(density, q, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
         covariance = laplace_covariance(density, q, sd)
     return Mode(q, float(density(q[None])[0]), covariance)
 
 
-def _ascend(density: Density, origin: Array, axes: Array) -> Array:
+def ascend(density: Density, origin: Array, axes: Array) -> Array:
     """Point that BFGS reaches from `origin` in coordinates along `axes`, (dim,)."""
 
     def whitened(w: Array) -> Array:

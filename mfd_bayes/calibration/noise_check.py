@@ -29,9 +29,6 @@ HALF = 0.5
 
 QUANTILES = (0.025, 0.5, 0.975)
 
-STARTS = 3
-"""Largest number of points from which the modes of another fit are searched."""
-
 _TAG = 17
 """Added to a test's seed, so that the check takes no random number of its draws."""
 
@@ -107,7 +104,7 @@ def fit_other(
     rng = np.random.default_rng((*seed, _TAG, *noise.encode()))
     try:
         second = make()
-        found = fit_again(second, _known(first, draws), _starts(first, draws), rng)
+        found = fit_again(second, _known(first, draws), rng)
         quantities = quantiles_of(second, second.values(found.q), found.weights)
     except (MfdError, np.linalg.LinAlgError) as error:
         return OtherFit(noise, error=str(error), seconds=time.perf_counter() - began)
@@ -150,14 +147,5 @@ def _three(column: Array, weights: Array | None) -> Bounds:
 
 def _known(first: Posterior, draws: Draws) -> dict[str, Array]:
     """Draws of what has the same meaning under every noise, (n,) each."""
-    sampled = set(first.names) - set(first.noise.parameters)
+    sampled = (name for name in first.names if name not in first.noise.parameters)
     return {name: draws.values[name].reshape(-1) for name in sampled}
-
-
-def _starts(first: Posterior, draws: Draws) -> dict[str, Array]:
-    """The same quantities at the best modes, or at the median of the only one, (m,) each."""
-    points = [mode.q for mode in draws.modes[:STARTS]]
-    if len(points) == 1:
-        points = [np.median(draws.q.reshape(-1, first.dim), axis=0)]
-    values = first.values(np.array(points))
-    return {name: values[name] for name in set(first.names) - set(first.noise.parameters)}

@@ -8,7 +8,7 @@ where the weights cannot be trusted are walkers sent.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,13 @@ from scipy import special
 from mfd_bayes.calibration.diagnostics import psis, tempering
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.ensembles import sample_density
-from mfd_bayes.calibration.map_fit import Mode, climb, is_same, prior_scale
+from mfd_bayes.calibration.map_fit import (
+    Mode,
+    ascend,
+    is_same,
+    laplace_covariance,
+    prior_scale,
+)
 from mfd_bayes.calibration.mixture import Either, Proposal, learn
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.starts import around_modes
@@ -29,7 +35,7 @@ Density = Callable[[Array], Array]
 DRAWS = 2000
 """Draws of each proposal."""
 
-ROUNDS = 8
+ROUNDS = 10
 """Largest number of proposals before walkers are sent."""
 
 LARGEST_K = 0.7
@@ -38,11 +44,14 @@ LARGEST_K = 0.7
 ENOUGH = 200.0
 """Effective number of weighted draws from which no further proposal is needed."""
 
-SHARE = 0.1
+SHARE = 0.2
 """Effective number of draws, as a share of all, from which the next proposal is learned."""
 
-PARTS = 4
+PARTS = 2
 """Student-t components of a proposal, besides its wide one."""
+
+STARTS = 3
+"""Draws of the first fit from which modes are climbed to."""
 
 TRIED = 64
 """Prior draws of what the first fit does not have, of which each start takes the best."""
@@ -85,10 +94,7 @@ class SecondFit:
 
 
 def fit_again(
-    posterior: Posterior,
-    draws: Mapping[str, Array],
-    starts: Mapping[str, Array],
-    rng: np.random.Generator,
+    posterior: Posterior, draws: Mapping[str, Array], rng: np.random.Generator
 ) -> SecondFit:
     """Weighted draws of a posterior that is near another one.
 
@@ -98,20 +104,16 @@ def fit_again(
         The second one; it may have quantities that the first has not.
     draws : mapping of str to (n,)
         Draws of the first one, without what has another meaning in the second.
-    starts : mapping of str to (m,)
-        The same quantities at the points from which modes are searched.
 
     Raises
     ------
     FitError
-        When there is no density around any start, or walkers did not settle.
+        When there is no density around the draws, or walkers did not settle.
     """
-    modes = _modes_near(posterior, starts, rng)
+    modes = _modes_near(posterior, draws, rng)
     anchors = around_modes(modes, 1.0)
     random = np.random.RandomState(int(rng.integers(2**32)))
-    pick = rng.choice(len(next(iter(draws.values()))), size=DRAWS)
-    some = {name: column[pick] for name, column in draws.items()}
-    begin = _completed(posterior, some, anchors.draw(random, DRAWS))
+    begin = _completed(posterior, _some(draws, DRAWS, rng), anchors.draw(random, DRAWS))
     found = _weighted(posterior.log_prob, begin, anchors, rng)
     return found if found.k <= LARGEST_K else _walked(posterior, modes, found.k, rng)
 
@@ -129,24 +131,42 @@ def _walked(
 
 
 def _modes_near(
-    posterior: Posterior, starts: Mapping[str, Array], rng: np.random.Generator
+    posterior: Posterior, draws: Mapping[str, Array], rng: np.random.Generator
 ) -> tuple[Mode, ...]:
-    """Modes that are climbed to from each start, best first."""
+    """Modes that are climbed to from some of the draws, best first."""
     sd = prior_scale(posterior, rng)[1]
     tried = posterior.coordinates(posterior.draw_prior(rng, TRIED))
+    axes = _axes(posterior, draws, sd)
     modes: list[Mode] = []
-    for number in range(len(next(iter(starts.values())))):
-        start = {name: np.full(TRIED, column[number]) for name, column in starts.items()}
+    for values in np.transpose(list(_some(draws, STARTS, rng).values())):
+        start = {name: np.full(TRIED, at) for name, at in zip(draws, values, strict=True)}
         points = _completed(posterior, start, tried)
         heights = posterior.log_prob(points)
         if not np.any(np.isfinite(heights)):
             continue
-        mode = climb(posterior.log_prob, points[np.argmax(heights)], sd)
-        if not any(is_same(mode, other) for other in modes):
-            modes.append(mode)
+        q = ascend(posterior.log_prob, points[np.argmax(heights)], axes)
+        height = float(posterior.log_prob(q[None])[0])
+        if not any(is_same(replace(mode, q=q, log_prob=height), mode) for mode in modes):
+            modes.append(Mode(q, height, laplace_covariance(posterior.log_prob, q, sd)))
     if not modes:
         raise FitError("no density around the first fit")
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
+
+
+def _some(draws: Mapping[str, Array], size: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Some of the draws, with replacement."""
+    pick = rng.choice(len(next(iter(draws.values()))), size=size)
+    return {name: column[pick] for name, column in draws.items()}
+
+
+def _axes(posterior: Posterior, draws: Mapping[str, Array], sd: Array) -> Array:
+    """Axes along which a mode is climbed to: those of the draws, of the rest a tenth of the sd."""
+    size = len(next(iter(draws.values())))
+    q = _completed(posterior, draws, np.zeros((size, posterior.dim)))
+    known = [k for k, name in enumerate(posterior.names) if name in draws]
+    covariance = np.diag((0.1 * sd) ** 2)
+    covariance[np.ix_(known, known)] = np.cov(q[:, known].T) + np.diag((1e-4 * sd[known]) ** 2)
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
 def _completed(posterior: Posterior, known: Mapping[str, Array], rest: Array) -> Array:

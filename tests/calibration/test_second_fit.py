@@ -52,9 +52,7 @@ def first_draws(seed=0, n=4000):
 
 @pytest.mark.parametrize(("mean", "sd"), [(0.0, 1.0), (3.0, 0.2), (-8.0, 0.5)])
 def test_medians_and_intervals_are_those_of_the_second_posterior(mean, sd):
-    found = fit_again(
-        Normal(mean, sd), named(first_draws()), named(np.zeros(DIM)), np.random.default_rng(1)
-    )
+    found = fit_again(Normal(mean, sd), named(first_draws()), np.random.default_rng(1))
     assert found.k <= second_fit.LARGEST_K
     assert found.weights.sum() == pytest.approx(1.0)
     for column in found.q.T:
@@ -68,21 +66,20 @@ def test_medians_and_intervals_are_those_of_the_second_posterior(mean, sd):
 def test_draws_of_the_same_posterior_need_no_new_proposal():
     first = Normal(0.0, 1.0)
     draws = np.random.default_rng(0).multivariate_normal(first.mean, first.covariance, 4000)
-    found = fit_again(first, named(draws), named(np.zeros(DIM)), np.random.default_rng(1))
+    found = fit_again(first, named(draws), np.random.default_rng(1))
     assert found.how == AT_ONCE
 
 
 def test_what_the_first_fit_does_not_have_is_found():
     known = {name: column for name, column in named(first_draws()).items() if name < "d"}
-    starts = {name: np.zeros(1) for name in known}
-    found = fit_again(Normal(2.0, 0.3), known, starts, np.random.default_rng(1))
+    found = fit_again(Normal(2.0, 0.3), known, np.random.default_rng(1))
     assert found.q[:, 4] @ found.weights == pytest.approx(2.0, abs=0.1)
 
 
 def test_the_same_seed_gives_the_same_bits():
     def fit(seed):
         rng = np.random.default_rng(seed)
-        return fit_again(Normal(1.0, 0.5), named(first_draws()), named(np.zeros(DIM)), rng)
+        return fit_again(Normal(1.0, 0.5), named(first_draws()), rng)
 
     assert np.array_equal(fit(3).q, fit(3).q)
     assert not np.array_equal(fit(3).q, fit(4).q)
@@ -92,7 +89,7 @@ def test_walkers_are_sent_where_the_weights_fail(monkeypatch):
     monkeypatch.setattr(second_fit, "LARGEST_K", -np.inf)
     monkeypatch.setattr(second_fit, "ROUNDS", 1)
     rng = np.random.default_rng(1)
-    found = fit_again(Normal(3.0, 0.2), named(first_draws()), named(np.zeros(DIM)), rng)
+    found = fit_again(Normal(3.0, 0.2), named(first_draws()), rng)
     assert found.how == BY_WALKERS
     assert found.size >= second_fit.WALK.ess
     assert np.median(found.q, axis=0) == pytest.approx(np.full(DIM, 3.0), abs=0.06)
@@ -105,4 +102,4 @@ def test_no_density_at_any_start_is_said():
 
     rng = np.random.default_rng(1)
     with pytest.raises(FitError, match="no density around the first fit"):
-        fit_again(Nothing(0, 1), named(first_draws()), named(np.zeros(DIM)), rng)
+        fit_again(Nothing(0, 1), named(first_draws()), rng)
