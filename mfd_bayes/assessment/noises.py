@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.assessment.views import NOISE, Check, NoiseRow, Row, TestView
-from mfd_bayes.calibration.noise_check import HALF, moves, quantiles_of
+from mfd_bayes.calibration.noise_check import HALF, Bounds, moves, quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.runs.findings import Finding
@@ -42,16 +42,20 @@ def noise_rows(
         return ()
     known = units() | {"gap": "in"}
     own = quantiles_of(posterior, values)
+    noise = posterior.noise.name
     return tuple(
-        NoiseRow(
-            *(test, name, known[name], posterior.noise.name, *own[name]),
-            *(fit["noise"], *fit["quantities"][name]),
-            decides=moves(own[name], fit["quantities"][name]),
-        )
+        _row((test, name, known[name], noise), own[name], fit["noise"], fit["quantities"][name])
         for fit in fits
         for name in _ordered(posterior, own)
         if name in fit["quantities"] and None not in fit["quantities"][name]
     )
+
+
+def _row(
+    head: tuple[str, str, str, str], own: Bounds, noise: str, other: Sequence[float]
+) -> NoiseRow:
+    low, middle, high = other
+    return NoiseRow(*head, *own, noise, low, middle, high, moves(own, other))
 
 
 def _ordered(posterior: Posterior, names: Iterable[str]) -> list[str]:
