@@ -13,3 +13,9 @@ def others_text(row: Row) -> str:
         f"[{number(other.other_lower, 3)}, {number(other.other_upper, 3)}]"
         for other in row.others
     )
+
+
+def noted(row: Row) -> str:
+    """The note of a row, and its values under the noises that decide it."""
+    others = f"the noise model decides: {others_text(row)}" if row.others else ""
+    return "; ".join(filter(None, (row.note, others)))

@@ -23,7 +23,7 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.noises import others_text
+from mfd_bayes.reporting.noises import noted
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow
 from mfd_bayes.runs.systems import US, System
@@ -60,10 +60,10 @@ def parameters_csv(rows: Iterable[Row]) -> str:
     """Table I of the paper with uncertainty: one line per test and parameter.
 
     Quantiles bound the equal-tailed 95 % interval. A cell is empty where the value is not
-    defined. The last column is the value under other noises, where that choice decides it.
+    defined. The note has the value under other noises too, where that choice decides it.
     """
-    head = ("test", "parameter", "unit", *_QUANTILES, "note", "other_noises")
-    return csv_text(head, ((*_cells(row), others_text(row)) for row in rows))
+    lines = ((*_cells(row)[:-1], noted(row)) for row in rows)
+    return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), lines)
 
 
 def noises_csv(rows: Iterable[NoiseRow]) -> str:

@@ -41,10 +41,9 @@ def reports(campaign):
 def test_csv_json_and_latex_hold_both_values(reports):
     moved, plain = reports
     cells = [
-        next(csv.DictReader(io.StringIO(parameters_csv([row]))))["other_noises"]
-        for row in (MOVED, PLAIN)
+        next(csv.DictReader(io.StringIO(parameters_csv([row]))))["note"] for row in (MOVED, PLAIN)
     ]
-    assert cells == ["staged: 42.2 [39.0, 45.6]", ""]
+    assert cells == ["the noise model decides: staged: 42.2 [39.0, 45.6]", ""]
     told = [json.loads(export_tables(v)["parameters.json"])["rows"][0] for v in reports]
     both = {"noise": "staged", "lower": 39.0, "median": 42.2, "upper": 45.6}
     assert [row["other_noises"] for row in told] == [[both], []]
