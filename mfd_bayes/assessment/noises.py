@@ -100,11 +100,11 @@ def _shift(row: NoiseRow) -> float:
 
 
 def told(row: NoiseRow) -> str:
-    """A quantity under both noises: "k3 is 26 [23.9, 29] kip/in with ou, 42.2 [39, …] with …"."""
+    """A quantity under both noises: "k3 is 26 [23.9, 29] kip/in with ou, 42.2 [39, 45.6] …"."""
     own = f"{row.median:.3g} [{row.lower:.3g}, {row.upper:.3g}]"
     other = f"{row.other_median:.3g} [{row.other_lower:.3g}, {row.other_upper:.3g}]"
     unit = "" if row.unit in ("1", "dimensionless") else f" {row.unit}"
-    return f"{row.name} is {own}{unit} with {row.noise}, {other} with {row.other}"
+    return f"{row.name} is {own}{unit} with {row.noise}, {other}{unit} with {row.other}"
 
 
 def noise_sentence(rows: Iterable[NoiseRow]) -> str:

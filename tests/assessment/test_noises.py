@@ -18,12 +18,13 @@ from mfd_bayes.assessment.views import NOISE, Row
 from mfd_bayes.calibration.noise_check import quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.systems import SI
 from mfd_bayes.runs.verdict import Use, Verdict
 
 TIME = np.arange(0.0, 6.0, 1 / 32)
 TRACE = Trace.from_arrays(TIME, np.sin(np.pi * TIME), 0.08, np.cos(np.pi * TIME))
 POSTERIOR = Posterior(TRACE, "brfd", "ou")
-WORDS = "k3 is 26 [23, 29] kip/in with ou, 42.2 [39, 45.6] with staged"
+WORDS = "k3 is 26 [23, 29] kip/in with ou, 42.2 [39, 45.6] kip/in with staged"
 
 
 def draws():
@@ -57,6 +58,8 @@ def test_what_moves_is_told_with_both_values():
     (decided,) = [row for row in found if row.decides]
     assert decided.name == "k3"
     assert noise_sentence(found) == f"{WORDS}: the noise model decides"
+    metric = SI.reworded(noise_sentence(found))
+    assert metric.startswith("k3 is 4.55 [4.03, 5.08] kN/mm with ou, 7.39 [6.83, 7.99] kN/mm with")
     (check,) = noise_checks("80lb", found, facts(MOVED))
     assert (check.name, check.verdict) == (NOISE, Verdict.NOTE)
     assert check.target == f"{WORDS}: the noise model decides"
