@@ -107,19 +107,31 @@ Fits = dict[str, dict[str, Fit]]
 
 
 def table_of_intervals(fits: Fits) -> int:
-    """Print every interval, and its notes; the number of those apart without a note."""
+    """Print each interval beside those under other noises; the number apart without a note.
+
+    Another noise's interval is that of its calibration, where there is one, else of the second fit.
+    """
     silent = 0
-    print(f"{'test':5} {'quantity':8} {'noise':10} {'median [95 %]':26} {'apart from':22} notes")
+    print(f"{'test':5} {'quantity':8} {'noise':9} {'median [95 %]':24} under other noises")
     for test, name in itertools.product(fits, QUANTITIES):
         for noise, fit in fits[test].items():
-            own = fit.own[name]
-            far = [o for o, other in fits[test].items() if apart(own, other.own[name])]
-            told = fit.notes(name)
-            silent += bool(far) and not told
-            shown = f"{own[1]:.3g} [{own[0]:.3g}, {own[2]:.3g}]"
-            words = f"moves with {', '.join(told)}" if told else "SILENT" if far else ""
-            print(f"{test:5} {name:8} {noise:10} {shown:26} {', '.join(far) or '-':22} {words}")
+            told, own, words = fit.notes(name), fit.own[name], []
+            seen = {o["noise"]: o["quantities"][name] for o in fit.others if o["quantities"]}
+            seen |= {o: other.own[name] for o, other in fits[test].items() if o != noise}
+            for other, bounds in seen.items():
+                far = apart(own, bounds)
+                silent += far and not told
+                what = (
+                    "noted" if other in told else "apart, SILENT" if far and not told else "as it"
+                )
+                words.append(f"{other} {shown(bounds)} {'apart, ' * (far and bool(told))}{what}")
+            print(f"{test:5} {name:8} {noise:9} {shown(own):24} {'; '.join(words)}")
     return silent
+
+
+def shown(bounds: Bounds) -> str:
+    """Median and interval."""
+    return f"{bounds[1]:.3g} [{bounds[0]:.3g}, {bounds[2]:.3g}]"
 
 
 def table_of_readings(fits: Fits) -> int:
@@ -151,9 +163,13 @@ def table_of_second_fits(fits: Fits) -> tuple[int, float]:
         cost[noise][1] += fit.seconds
         for other in fit.others:
             cost[noise][0] += other["seconds"]
-            if other["error"] or other["noise"] not in noises:
+            if other["error"]:
+                print(f"{test:5} {noise:10} {other['noise']:7} {other['error']}")
                 continue
-            full = fits[test][other["noise"]].own
+            full = fits[test][other["noise"]].own if other["noise"] in fits[test] else None
+            if full is None:
+                print(f"{start(test, noise, other)}  not calibrated here")
+                continue
             off = {
                 name: abs(other["quantities"][name][1] - full[name][1])
                 / (full[name][2] - full[name][0])
@@ -169,9 +185,7 @@ def table_of_second_fits(fits: Fits) -> tuple[int, float]:
             ]
             wrong += len(bad)
             print(
-                f"{test:5} {noise:10} {other['noise']:7} {other['how']:18} "
-                f"{other['k'] if other['k'] is not None else float('nan'):5.2f} "
-                f"{other['seconds']:8.1f}  {off[name]:.2f} of the interval of {name}"
+                f"{start(test, noise, other)}  {off[name]:.2f} of the interval of {name}"
                 f"{' OTHER VERDICT' if bad else ''}"
             )
     print()
@@ -180,6 +194,13 @@ def table_of_second_fits(fits: Fits) -> tuple[int, float]:
             f"the checks of {noise} take {check / sampling:.2f} of the sampling ({sampling:.0f} s)"
         )
     return wrong, cost["ou"][0] / cost["ou"][1]
+
+
+def start(test: str, noise: str, other: dict[str, Any]) -> str:
+    """First columns of a second fit's line."""
+    k = float("nan") if other["k"] is None else other["k"]
+    head = f"{test:5} {noise:10} {other['noise']:7} {other['how']:18}"
+    return f"{head} {k:5.2f} {other['seconds']:8.1f}"
 
 
 def main() -> None:

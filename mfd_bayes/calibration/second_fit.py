@@ -44,10 +44,10 @@ LARGEST_K = 0.7
 ENOUGH = 200.0
 """Effective number of weighted draws from which no further proposal is needed."""
 
-SHARE = 0.2
+SHARE = 0.1
 """Effective number of draws, as a share of all, from which the next proposal is learned."""
 
-PARTS = 2
+PARTS = 4
 """Student-t components of a proposal, besides its wide one."""
 
 STARTS = 3
