@@ -35,7 +35,7 @@ Density = Callable[[Array], Array]
 DRAWS = 2000
 """Draws of each proposal."""
 
-ROUNDS = 10
+ROUNDS = 8
 """Largest number of proposals before walkers are sent."""
 
 LARGEST_K = 0.7
@@ -57,7 +57,7 @@ TRIED = 64
 """Prior draws of what the first fit does not have, of which each start takes the best."""
 
 WALK = Effort(
-    name="second fit", ess=50, limit=400, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1
+    name="second fit", ess=50, limit=250, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1
 )
 """Sampling where weights fail: enough for a median and an interval, not for their digits."""
 
