@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,17 @@ def compare(band: Band, force: Array) -> Compared:
     return Compared(share, force.size, error, distance, band.kind, band.probability)
 
 
-def spread_of(draws: Array, tail: float = 0.025) -> dict[str, float]:
+class Spread(TypedDict):
+    """Mean, sd and three quantiles of draws, as rows of tables have them."""
+
+    mean: float
+    sd: float
+    lower: float
+    median: float
+    upper: float
+
+
+def spread_of(draws: Array, tail: float = 0.025) -> Spread:
     """Mean, sd, median, and the bounds that leave `tail` of the draws (n,) on either side."""
     lower, median, upper = (float(q) for q in np.quantile(draws, [tail, 0.5, 1.0 - tail]))
     mean, sd = float(draws.mean()), float(draws.std())

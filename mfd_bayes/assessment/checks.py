@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.assessment.noises import noise_checks
 from mfd_bayes.assessment.read_off import reading_check
 from mfd_bayes.assessment.views import (
     CONTRACTION,
@@ -19,6 +20,7 @@ from mfd_bayes.assessment.views import (
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
     Check,
+    NoiseRow,
     ReadingRow,
     Row,
 )
@@ -212,6 +214,7 @@ class CheckedTest:
     tolerances : mapping of str to float, optional
         Those that the campaign gives.
     readings : tuple of ReadingRow
+    noises : tuple of NoiseRow
     """
 
     test: TestResult
@@ -222,6 +225,7 @@ class CheckedTest:
     effort: Effort
     tolerances: Mapping[str, float] | None = None
     readings: tuple[ReadingRow, ...] = ()
+    noises: tuple[NoiseRow, ...] = ()
 
     @property
     def id(self) -> str:
@@ -249,6 +253,10 @@ def _readings(found: CheckedTest) -> list[Check]:
     return [reading_check(row) for row in found.readings]
 
 
+def _noises(found: CheckedTest) -> list[Check]:
+    return noise_checks(found.id, found.noises, found.stored.facts)
+
+
 def _notes(found: CheckedTest) -> list[Check]:
     return notes(found.id, found.rows, found.stored.facts)
 
@@ -262,6 +270,7 @@ OF_TEST: tuple[Callable[[CheckedTest], Iterable[Check]], ...] = (
     _length,
     _predictive,
     _readings,
+    _noises,
     _notes,
     _identifiability,
 )

@@ -16,6 +16,7 @@ from mfd_bayes.assessment.checks import (
     checks_of_test,
 )
 from mfd_bayes.assessment.derived_rows import calibrated_rows, held_out_rows
+from mfd_bayes.assessment.noises import noise_rows, with_others
 from mfd_bayes.assessment.read_off import reading_rows
 from mfd_bayes.assessment.views import Marginal, Row, TestView
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
@@ -54,13 +55,14 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     values = stored.values()
     replicas = replicate(posterior, values, np.random.default_rng(0))
     prior = _prior_values(test)
-    rows = _rows(test.id, stored, prior)
+    noises = noise_rows(test.id, posterior, values, stored.facts)
+    rows = with_others(_rows(test.id, stored, prior), noises)
     known = _identifiability(posterior, stored, prior)
     manifest = run.manifest
     tolerances = manifest.settings.tolerances
     readings = reading_rows(test.id, posterior, values, tolerances)
     checked = CheckedTest(
-        test, stored, rows, replicas, known, manifest.effort, tolerances, readings
+        test, stored, rows, replicas, known, manifest.effort, tolerances, readings, noises
     )
     stage, travel = _stages(test, values)
     informed = {row.name for row in rows if row.contraction >= INFORMED}
@@ -81,6 +83,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         identifiability=known,
         derived=calibrated_rows(run, test, replicas),
         readings=readings,
+        noises=noises,
         modes=_modes(stored.facts),
         stage=stage,
         travel=travel,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mfd_bayes.assessment.checks import CALIBRATION, MODES, SAMPLING
-from mfd_bayes.assessment.views import COVERAGE, PREDICTIVE, READING, Check, Judgement
+from mfd_bayes.assessment.views import COVERAGE, NOISE, PREDICTIVE, READING, Check, Judgement
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.verdict import Use, Verdict
 
@@ -37,13 +37,16 @@ def judge(
     found = []
     for subject in subjects:
         own = [check for check in checks if check.subject == subject]
-        told = [finding for finding in findings if finding.subject == subject]
-        found.append(_judge(subject, own, told))
+        told = [f for f in findings if f.subject == subject and f.name != NOISE]
+        aside = [f.sentence for f in findings if f.subject == subject and f.name == NOISE]
+        found.append(_judge(subject, own, told, aside))
     return tuple(sorted(found, key=lambda j: -j.doubt))
 
 
-def _judge(subject: str, checks: Sequence[Check], findings: Sequence[Finding]) -> Judgement:
-    """Judgement of one test from its own checks and warnings."""
+def _judge(
+    subject: str, checks: Sequence[Check], findings: Sequence[Finding], aside: Sequence[str]
+) -> Judgement:
+    """Judgement of one test from its own checks and warnings, and what is to be said besides."""
     missed = sorted(
         (c for c in checks if _is_of_fit(c) and c.verdict in (Verdict.CARE, Verdict.FAIL)),
         key=lambda check: -doubt_of(check),
@@ -58,7 +61,7 @@ def _judge(subject: str, checks: Sequence[Check], findings: Sequence[Finding]) -
     told = "; ".join(words for _, words in reasons)
     least = max((doubt_of(c) for c in checks if _is_of_fit(c)), default=0.0)
     doubt = sum(size for size, _ in reasons) + least if reasons else min(least, 1.0)
-    return Judgement(subject, use, told, doubt, wrong, "; ".join(_notes(checks)))
+    return Judgement(subject, use, told, doubt, wrong, "; ".join(_notes(checks, aside)))
 
 
 def _is_of_fit(check: Check) -> bool:
@@ -91,8 +94,11 @@ def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
         yield MILD, f"{check.value:.0f} different sets of parameters explain it: {check.target}"
 
 
-def _notes(checks: Sequence[Check]) -> list[str]:
-    """What a reader must know of a test besides: modes of little weight, and readings missed."""
+def _notes(checks: Sequence[Check], aside: Sequence[str]) -> list[str]:
+    """What a reader must know of a test besides.
+
+    Modes of little weight, readings that are missed, and what the noise model decides.
+    """
     modes = [
         f"note: {check.value:.0f} sets of parameters explain it, one of them mostly: {check.target}"
         for check in checks
@@ -101,7 +107,7 @@ def _notes(checks: Sequence[Check]) -> list[str]:
     missed = [c.target for c in checks if c.name == READING and c.verdict == Verdict.NOTE]
     if missed:
         modes.append(f"note: off what is read off the loop: {'; '.join(missed)}")
-    return modes
+    return modes + [f"note: {sentence}" for sentence in aside]
 
 
 def miss_of(check: Check) -> str:

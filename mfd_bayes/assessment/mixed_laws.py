@@ -44,7 +44,10 @@ def mixed_rows(population: Population, actuation_unit: str, system: System) -> l
                     name=constant,
                     unit=units()[name] if of_level else law_unit(constant, unit),
                     **spread_of(draws[picked]),
-                    **dict.fromkeys(("r_hat", "ess_bulk", "ess_tail", "contraction"), np.nan),
+                    r_hat=np.nan,
+                    ess_bulk=np.nan,
+                    ess_tail=np.nan,
+                    contraction=np.nan,
                     note=f"{about}; at {at}" if of_level else about,
                 )
             )

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from mfd_bayes.assessment.checks import INFORMED, SAMPLING
 from mfd_bayes.assessment.fits import SCALE_NOTE
 from mfd_bayes.assessment.judgement import least_believed
+from mfd_bayes.assessment.noises import unchecked
 from mfd_bayes.assessment.views import FREE_EXPONENT, Check, Judgement, TestView
 from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.effort import Effort
@@ -120,6 +121,8 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     found += _of_identifiability(tests)
     if any(r.name == "gamma1" for view in tests for r in view.rows):
         found.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
+    if words := unchecked(tests):
+        found.append(words)
     found += _of_dependence(run)
     found += zero_sentences(run.population.layout, run.tests)
     if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:

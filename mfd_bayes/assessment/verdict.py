@@ -9,6 +9,7 @@ from mfd_bayes.assessment.judgement import judge, use_of
 from mfd_bayes.assessment.law_choices import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
 from mfd_bayes.assessment.left_out import left_out_view
+from mfd_bayes.assessment.noises import noise_findings
 from mfd_bayes.assessment.odd_tests import odd_tests
 from mfd_bayes.assessment.sentences import remarks, verdict_sentence
 from mfd_bayes.assessment.shown import unshown, views_of_tests, with_lost
@@ -48,7 +49,7 @@ def put_together(
     lost = lost or {}
     failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
     checks = (*_all_checks(manifest, tests, table, failures), *unshown(lost))
-    warnings = _warnings(run)
+    warnings = (*_warnings(run), *noise_findings(tests))
     judged = judge([*run.tests, *failures], checks, warnings)
     whole = use_of(judged, checks)
     compared = manifest.comparison

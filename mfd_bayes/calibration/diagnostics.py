@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize, special
 
 Array = NDArray[np.float64]
 
@@ -167,6 +168,25 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
             weights, k = array_stats.psislw(-ratios, r_eff=efficiency)
     log_weights = np.asarray(weights, dtype=np.float64)
     return log_weights - np.logaddexp.reduce(log_weights), float(k)
+
+
+def tempering(log_weights: Array, share: float) -> float:
+    """Power of weights, at most 1, at which the effective sample size is a share of their number.
+
+    Parameters
+    ----------
+    log_weights : (n,)
+    """
+    floor = np.log(share * log_weights.size)
+
+    def excess(power: float) -> float:
+        scaled = power * (log_weights - log_weights.max())
+        size = 2.0 * special.logsumexp(scaled) - special.logsumexp(2.0 * scaled)
+        return float(size - floor)
+
+    if excess(1.0) >= 0.0:
+        return 1.0
+    return float(optimize.brentq(excess, 1e-6, 1.0, xtol=1e-4))
 
 
 def contraction(prior_sd: Array, draws: Array) -> Array:

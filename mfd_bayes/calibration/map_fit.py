@@ -75,7 +75,7 @@ def find_modes(
     modes: list[Mode] = []
     for end in ends:
         mode = climb(posterior.log_prob, end, scale[1])
-        if not any(_same(mode, other) for other in modes):
+        if not any(is_same(mode, other) for other in modes):
             modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
@@ -169,12 +169,12 @@ def climb(density: Density, begin: Array, sd: Array) -> Mode:
     """
     q, covariance = begin, np.diag((0.1 * sd) ** 2)
     for _ in range(2):  # the second time whitened by the curvature near the mode
-        q = _ascend(density, q, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+        q = ascend(density, q, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
         covariance = laplace_covariance(density, q, sd)
     return Mode(q, float(density(q[None])[0]), covariance)
 
 
-def _ascend(density: Density, origin: Array, axes: Array) -> Array:
+def ascend(density: Density, origin: Array, axes: Array) -> Array:
     """Point that BFGS reaches from `origin` in coordinates along `axes`, (dim,)."""
 
     def whitened(w: Array) -> Array:
@@ -226,7 +226,7 @@ def _gradient(density: Density, points: Array, step: float) -> Array:
     return gradient
 
 
-def _same(mode: Mode, other: Mode) -> bool:
+def is_same(mode: Mode, other: Mode) -> bool:
     """Whether two modes are the same: near by the other's covariance, and equally high."""
     gap = mode.q - other.q
     distance = gap @ np.linalg.solve(other.covariance, gap)

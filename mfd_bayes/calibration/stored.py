@@ -11,12 +11,24 @@ from pydantic import Field
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import StoreError
 from mfd_bayes.store.netcdf import StoredTest
-from mfd_bayes.store.schema import LARGEST, Index, Part, Positive, check
+from mfd_bayes.store.schema import LARGEST, Figure, Index, Part, Positive, Three, check
 
 _DENSITIES = ("log_prior", "log_likelihood")
 
 
 _Share = Annotated[float, Field(ge=0, le=1.001)]
+
+
+class _OtherFit(Part):
+    """A fit under another noise, as `noise_check.OtherFit` is stored."""
+
+    noise: Annotated[str, Field(max_length=100)]
+    how: Annotated[str, Field(max_length=100)]
+    k: Figure
+    size: Figure
+    quantities: dict[str, Three]
+    seconds: Figure
+    error: str
 
 
 class _Facts(Part):
@@ -33,6 +45,7 @@ class _Facts(Part):
     mode_shares: list[list[_Share]] = Field(default_factory=list, max_length=1000)
     mode_values: list[dict[str, float | None]] = Field(default_factory=list, max_length=1000)
     autocorrelation: Annotated[dict[str, Positive | None], Field(min_length=1)]
+    other_noises: list[_OtherFit] = Field(default_factory=list, max_length=20)
     convergence: dict[str, Annotated[list[float | None], Field(min_length=3, max_length=3)]]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import measure_draws
+from mfd_bayes.calibration.noise_check import OtherFit, fit_other, other_noises
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
@@ -33,7 +34,8 @@ REPLICAS = 50
 class Task:
     """All that a test's calibration needs: small enough to send.
 
-    `file` is where in the run folder its posterior is stored.
+    `file` is where in the run folder its posterior is stored, and `checks_noise` says whether the
+    test is fitted under other noises too.
     """
 
     id: str
@@ -45,6 +47,7 @@ class Task:
     start: str
     effort: str
     seed: tuple[int, ...]
+    checks_noise: bool = False
 
     @property
     def makes(self) -> tuple[str, ...]:
@@ -88,7 +91,8 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
             task.seed,
             report=lambda progress: observe(Step(task.id, "sampling", progress)),
         )
-        _save(task, posterior, draws, out / task.file)
+        others = _fit_others(task, posterior, draws, observe)
+        _save(task, posterior, draws, others, out / task.file)
     except StoreError:
         raise
     except MfdError as error:
@@ -100,9 +104,24 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
     return Outcome(task.id, State.DONE, seconds)
 
 
-def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
+def _fit_others(
+    task: Task, posterior: Posterior, draws: Draws, observe: Callable[[Step], Any]
+) -> list[OtherFit]:
+    """Fits of the test under other noises, if they are asked for."""
+    if not task.checks_noise:
+        return []
+    observe(Step(task.id, "checking the noise"))
+    return [
+        fit_other(noise, posterior, replace(task, noise=noise).posterior, draws, task.seed)
+        for noise in other_noises(task.noise)
+    ]
+
+
+def _save(
+    task: Task, posterior: Posterior, draws: Draws, others: list[OtherFit], path: Path
+) -> None:
     """Store the draws of a test, checked by what will read them."""
-    save_test(path, _stored_of(task, posterior, draws))
+    save_test(path, _stored_of(task, posterior, draws, others))
     try:
         load_result(task.id, path, task.priors)
     except StoreError as error:
@@ -110,14 +129,20 @@ def _save(task: Task, posterior: Posterior, draws: Draws, path: Path) -> None:
         raise FitError(f"its draws could not be read once they are stored: {error}") from error
 
 
-def _stored_of(task: Task, posterior: Posterior, draws: Draws) -> CalibratedTest:
+def _stored_of(
+    task: Task, posterior: Posterior, draws: Draws, others: list[OtherFit]
+) -> CalibratedTest:
     """Draws of all quantities, the model's parameters first, with replicated records."""
     values = {name: draws.theta[..., k] for k, name in enumerate(posterior.model.parameters)}
     values |= {name: draws.values[name] for name in draws.values if name not in values}
     flat = {name: value.reshape(-1) for name, value in values.items()}
     rng = np.random.default_rng(task.seed)
     replicas = replicate(posterior, flat, rng, REPLICAS * len(draws.q))
-    facts = {"first": posterior.first, "convergence": _convergence(values, draws.chains.walkers)}
+    facts = {
+        "first": posterior.first,
+        "convergence": _convergence(values, draws.chains.walkers),
+        "other_noises": [asdict(other) for other in others],
+    }
     return CalibratedTest(
         values=values,
         units=units(),

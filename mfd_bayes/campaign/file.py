@@ -75,6 +75,8 @@ class Campaign:
     """A name, or a path relative to `folder`."""
     model: ModelName
     noise: NoiseName
+    noise_check: bool | None
+    """Whether each test is fitted under other noises too; None where the file does not say."""
     rate: float | None
     """Hz."""
     start: Literal["sample", "mask"]
@@ -91,7 +93,9 @@ class Campaign:
     """The same for all tests."""
 
 
-def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
+def load_campaign(
+    path: str | Path, model: ModelName | None = None, noise: NoiseName | None = None
+) -> Campaign:
     """Campaign of a TOML file; test files must exist but are not read yet.
 
     A test file is read where only its row of units tells whether its actuation is a pressure or
@@ -101,6 +105,8 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
     ----------
     path : str or Path
     model : {"three_stage", "lugre", "bouc_wen", "backlash"}, optional
+        Replaces the file's own.
+    noise : {"ou", "iid", "student_t", "staged"}, optional
         Replaces the file's own.
 
     Raises
@@ -127,7 +133,8 @@ def load_campaign(path: str | Path, model: ModelName | None = None) -> Campaign:
         title=content.campaign.title or path.stem,
         priors=content.campaign.priors,
         model=model or content.campaign.model,
-        noise=content.campaign.noise,
+        noise=noise or content.campaign.noise,
+        noise_check=content.campaign.noise_check,
         rate=content.campaign.rate,
         start=content.campaign.start,
         area=content.campaign.area,

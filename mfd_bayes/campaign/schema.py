@@ -199,6 +199,7 @@ class Settings(Part):
     priors: Annotated[str, Field(min_length=1, max_length=1000)] = "mfd"
     model: ModelName = "three_stage"
     noise: NoiseName = "ou"
+    noise_check: Annotated[bool, Field(strict=True)] | None = None
     rate: Annotated[float, Field(gt=0, strict=True), _rate] | None = None
     start: Literal["sample", "mask"] = "sample"
     area: Annotated[Area, Field(strict=True), _area] | None = None

@@ -10,6 +10,8 @@ import typer
 from mfd_bayes.cli import arguments, console, progress
 from mfd_bayes.cli.exits import mistakes, resumption
 
+_COMPARED = "three_stage,lugre,bouc_wen,backlash"
+
 
 def predict(
     out: arguments.Run,
@@ -166,8 +168,13 @@ def compare(
         ),
     ],
     models: Annotated[
-        str, typer.Option(help="Two or more, with commas between them.")
-    ] = "three_stage,lugre,bouc_wen,backlash",
+        str | None,
+        typer.Option(help="Two or more, with commas between them.", show_default=_COMPARED),
+    ] = None,
+    noises: Annotated[
+        str,
+        typer.Option(help="Compare noises too, or alone: such as ou,iid,staged."),
+    ] = "",
     by: Annotated[
         str, typer.Option(help="Leave out each test, level or session of each model's run too.")
     ] = "",
@@ -179,23 +186,36 @@ def compare(
     effort: arguments.Effort = None,
     quiet: arguments.Quiet = False,
 ) -> None:
-    """Calibrate a campaign under several models and say which one its records favour.
+    """Calibrate a campaign under several models or noises; say which one its records favour.
 
     Writes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each
     model predicts every cycle of a record from all others (PSIS-LOO). The
-    campaign's own model does not count.
+    campaign's own model does not count. With --noises alone the campaign's model
+    is calibrated with each noise, into OUT/NOISE; with both options each model
+    with each noise, into OUT/MODEL_NOISE.
 
     Example:
       mfd-bayes compare campaign.toml -o out
       mfd-bayes compare campaign.toml -o out --models three_stage,lugre
+      mfd-bayes compare campaign.toml -o out --noises ou,iid,staged
     """
     with mistakes(resumption()):
         from mfd_bayes.pipeline import commands as pipeline
 
-        names = [name.strip() for name in models.split(",") if name.strip()]
+        if models is None:
+            models = "" if noises else _COMPARED
+        names, others = (
+            [name.strip() for name in text.split(",") if name.strip()] for text in (models, noises)
+        )
         options = arguments.completed(
             pipeline.Options(
-                seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force, by=by
+                seed=seed,
+                jobs=jobs,
+                scheduler=scheduler,
+                resume=resume,
+                force=force,
+                by=by,
+                noises=tuple(others),
             ),
             out,
             effort,

@@ -10,7 +10,6 @@ from pathlib import Path
 from mfd_bayes.assessment.views import (
     LeftOutView,
 )
-from mfd_bayes.campaign.schema import ModelName
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
@@ -25,7 +24,7 @@ from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.results import Comparison
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_text
-from mfd_bayes.validation.models import check_cycles, check_models, compare_runs
+from mfd_bayes.validation.models import Candidate, candidates, check_cycles, compare_runs
 
 Observe = Callable[[Step], None]
 
@@ -37,30 +36,31 @@ def compare(
     options: Options,
     observe: Observe,
 ) -> tuple[Comparison, dict[str, LeftOutView]]:
-    """Calibrate a campaign once for each model into OUT/MODEL, and compare what they predict.
+    """Calibrate a campaign under several models or noises, and compare what they predict.
 
     Parameters
     ----------
     out : Path
-        OUT/comparison.csv is written last.
+        OUT/MODEL, OUT/NOISE or OUT/MODEL_NOISE hold the runs; OUT/comparison.csv is written last.
     models : sequence of str
-        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash".
+        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash"; with `noises` in the
+        options also one, or none for the campaign's own.
     options : Options
-        `model` is ignored; with `by`, each run is also cross-validated, as by
+        `model` and `noise` are ignored; with `by`, each run is also cross-validated, as by
         `crossvalidate`.
 
     Returns
     -------
     Comparison
     dict of str to LeftOutView
-        How each model predicted what was left out; empty without `by`.
+        How each run predicted what was left out; empty without `by`.
 
     Raises
     ------
     MfdError
         When an input cannot be used under one of the models; nothing is written then.
     """
-    plans = _plan_models(campaign, out, check_models(models), options)
+    plans = _plan_models(campaign, out, candidates(models, options.noises), options)
     for model, plan in plans.items():
         for task in plan.tasks:
             observe(Step(f"{model}/{task.id}", State.WAITING))
@@ -95,20 +95,21 @@ def _compare_plans(
 
 
 def _plan_models(
-    campaign: Path, out: Path, models: Sequence[ModelName], options: Options
+    campaign: Path, out: Path, chosen: Sequence[Candidate], options: Options
 ) -> dict[str, Plan]:
-    """Plan of a campaign under each model, checked for what the comparison needs."""
+    """Plan of a campaign under each candidate, checked for what the comparison needs."""
     plans: dict[str, Plan] = {}
     table = Output(out / "comparison.csv", table_with("test", "model", "cycles", "elpd"))
     check_outputs([table], [campaign], force=options.force)
-    for model in models:
-        plans[model] = plan = plan_campaign(campaign, replace(options, model=model))
+    for one in chosen:
+        own = replace(options, model=one.model, noise=one.noise)
+        plans[one.name] = plan = plan_campaign(campaign, own)
         if options.by:
             check_parts(plan)
         check_outputs([table], [t.path for t in plan.campaign.tests], force=options.force)
         for task in plan.tasks:
             check_cycles(task)
-        folder = out / model
+        folder = out / one.name
         if folder.exists() and not (options.resume or options.force):
             raise StoreError(
                 f"{folder} exists: give --resume to finish it or --force to replace it"

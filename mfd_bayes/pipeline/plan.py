@@ -17,7 +17,7 @@ from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign.file import Campaign, Test, load_campaign
-from mfd_bayes.campaign.schema import ModelName
+from mfd_bayes.campaign.schema import ModelName, NoiseName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
@@ -62,8 +62,12 @@ class Options(Workplace):
         The command line, stored in the manifest.
     model : {"three_stage", "lugre", "bouc_wen", "backlash"}, optional
         Instead of the campaign's own.
+    noise : {"ou", "iid", "student_t", "staged"}, optional
+        Instead of the campaign's own.
     by : {"", "test", "level", "session"}
         What `crossvalidate` and `compare` leave out of the campaign at a time.
+    noises : tuple of str
+        The noises that `compare` compares.
     """
 
     effort: str = "standard"
@@ -72,7 +76,9 @@ class Options(Workplace):
     force: bool = False
     command: str = ""
     model: ModelName | None = None
+    noise: NoiseName | None = None
     by: str = ""
+    noises: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +124,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     MfdError
         When the campaign, its priors or one of its records cannot be used.
     """
-    campaign = load_campaign(path, options.model)
+    campaign = load_campaign(path, options.model, options.noise)
     priors = load_priors(campaign.priors, campaign.folder)
     effort = find_effort(options.effort)
     settings = _settings(campaign, priors)
@@ -182,7 +188,9 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
         )
         for test in campaign.tests
     }
+    asked = campaign.noise_check
     return Settings(
+        **({} if asked is None else {"noise_check": asked}),
         model=campaign.model,
         noise=campaign.noise,
         start=campaign.start,
@@ -258,6 +266,12 @@ def _entry(test: Test, record: Record, trace: Trace) -> Entry:
     )
 
 
+def _checks_noise(campaign: Campaign, options: Options) -> bool:
+    """Whether tests are fitted under other noises too: as the campaign says, else unless quick."""
+    asked = campaign.noise_check
+    return options.effort != "quick" if asked is None else asked
+
+
 def _task(
     campaign: Campaign, priors: PriorFile, test: Test, trace: Trace, options: Options
 ) -> Task:
@@ -272,6 +286,7 @@ def _task(
         start=campaign.start,
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
+        checks_noise=_checks_noise(campaign, options),
     )
     posterior = task.posterior()
     drawn = posterior.draw_prior(np.random.default_rng(0), 64)

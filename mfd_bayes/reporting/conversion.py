@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mfd_bayes.assessment.design import DesignRow
 from mfd_bayes.assessment.views import (
@@ -14,6 +14,7 @@ from mfd_bayes.assessment.views import (
     LeftOutRow,
     LeftOutView,
     Marginal,
+    NoiseRow,
     ReadingRow,
     Row,
     ScoreRow,
@@ -24,11 +25,14 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import US, System, systems_for
 from mfd_bayes.runs.tested import Span
 
-_FIGURES = ("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value")
+_FIGURES = (
+    *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
+    *("other_lower", "other_median", "other_upper"),
+)
 _SCORES = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
 
 AnyScores = TypeVar("AnyScores", ScoreRow, LeftOutRow)
-AnyRow = TypeVar("AnyRow", Row, DerivedRow, ReadingRow, TruthRow, DesignRow)
+AnyRow = TypeVar("AnyRow", Row, NoiseRow, DerivedRow, ReadingRow, TruthRow, DesignRow)
 
 
 def shown_in(view: CampaignView) -> System:
@@ -83,6 +87,7 @@ def in_tables(view: CampaignView, system: System) -> CampaignView:
             actuation=system.actuation(test.trace, unit),
             rows=tuple(convert_row(row, system) for row in test.rows),
             derived=tuple(convert_row(row, system) for row in test.derived),
+            noises=tuple(convert_row(row, system) for row in test.noises),
         )
         for test in view.tests
     )
@@ -113,6 +118,7 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
         rows=tuple(convert_row(row, system) for row in test.rows),
         derived=tuple(convert_row(row, system) for row in test.derived),
         readings=tuple(convert_row(row, system) for row in test.readings),
+        noises=tuple(convert_row(row, system) for row in test.noises),
         marginals=tuple(_marginal(marginal, system) for marginal in test.marginals),
         chains={
             name: draws * system.factor(units.get(name, "1")) for name, draws in test.chains.items()
@@ -153,7 +159,9 @@ def convert_fan(fan: Fan, by: float) -> Fan:
 def convert_row(row: AnyRow, system: System) -> AnyRow:
     """A row of a table in the units of a system."""
     by = system.factor(row.unit)
-    figures = {name: getattr(row, name) * by for name in _FIGURES if hasattr(row, name)}
+    figures: dict[str, Any] = {n: getattr(row, n) * by for n in _FIGURES if hasattr(row, n)}
+    if isinstance(row, Row):
+        figures["others"] = tuple(convert_row(other, system) for other in row.others)
     return replace(row, unit=system.unit(row.unit), **figures)
 
 

@@ -10,6 +10,7 @@ from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.views import (
     FREE_EXPONENT,
     IDENTIFIABILITY,
+    NOISE,
     READING,
     CampaignView,
     Check,
@@ -19,7 +20,8 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.runs.verdict import Use, Verdict
 
 _SAMPLER = ("r-hat", "bulk", "tail", "ess", "autocorrelation", "acceptance", "modes")
-_ELSEWHERE = (*IDENTIFIABILITY, READING, "calibration", FREE_EXPONENT)  # have sections of their own
+_APART = (*IDENTIFIABILITY, READING, NOISE)
+_ELSEWHERE = (*_APART, "calibration", FREE_EXPONENT)  # have sections of their own
 _DETAIL = " (observed "  # what follows it differs from test to test
 
 
@@ -83,7 +85,7 @@ def is_weak(row: Row) -> bool:
 
 def is_judged(check: Check) -> bool:
     """Whether a check can fail."""
-    return check.verdict != Verdict.NOTE and check.name not in (*IDENTIFIABILITY, READING)
+    return check.verdict != Verdict.NOTE and check.name not in _APART
 
 
 def is_of_fit(check: Check) -> bool:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from mfd_bayes.assessment.views import CampaignView, Row
+from mfd_bayes.assessment.views import CampaignView, NoiseRow, Row
 from mfd_bayes.reporting.latex import laws_tex, parameters_tex
 
 INTERVAL = {"kind": "equal-tailed", "probability": 0.95}
@@ -38,10 +38,17 @@ def _json(view: CampaignView, what: str, subject: str, name: str, rows: Iterable
         "rows": [
             {subject: row.subject, name: row.name, "unit": row.unit, **_figures(row)}
             | {"note": row.note}
+            | {"other_noises": [_other(other) for other in row.others]}
             for row in rows
         ],
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def _other(row: NoiseRow) -> dict[str, Any]:
+    """A value under another noise, where that choice decides it."""
+    figures = {"lower": row.other_lower, "median": row.other_median, "upper": row.other_upper}
+    return {"noise": row.other} | {k: float(f"{v:.6g}") for k, v in figures.items()}
 
 
 def _figures(row: Row) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import string
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 
-from mfd_bayes.assessment.views import CampaignView, Row, TestView
+from mfd_bayes.assessment.views import CampaignView, NoiseRow, Row, TestView
 from mfd_bayes.reporting.symbols import maths, meaning, number, of_population, printable, unit_text
 
 TESTS = 3
@@ -99,7 +99,25 @@ def _parameter_lines(tests: Sequence[TestView]) -> list[str]:
         rows = [found[test.id].get(name) for test in tests]
         body.append(" & ".join([symbol(name), _unit(unit), *(_median(r, marks) for r in rows)]))
         body.append(" & ".join(["", "", *(rf"\scriptsize {_interval(r)}" for r in rows)]))
+        body += _other_lines(rows)
     return _tabular("ll" + "l" * len(tests), lines, body, marks)
+
+
+def _other_lines(rows: Sequence[Row | None]) -> list[str]:
+    """A line for each noise that decides a value, with the value under it."""
+    found = [{o.other: o for o in row.others} if row else {} for row in rows]
+    lines = []
+    for noise in dict.fromkeys(name for others in found for name in others):
+        cells = (_other(others.get(noise)) for others in found)
+        lines.append(" & ".join(["", rf"\scriptsize {escape(noise)}:", *cells]))
+    return lines
+
+
+def _other(row: NoiseRow | None) -> str:
+    if row is None:
+        return ""
+    bounds = f"[{figure(row.other_lower)},\\,{figure(row.other_upper)}]"
+    return rf"\scriptsize ${figure(row.other_median)}$ ${bounds}$"
 
 
 def _law_lines(rows: Sequence[Row]) -> list[str]:

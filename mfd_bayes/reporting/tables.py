@@ -16,6 +16,7 @@ from mfd_bayes.assessment.views import (
     DerivedRow,
     LawChoice,
     LeftOutView,
+    NoiseRow,
     ReadingRow,
     Row,
     ScoreRow,
@@ -24,6 +25,7 @@ from mfd_bayes.planning.advice import Advice
 from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.noises import noted
 from mfd_bayes.reporting.symbols import printable
 from mfd_bayes.runs.results import ComparisonRow
 from mfd_bayes.runs.systems import US, System
@@ -44,6 +46,7 @@ def report_tables(view: CampaignView, system: System = US) -> dict[str, str]:
         "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
         "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
         "readings.csv": readings_csv(r for t in view.tests for r in t.readings),
+        "noises.csv": noises_csv(r for t in view.tests for r in t.noises),
         "laws.csv": laws_csv(view.law_rows),
         "law_scores.csv": law_scores_csv(view.law_choices),
         "checks.csv": checks_csv(view.checks),
@@ -59,9 +62,17 @@ def parameters_csv(rows: Iterable[Row]) -> str:
     """Table I of the paper with uncertainty: one line per test and parameter.
 
     Quantiles bound the equal-tailed 95 % interval. A cell is empty where the value is not
-    defined.
+    defined. The note has the value under other noises too, where that choice decides it.
     """
-    return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), map(_cells, rows))
+    lines = ((*_cells(row)[:-1], noted(row)) for row in rows)
+    return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), lines)
+
+
+def noises_csv(rows: Iterable[NoiseRow]) -> str:
+    """Every quantity under the campaign's noise and under others, and whether they decide it."""
+    head = ("test", "quantity", "unit", "noise", "q2.5", "q50", "q97.5", "other_noise")
+    lines = ((*dataclasses.astuple(r)[:-1], "yes" if r.decides else "no") for r in rows)
+    return csv_text((*head, "other_q2.5", "other_q50", "other_q97.5", "decides"), lines)
 
 
 def readings_csv(rows: Iterable[ReadingRow]) -> str:

@@ -6,6 +6,7 @@ import io
 from typing import Any
 
 from mfd_bayes.assessment.views import CampaignView, Row
+from mfd_bayes.reporting.noises import others_text
 from mfd_bayes.reporting.paper_tables import Line, PaperTable, Symbol, paper_tables
 from mfd_bayes.reporting.symbols import number, printable
 
@@ -60,7 +61,8 @@ def _write(paragraph: Any, symbol: Symbol) -> None:
 
 
 def _value(row: Row | None) -> str:
-    """Median and interval, such as "1.23 [1.10, 1.38]"."""
+    """Median and interval, such as "1.23 [1.10, 1.38]", and those under other noises."""
     if row is None:
         return "–"
-    return f"{number(row.median, 3)} [{number(row.lower, 3)}, {number(row.upper, 3)}]"
+    own = f"{number(row.median, 3)} [{number(row.lower, 3)}, {number(row.upper, 3)}]"
+    return "; ".join(filter(None, (own, others_text(row))))

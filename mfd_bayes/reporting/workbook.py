@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from mfd_bayes.assessment.views import CampaignView, Row
+from mfd_bayes.reporting.noises import others_text
 from mfd_bayes.reporting.paper_tables import PaperTable, paper_tables
 from mfd_bayes.reporting.symbols import printable
 
@@ -36,8 +37,11 @@ def _fill(sheet: Any, table: PaperTable) -> None:
     _put(sheet, ["quantity", "meaning", "unit", *heads, "note"])
     for line in table.lines:
         numbers = [value for row in line.values for value in _numbers(row)]
-        notes = dict.fromkeys(row.note for row in line.values if row is not None and row.note)
-        _put(sheet, [line.symbol.text, line.meaning, line.unit, *numbers, "; ".join(notes)])
+        rows = [row for row in line.values if row is not None]
+        notes = dict.fromkeys(row.note for row in rows if row.note)
+        others = (f"{row.subject} with {others_text(row)}" for row in rows if row.others)
+        text = "; ".join((*notes, *others))
+        _put(sheet, [line.symbol.text, line.meaning, line.unit, *numbers, text])
     sheet.freeze_panes = "B2"
     for column in "AB":
         sheet.column_dimensions[column].width = _WIDE

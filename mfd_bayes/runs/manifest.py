@@ -85,6 +85,8 @@ class Settings(Part):
 
     model: str
     noise: str
+    noise_check: bool | None = None
+    """Whether tests are fitted under other noises too; by default not where the effort is quick."""
     start: Any = None
     priors: str
     laws: Mapping[str, Annotated[str, AfterValidator(_known_law)]]

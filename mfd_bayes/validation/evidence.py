@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
 
-from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.diagnostics import psis, tempering
 from mfd_bayes.calibration.mixture import learn
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def log_evidence(
     random = np.random.RandomState(int(rng.integers(2**32)))
     best = (-np.inf, np.inf)
     for _ in range(ROUNDS):
-        weights = special.softmax(_temper(log_weights) * (log_weights - log_weights.max()))
+        weights = special.softmax(tempering(log_weights, SHARE) * (log_weights - log_weights.max()))
         chosen = rng.choice(len(draws), size=DRAWS, p=weights)
         proposal = learn(draws[chosen], PARTS, rng)
         draws = proposal.draw(random, DRAWS)
@@ -66,17 +66,3 @@ def log_evidence(
         if k <= ENOUGH:
             break
     return best
-
-
-def _temper(log_weights: Array) -> float:
-    """Power of the weights, at most 1, at which the effective sample size is `SHARE` × n."""
-    floor = np.log(SHARE * log_weights.size)
-
-    def excess(power: float) -> float:
-        scaled = power * (log_weights - log_weights.max())
-        size = 2.0 * special.logsumexp(scaled) - special.logsumexp(2.0 * scaled)
-        return float(size - floor)
-
-    if excess(1.0) >= 0.0:
-        return 1.0
-    return float(optimize.brentq(excess, 1e-6, 1.0, xtol=1e-4))

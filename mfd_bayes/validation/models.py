@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import CampaignError, FitError
@@ -47,6 +48,46 @@ class _Score:
     squares: float  # sum of squares of the force minus its predicted median, kip²
     spread: float  # sum of squares of the force about its mean, kip²
     short: tuple[str, ...]  # tests whose sampling missed its targets
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What is compared with others: a model and a noise; None is the campaign's own.
+
+    `name` is that of its run's folder.
+    """
+
+    name: str
+    model: str | None = None
+    noise: str | None = None
+
+
+def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candidate, ...]:
+    """Every model with every noise; without noises two or more models, with the campaign's noise.
+
+    Raises
+    ------
+    CampaignError
+        When a name is unknown or there twice, or there are fewer than two to compare.
+    """
+    if not noises:
+        return tuple(Candidate(name, model=name) for name in check_models(names))
+    known = tuple(NOISES)
+    if [name for name in noises if name not in known] or len(set(noises)) < len(noises):
+        got = ", ".join(map(repr, noises))
+        raise CampaignError(
+            f"--noises must name noises of {', '.join(known)}, each once, got {got}"
+        )
+    chosen = tuple(name for name in known if name in noises)
+    several = check_models(names) if len(names) > 1 or len(noises) < 2 else tuple(names)
+    if unknown := [name for name in several if name not in models.MODELS]:
+        raise CampaignError(
+            f"--models must be of {', '.join(models.MODELS)}, got {', '.join(map(repr, unknown))}"
+        )
+    if len(several) < 2:
+        own = next(iter(several), None)
+        return tuple(Candidate(noise, own, noise) for noise in chosen)
+    return tuple(Candidate(f"{m}_{noise}", m, noise) for m in several for noise in chosen)
 
 
 def check_models(names: Sequence[str]) -> tuple[str, ...]:

@@ -93,6 +93,15 @@ def test_a_comparison_is_planned_once_for_each_model(campaign, tmp_path, reads, 
     assert reads == dict.fromkeys(TESTS, len(models))
 
 
+def test_a_comparison_of_noises_plans_the_campaigns_model_under_each(campaign, tmp_path, plans):
+    options = Options(effort="quick", noises=("staged", "ou"))
+    with pytest.raises(_StopError):
+        comparison.compare(campaign, tmp_path / "out", (), options, lambda _: None)
+    (first,) = plans
+    assert (first.campaign.model, first.campaign.noise) == ("lugre", "ou")
+    assert {task.noise for task in first.tasks} == {"ou"}
+
+
 def test_a_run_that_was_just_calibrated_is_not_opened_again(campaign, tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr(commands, "calibrate_locked", lambda plan, out, observe: "the run")

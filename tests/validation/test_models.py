@@ -12,13 +12,13 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import comparison_csv
 from mfd_bayes.validation import models as comparison
 from mfd_bayes.validation.loo import CrossValidation
-from mfd_bayes.validation.models import ALL, compare_runs
+from mfd_bayes.validation.models import ALL, candidates, compare_runs
 
 CYCLES = 6
 RNG = np.random.default_rng(0)
@@ -201,3 +201,37 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path, monkeypatch):
     assert outcome.exit_code == 0, outcome.output
     assert {path: path.read_bytes() for path in files} == before
     assert {path: path.stat().st_mtime_ns for path in files[:-1]} == made
+
+
+@pytest.mark.parametrize(
+    ("models", "noises", "expected"),
+    [
+        (["lugre", "three_stage"], [], [("three_stage",) * 2, ("lugre",) * 2]),
+        ([], ["staged", "ou"], [("ou", None), ("staged", None)]),
+        (["lugre"], ["iid", "ou"], [("ou", "lugre"), ("iid", "lugre")]),
+        (
+            ["lugre", "three_stage"],
+            ["staged"],
+            [("three_stage_staged", "three_stage"), ("lugre_staged", "lugre")],
+        ),
+    ],
+)
+def test_candidates_are_every_model_with_every_noise(models, noises, expected):
+    found = candidates(models, noises)
+    assert [(one.name, one.model) for one in found] == expected
+    assert {one.noise for one in found} == (set(noises) or {None})
+
+
+@pytest.mark.parametrize(
+    ("models", "noises", "words"),
+    [
+        ([], ["ou", "white"], "--noises must name noises of ou, iid"),
+        ([], ["ou", "ou"], "each once"),
+        ([], ["ou"], "--models must name two or more"),
+        (["lugree"], ["ou", "iid"], "--models must be of three_stage"),
+        (["lugre"], [], "--models must name two or more"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(models, noises, words):
+    with pytest.raises(CampaignError, match=words):
+        candidates(models, noises)

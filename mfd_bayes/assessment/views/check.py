@@ -16,6 +16,7 @@ DIRECTIONS = "directions informed"
 TRADE_OFFS = "rank correlation of two parameters"
 PREDICTIVE = "posterior predictive p-value"
 READING = "reading off the loop"
+NOISE = "noise model"
 COVERAGE = "share of samples inside a band"
 IDENTIFIABILITY = (CONTRACTION, PRIOR_SENSITIVITY, LIKELIHOOD_SENSITIVITY, DIRECTIONS, TRADE_OFFS)
 """Names of the checks of what the data inform; beyond its limit such a check is a note."""

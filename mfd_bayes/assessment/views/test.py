@@ -16,11 +16,34 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class NoiseRow:
+    """A quantity of a test under the campaign's noise and under another, in `unit`.
+
+    `lower`, `median` and `upper` are 2.5 %, 50 % and 97.5 % quantile; those with `other` are
+    under the noise of that name. `decides` says that the choice of the noise decides the value.
+    """
+
+    subject: str
+    name: str
+    unit: str
+    noise: str
+    lower: float
+    median: float
+    upper: float
+    other: str
+    other_lower: float
+    other_median: float
+    other_upper: float
+    decides: bool
+
+
+@dataclass(frozen=True)
 class Row:
     """Posterior of one quantity: mean, sd, and 2.5 %, 50 % and 97.5 % quantile, in `unit`.
 
     `contraction` is the share of the prior's variance that the data removed. `note` is a
-    warning to the reader, such as that the data do not inform the quantity.
+    warning to the reader, such as that the data do not inform the quantity. `others` is the
+    quantity under other noises, where the choice of the noise decides it.
     """
 
     subject: str
@@ -36,6 +59,7 @@ class Row:
     ess_tail: float
     contraction: float
     note: str = ""
+    others: tuple[NoiseRow, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -159,6 +183,8 @@ class TestView:
         With 95 % intervals.
     readings : tuple of ReadingRow
         What is read off the loop of a fitted test.
+    noises : tuple of NoiseRow
+        Every quantity under other noises, where a fitted test was checked.
     modes : tuple of mapping of str to float
         Median of each quantity among the draws of each mode, where there are several; the share of
         the draws is under "share".
@@ -192,4 +218,5 @@ class TestView:
     travel: Array | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
     readings: tuple[ReadingRow, ...] = ()
+    noises: tuple[NoiseRow, ...] = ()
     modes: tuple[Mapping[str, float], ...] = ()

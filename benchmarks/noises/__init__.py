@@ -1,0 +1,1 @@
+"""Real tests under every noise model, and what their runs say of it."""

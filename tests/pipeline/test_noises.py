@@ -1,0 +1,130 @@
+"""The check of the noise model, from the campaign file to what the commands say of it."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes.assessment import assess
+from mfd_bayes.calibration import result
+from mfd_bayes.calibration.noise_check import quantiles_of
+from mfd_bayes.cli.commands import app
+from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.runs.run import open_run
+
+DATA = Path(__file__).parents[1] / "data" / "run_format_0"
+TEST = "p500_f0.5"
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    time = np.arange(400) / 50
+    table = np.column_stack([time, np.sin(np.pi * time), np.tanh(5 * np.cos(np.pi * time))])
+    head = "time_s,displacement_in,force_kip"
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=head, comments="")
+    test = '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n'
+
+    def write(key=""):
+        path = tmp_path / "campaign.toml"
+        path.write_text(f'[campaign]\nmodel = "lugre"\n{key}\n{test}')
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("key", "effort", "checks"),
+    [
+        ("", "quick", False),
+        ("", "standard", True),
+        ("", "thorough", True),
+        ("noise_check = true", "quick", True),
+        ("noise_check = false", "standard", False),
+    ],
+)
+def test_the_check_is_as_the_campaign_says_else_not_for_a_first_look(campaign, key, effort, checks):
+    plan = plan_campaign(campaign(key), Options(effort=effort))
+    assert [task.checks_noise for task in plan.tasks] == [checks]
+    stored = plan.manifest.content["settings"]
+    assert stored.get("noise_check") == ({"": None}.get(key, checks))
+    assert ("noise_check" in stored) is bool(key)  # runs begun before this key can go on
+
+
+def test_a_setting_that_is_no_yes_or_no_is_refused(campaign):
+    with pytest.raises(CampaignError, match="noise_check"):
+        plan_campaign(campaign('noise_check = "no"'), Options())
+
+
+@pytest.fixture
+def run_with_check(tmp_path, monkeypatch):
+    """A run of an earlier version, as if one of its tests had been fitted with other noises."""
+    out = Path(shutil.copytree(DATA, tmp_path / "out"))
+    load_test = result.load_test
+
+    def load(path):
+        stored = load_test(path)
+        if path.parent.name != TEST:
+            return stored
+        posterior = open_posterior(path)
+        own = quantiles_of(posterior, stored.values())
+        low, middle, high = own["k3"]
+        moved = own | {"k3": (low + 9 * (high - low), middle + 9 * (high - low), 10 * high)}
+        fits = [
+            {"noise": "staged", "error": "", "quantities": {k: list(v) for k, v in moved.items()}}
+            | {"how": "walkers", "k": None, "size": 60.0, "seconds": 1.0},
+            {"noise": "iid", "error": "no prior for x", "quantities": {}}
+            | {"how": "", "k": None, "size": 0.0, "seconds": 1.0},
+        ]
+        return replace(stored, facts=stored.facts | {"other_noises": fits})
+
+    posteriors = {test.path: test.posterior for test in open_run(out).tests.values()}
+
+    def open_posterior(path):
+        return posteriors[path]
+
+    monkeypatch.setattr(result, "load_test", load)
+    return out
+
+
+def test_a_run_names_test_quantity_and_both_values(run_with_check):
+    view = assess(open_run(run_with_check))
+    (warning,) = [w for w in view.warnings if w.name == "noise model"]
+    assert warning.subject == TEST
+    assert warning.sentence.startswith("k3 is ")
+    assert "kip/in with ou, " in warning.sentence
+    assert warning.sentence.endswith(" with staged: the noise model decides")
+    (judged,) = [j for j in view.judgements if j.subject == TEST]
+    assert f"note: {warning.sentence}" in judged.told
+    names = {c.target: c.verdict for c in view.checks if c.name == "noise model"}
+    assert f"{warning.sentence}" in names
+    assert names["no fit with iid: no prior for x"] == "note"
+    (other,) = [test for test in view.tests if test.id == "p1000_f0.5"]
+    assert other.noises == ()
+    assert any("Not fitted under another noise model: p1000_f0.5" in r for r in view.remarks)
+
+
+def test_the_command_check_says_so(run_with_check):
+    outcome = CliRunner().invoke(app, ["check", str(run_with_check)])
+    words = " ".join(outcome.stdout.split())
+    assert f"warning: {TEST}: k3 is " in words
+    assert "with staged: the noise model decides" in words
+
+
+def test_a_run_of_an_earlier_version_is_not_said_to_be_checked():
+    view = assess(open_run(DATA))
+    assert not [w for w in view.warnings if w.name == "noise model"]
+    assert any("p500_f0.5, p1000_f0.5" in r or "p1000_f0.5, p500_f0.5" in r for r in view.remarks)
+
+
+def test_damaged_facts_of_the_check_are_refused():
+    facts = json.loads(json.dumps(open_run(DATA).tests[TEST].stored.facts))
+    result.check_facts(facts, DATA)
+    fit = {"noise": "iid", "how": "", "k": None, "size": 0.0, "seconds": 1.0, "error": ""}
+    result.check_facts(facts | {"other_noises": [fit | {"quantities": {}}]}, DATA)
+    with pytest.raises(StoreError, match="other_noises"):
+        result.check_facts(facts | {"other_noises": [fit | {"quantities": {"k3": [1.0]}}]}, DATA)

@@ -1,0 +1,60 @@
+"""The noise decides parameters where the model cannot follow the record, and not where it can."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.noise import OU
+from mfd_bayes.calibration.noise_check import moves, quantiles_of
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.task import Task, calibrate_test
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store.netcdf import load_test
+
+pytestmark = pytest.mark.slow
+
+TIME = np.arange(0, 8, 1 / 48)
+MOTION = np.sin(np.pi * TIME)
+THETA = np.array([[20, 0.02, 0.02, 2.2, 2.0, 1.9, 1.7, 2.5, 30, 0.2, 0.1, 1, 0.04, 1.0]])
+SHORT = Effort(name="short", ess=60, limit=700, r_hat=1.1, length=1.5, ensembles=2, starts=4)
+
+
+def record(weakening, spike):
+    """Three stages with correlated noise, and what they do not have.
+
+    A slip force that falls by a share of itself along a stroke, and a spike, kip, after build-up.
+    """
+    quiet = Trace.from_arrays(TIME, MOTION, 0.03)
+    force, travel = ThreeStage().force(THETA, quiet)[0], ThreeStage().travel(THETA, quiet)[0]
+    values = {"noise_sd": np.array([0.1]), "noise_time": np.array([0.1])}
+    noise = OU().draw(np.random.default_rng(1), TIME, values)[0]
+    noise -= weakening * force * np.clip(travel - 0.3, 0, 2) / 1.7
+    after = np.exp(-np.abs(travel - 0.35) / 0.03) * (travel > 0.2)
+    return Trace.from_arrays(TIME, MOTION, 0.03, force + noise + spike * np.sign(force) * after)
+
+
+def decided(trace, folder):
+    """Quantities that each other noise decides, of a test with this record."""
+    settings = ("a", "a.nc", trace, load_priors("brfd"), "three_stage", "ou", "sample", SHORT)
+    task = Task(*settings, (1, 1), checks_noise=True)
+    outcome = calibrate_test(task, folder, lambda _: None)
+    assert not outcome.error
+    stored = load_test(folder / "a.nc")
+    own = quantiles_of(task.posterior(), stored.values())
+    fits = stored.facts["other_noises"]
+    assert not any(fit["error"] for fit in fits)
+    return {
+        fit["noise"]: {name for name in own if moves(own[name], fit["quantities"][name])}
+        for fit in fits
+    }
+
+
+def test_noise_decides_nothing_where_the_model_explains_the_record(tmp_path):
+    assert decided(record(0.0, 0.0), tmp_path) == {"staged": set(), "iid": set()}
+
+
+def test_noise_decides_slip_force_and_gap_where_the_model_cannot_follow(tmp_path):
+    found = decided(record(0.3, 0.5), tmp_path)
+    assert {"Fc_fwd", "Fc_bwd"} <= found["staged"]
+    assert {"Fc_fwd", "Fc_bwd", "k3", "gap"} <= found["iid"]
