@@ -27,12 +27,12 @@ LEAST = 3
 
 @dataclass(frozen=True, eq=False)
 class GivenPart:
-    """The motion up to the end of a given part, thinned, and the force where it counts.
+    """The motion to the end of a given part or further, thinned, and the force where it counts.
 
     Attributes
     ----------
     trace : Trace
-        With the force at every sample.
+        With a force at every sample; only that inside the window is used.
     counted : (T,) bool
         The samples inside the window.
     window : (float, float), s
@@ -64,11 +64,12 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> GivenP
     inside = (trace.time >= begin) & (trace.time <= end)
     first, last = np.flatnonzero(inside)[[0, -1]]
     size = block_size(float(np.median(np.diff(trace.time))), step)
-    edges = np.arange(first % size, last + 1, size)
+    end_of_motion = max(int(last), _second_turn(trace))
+    edges = np.arange(first % size, end_of_motion + 1, size)
     if edges[0] > 0:
         edges = np.insert(edges, 0, 0)
-    edges = edges[edges + size <= last + 1] if size > 1 else edges
-    counted = edges >= first
+    edges = edges[edges + size <= end_of_motion + 1]
+    counted = (edges >= first) & (edges + size <= last + 1)
     if np.count_nonzero(counted) < LEAST:
         raise FitError(
             f"the given part {_words(window)} holds {np.count_nonzero(inside)} samples, too few: "
@@ -81,6 +82,15 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> GivenP
         )
     stop = int(edges[-1]) + size
     return GivenPart(block_means(trace, edges, stop), counted, (begin, end))
+
+
+def _second_turn(trace: Trace) -> int:
+    """Sample until which the motion must be known, so that its first direction is.
+
+    The motion is known beyond the given part: only the force is not.
+    """
+    turns = trace.turning_points
+    return int(turns[1]) if turns.size > 1 else trace.samples - 1
 
 
 def _words(window: tuple[float, float]) -> str:

@@ -201,7 +201,7 @@ class Run:
         *,
         amplitude: float | None = None,
         velocity: float | None = None,
-        draws: int = 256,
+        draws: int = 1000,
         seed: int = 0,
         session: str = "",
         refresh: bool = True,
