@@ -150,7 +150,9 @@ def _direction(displacement: Array) -> int:
 def _trace(rows: Array) -> Trace:
     time, displacement, actuation, force = rows
     level = actuation if np.ptp(actuation) > 0 else float(actuation[0])
-    return Trace.from_arrays(time, displacement, level, force, hysteresis=0.0)
+    # the velocity since the sample before: samples that are still to come do not change it
+    speed = np.diff(displacement, prepend=displacement[0]) / np.diff(time, prepend=time[0] - 1.0)
+    return Trace.from_arrays(time, displacement, level, force, speed, hysteresis=0.0)
 
 
 def _rows(

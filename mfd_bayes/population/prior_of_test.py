@@ -23,8 +23,8 @@ Index = NDArray[np.intp]
 SMOOTH = 0.75
 """Share of the variance of the Gaussians' means that a smoothed prior has in their covariance."""
 
-SOME = 16
-"""Labels among which a point is given a new one at a time."""
+SOME = 4
+"""Other labels among which a point is given a new one at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class TestPrior:
     def log_density(self, labels: Index, points: Array) -> Array:
         """Log density of points (..., d + 1) under their labels' (...), without constants."""
         away = points[..., :-1] - self.mean[labels]
-        standard = np.einsum("...ij,...j->...i", self._inverse[labels], away)
+        standard = (self._inverse[labels] @ away[..., None])[..., 0]
         t, a = points[..., -1], self.shape[labels]
         of_start = a * (log_expit(t) + log_expit(-t))  # with the logit's Jacobian
         return np.asarray(
