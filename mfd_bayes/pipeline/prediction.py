@@ -60,7 +60,7 @@ def predict(out: Path, question: Question) -> Answer:
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"
         )
-    if question.given and question.design:
+    if question.window and question.design:
         raise CampaignError(
             "--design cannot be combined with --given: its properties are those of any test, not "
             "of the one whose first part is given"

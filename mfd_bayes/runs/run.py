@@ -176,12 +176,13 @@ class Run:
             When the trace has no actuation, kind, probability, test or given window is invalid,
             the trace has no force there, or the run cannot be used to recalibrate.
         """
+        if given is not None:
+            check_given(test, recalibrate=recalibrate)
         permutations = PERMUTATIONS if explain is True else int(explain)
         forecast = Forecast(kind, probability, draws, seed, session, whole, permutations)
         scores = left_out_factors(self.manifest, self.folder, forecast) if recalibrate else ()
         predictor = self._predictor()
         if given is not None:
-            check_given(test, recalibrate=recalibrate)
             band = predict_given(predictor, trace, forecast, given, self._pace)
         elif kind == THIS_TEST or test:
             name = this_test(self.tests, self.held_out, forecast, test)

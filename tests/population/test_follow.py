@@ -31,9 +31,9 @@ def truth(tools, study):
 
 @pytest.fixture
 def make(study, monkeypatch):
-    monkeypatch.setattr(follow, "TRIED", 1000)
-    monkeypatch.setattr(given, "TRIED", 1000)
-    monkeypatch.setattr(given, "POINTS", 300)
+    monkeypatch.setattr(follow, "TRIED", 500)
+    monkeypatch.setattr(given, "TRIED", 500)
+    monkeypatch.setattr(given, "POINTS", 200)
 
     def forecaster(**options):
         forecast = Forecast(options.pop("kind", "new_test"), draws=options.pop("draws", 300))
@@ -85,10 +85,10 @@ def test_a_band_that_may_not_wait_says_so(make, truth):
 
 def test_blocks_do_not_matter(make, truth):
     found = []
-    for size in (1, 7, 48):
+    for size in (1, 5, 14):
         forecaster = make(refresh=False)
-        feed(forecaster, truth.trace, 0, 48, size)
-        found.append(forecaster.band(rest(truth.trace, 48)))
+        feed(forecaster, truth.trace, 0, 14, size)
+        found.append(forecaster.band(rest(truth.trace, 14)))
     width = np.mean(found[0].upper - found[0].lower)
     for other in found[1:]:
         assert np.max(np.abs(other.median - found[0].median)) < 0.1 * width

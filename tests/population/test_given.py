@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import FitError
+from mfd_bayes.assessment.bands import compare
+from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.population import given
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.given import predict_given
@@ -28,8 +29,8 @@ def study(tools):
 def few():
     """Fewer draws and points than users get."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(given, "TRIED", 1000)
-        patch.setattr(given, "POINTS", 300)
+        patch.setattr(given, "TRIED", 500)
+        patch.setattr(given, "POINTS", 200)
         yield
 
 
@@ -176,3 +177,10 @@ def test_a_sampler_that_hardly_moves_is_remarked():
     told = Conditioned((0.0, 1.0), 30, 3.0, "sampling", 500.0, 12, 0.01)
     assert "accepted only 1.0 % of its last steps" in told.remarks[0]
     assert not Conditioned((0.0, 1.0), 30, 3.0, "sampling", 500.0, 12, 0.2).remarks
+
+
+def test_nothing_is_left_to_compare_where_all_is_given(tools, study, few):
+    truth = tools.draw_truth(study, np.random.default_rng(5))
+    band = tools.ask(study, truth, 1.0)
+    with pytest.raises(CampaignError, match="the whole record was given"):
+        compare(band, truth.trace.force)
