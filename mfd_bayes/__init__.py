@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.lugre import LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
+    from mfd_bayes.population.follow import Forecaster
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
@@ -22,6 +23,7 @@ _HOMES = {
     "Band": "mfd_bayes.population.predict",
     "BoucWen": "mfd_bayes.friction.bouc_wen",
     "Draws": "mfd_bayes.calibration.sampling",
+    "Forecaster": "mfd_bayes.population.follow",
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
     "Posterior": "mfd_bayes.calibration.posterior",
@@ -38,6 +40,7 @@ __all__ = [
     "Band",
     "BoucWen",
     "Draws",
+    "Forecaster",
     "LuGre",
     "MfdError",
     "Posterior",

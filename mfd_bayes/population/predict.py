@@ -91,7 +91,8 @@ class Band:
     shares : mapping of str to float
         What makes it wide: share of each source in the variance, where it was asked for.
     given : Conditioned, or None
-        The part of the record that was known, where there is one.
+        The part of the record that was known, where there is one: its `window` (s), `pareto_k`,
+        `method` ("weights" or "sampling") and `effective` draws.
     """
 
     time: Array
