@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mfd_bayes.planning.advice import Advice
     from mfd_bayes.planning.candidate import Candidate, Limits
     from mfd_bayes.planning.goal import Goal
+    from mfd_bayes.population.follow import Forecaster
     from mfd_bayes.population.predict import Band
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
@@ -32,6 +33,7 @@ _HOMES = {
     "Draws": "mfd_bayes.calibration.sampling",
     "Goal": "mfd_bayes.planning.goal",
     "Limits": "mfd_bayes.planning.candidate",
+    "Forecaster": "mfd_bayes.population.follow",
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
     "Posterior": "mfd_bayes.calibration.posterior",
@@ -51,6 +53,7 @@ __all__ = [
     "BoucWen",
     "Candidate",
     "Draws",
+    "Forecaster",
     "Goal",
     "Limits",
     "LuGre",

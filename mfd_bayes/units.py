@@ -240,8 +240,8 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     return level, internal
 
 
-def parse_window(text: str) -> tuple[float, float]:
-    """Start and end, in s, of ``"0 s to 60 s"``.
+def parse_window(text: str, *, of: str = "") -> tuple[float, float]:
+    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages.
 
     Raises
     ------
@@ -250,10 +250,10 @@ def parse_window(text: str) -> tuple[float, float]:
     """
     parts = text.split(" to ")
     if len(parts) != 2:
-        raise UnitError(f"a window reads '0 s to 60 s', got {text!r}")
-    start, end = (parse_quantity(part, "time") for part in parts)
+        raise UnitError(f"{of or 'a window'} reads '0 s to 60 s', got {text!r}")
+    start, end = (parse_quantity(part, "time", of=of) for part in parts)
     if not start < end:
-        raise UnitError(f"a window must end after it starts, got {text!r}")
+        raise UnitError(f"{of or 'a window'} must end after it starts, got {text!r}")
     return start, end
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.assessment.views import Fan, Interval, ScoreRow
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.results import Score
@@ -41,6 +42,7 @@ class Compared:
     coverage : float
         Share of the measured samples inside the band.
     samples : int
+        Those that were not given.
     rrse : float
         Error of the median: 0 for a perfect prediction; 1 where the mean force would be as good.
     crps : float, kip
@@ -48,6 +50,8 @@ class Compared:
     kind : str
         Of the band.
     probability : float
+    given : bool
+        Whether a first part of the record was given.
     """
 
     coverage: float
@@ -56,12 +60,14 @@ class Compared:
     crps: float
     kind: str
     probability: float
+    given: bool = False
 
     def sentence(self, system: System) -> str:
         """Coverage and error in words; whether the band holds what a load cell adds."""
         text = (
             f"the {percent(self.probability)} % band of kind {self.kind} holds "
-            f"{100 * self.coverage:.1f} % of the {self.samples} measured samples; error of the "
+            f"{100 * self.coverage:.1f} % of the {self.samples} measured samples"
+            f"{' that were not given' if self.given else ''}; error of the "
             f"median (RRSE) {self.rrse:.3g}, mean distance (CRPS) "
             f"{system.words([self.crps], 'kip', 3)}"
         )
@@ -71,12 +77,16 @@ class Compared:
 
 
 def compare(band: Band, force: Array) -> Compared:
-    """A band beside a measured force, (T,), kip."""
+    """A band beside a measured force, (T,), kip, where that was not given."""
+    given = band.given is not None
+    rest = ~band.given.holds(band.time) if band.given else np.ones(force.size, dtype=np.bool_)
+    if not np.any(rest):
+        raise CampaignError("nothing is left to compare: the whole record was given")
     inside = (force >= band.lower) & (force <= band.upper)
-    distance = float(np.mean(crps(band.draws, force)))
-    error = rrse(band.median, force)
-    share = float(np.mean(inside))
-    return Compared(share, force.size, error, distance, band.kind, band.probability)
+    distance = float(np.mean(crps(band.draws[:, rest], force[rest])))
+    error = rrse(band.median[rest], force[rest])
+    share, samples = float(np.mean(inside[rest])), int(np.count_nonzero(rest))
+    return Compared(share, samples, error, distance, band.kind, band.probability, given)
 
 
 class Spread(TypedDict):

@@ -66,15 +66,18 @@ def held_out_rows(run: Run, name: str, trace: Trace, damper: Band) -> tuple[Deri
     return _rows((name, "validate"), drawn, known, full_strokes(trace))
 
 
-def predicted_rows(run: Run, trace: Trace, band: Band) -> tuple[DerivedRow, ...]:
+def predicted_rows(
+    run: Run, trace: Trace, band: Band, told: Trace | None = None
+) -> tuple[DerivedRow, ...]:
     """Derived quantities of a prediction, with intervals of the band's probability.
 
     A band of kind "observation" holds offset and noise, which are not the damper's; its
     derived quantities are those of kind "new_test". `trace` is the band's, with a force
-    where one was measured.
+    where one was measured; `told` has the force of a given part.
     """
     if band.kind == "observation":
-        band = run.predict(trace, "new_test", band.probability)
+        window = band.given.window if band.given else None
+        band = run.predict(told or trace, "new_test", band.probability, given=window)
     drawn, known = _drawn(run, trace, band), _measured(trace)
     return _rows(("", band.kind), drawn, known, full_strokes(trace), band.probability)
 

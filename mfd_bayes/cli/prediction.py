@@ -55,6 +55,10 @@ def predict(
     rate: Annotated[
         str, typer.Option(metavar='"64 Hz"', help="Thin the motion; else every sample is kept.")
     ] = "",
+    given: Annotated[
+        str,
+        typer.Option(metavar='"0 s to 3 s"', help="The part whose force in the file is known."),
+    ] = "",
     force: arguments.Replace = False,
     units: arguments.Units = None,
     quiet: arguments.Quiet = False,
@@ -70,7 +74,9 @@ def predict(
     and bounding properties (slip force, energy, peaks), for the mean property,
     this device tested again, another device and a measurement, and writes
     ..._design.csv. --recalibrate is for --kind observation and needs a run of
-    crossvalidate; --explain takes some seconds.
+    crossvalidate; --explain takes some seconds. --given learns from the force in a
+    part of the motion's file, for the kinds new_test and observation: the band of
+    the rest is narrower, and the tables and pictures mark the part.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
@@ -95,6 +101,7 @@ def predict(
         units=units or "",
         design=design,
         force=force,
+        given=given,
     )
     with mistakes():
         answer = pipeline.predict(out, question)

@@ -60,16 +60,22 @@ def predict(out: Path, question: Question) -> Answer:
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"
         )
+    if question.window and question.design:
+        raise CampaignError(
+            "--design cannot be combined with --given: its properties are those of any test, not "
+            "of the one whose first part is given"
+        )
     check_question(question)
     run = open_run(out)
     system = named_system(question.units, run.system)
     motion, thinned = motion_of(question)
-    trace = replace(motion, actuation=_level(run, question), force=None)
+    told = replace(motion, actuation=_level(run, question))
+    trace = replace(told, force=None)
     _check_reach(run, trace, question)
-    drawn = replace(trace, force=motion.force if question.compare else None)
+    drawn = told if question.compare else trace
     with reading(run.folder, run.manifest):
-        band = _band(run, trace, question)
-        rows = predicted_rows(run, drawn, band)
+        band = _band(run, told if question.given else trace, question)
+        rows = predicted_rows(run, drawn, band, told)
         narrow = design_warnings(run) if question.design else ()
         bounds = design_rows(run, trace, question.probability) if question.design else ()
     band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
@@ -77,7 +83,7 @@ def predict(out: Path, question: Question) -> Answer:
     derived = tuple(convert_row(row, system) for row in rows)
     design = tuple(convert_row(row, system) for row in bounds)
     answer = Answer(band, derived, system, compared, design)
-    _write(question, drawn, answer)
+    _write(question, drawn, answer, told)
     return answer
 
 
@@ -91,6 +97,7 @@ def _band(run: Run, trace: Trace, question: Question) -> Band:
         whole=question.whole,
         recalibrate=question.recalibrate,
         explain=question.explain,
+        given=question.window,
     )
 
 
@@ -113,12 +120,15 @@ def _check_reach(run: Run, trace: Trace, question: Question) -> None:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
 
 
-def _write(question: Question, drawn: Trace, answer: Answer) -> None:
-    """Write the tables and the pictures of a prediction."""
+def _write(question: Question, drawn: Trace, answer: Answer, told: Trace) -> None:
+    """Write the tables and the pictures of a prediction; `told` has the force of a given part."""
     from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
     band, system = answer.band, answer.system
+    title = f"Predicted force at {question.actuation}"
     about = [f"actuation {question.actuation}"]
+    if band.given is not None:
+        title += f", given {question.given}"
     if answer.compared is not None:
         about.append(f"compared: {answer.compared.sentence(system)}")
     write_text(question.bands, bands_csv(drawn, band, about, system))
@@ -127,10 +137,13 @@ def _write(question: Question, drawn: Trace, answer: Answer) -> None:
     if answer.design:
         table = design_csv(answer.design, question.actuation)
         write_text(question.beside("design.csv"), table)
-    title = f"Predicted force at {question.actuation}"
+    if band.given is not None and drawn.force is None:
+        known = np.where(band.given.holds(band.time), np.asarray(told.force), np.nan)
+        drawn = replace(drawn, force=known)
     shown = convert_trace(drawn, system), [convert_fan(_fan(band), system.factor("kip"))]
     write_picture(question.picture, to_png(draw_loops(title, *shown, system)))
-    history = draw_history(title, *shown, system=system)
+    given = band.given.window if band.given else None
+    history = draw_history(title, *shown, system=system, given=given)
     write_picture(question.beside("history.png"), to_png(history))
 
 

@@ -18,7 +18,7 @@ from mfd_bayes.records.harmonic import parse_sine
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SMALL_SYSTEMS, SYSTEMS
-from mfd_bayes.units import parse_quantity
+from mfd_bayes.units import parse_quantity, parse_window
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""
@@ -53,6 +53,8 @@ class Question:
         Units of all that is written; by default those of the campaign.
     design : bool
         Whether mean and bounding properties are computed too.
+    given : str
+        Part of the record in which the force in the motion's file is known: "0 s to 3 s".
     force : bool
         Whether files of other programs are replaced.
     """
@@ -73,6 +75,12 @@ class Question:
     units: str = ""
     design: bool = False
     force: bool = False
+    given: str = ""
+
+    @property
+    def window(self) -> tuple[float, float] | None:
+        """The given part, s; None where there is none."""
+        return parse_window(self.given, of="--given") if self.given.strip() else None
 
     @property
     def picture(self) -> Path:
@@ -129,12 +137,16 @@ def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
     if (question.motion is None) == (not question.sine):
         raise CampaignError("give one motion: --motion FILE, or --sine '1 in, 0.5 Hz, 3 cycles'")
     if question.motion is None:
-        if question.compare or question.rate:
-            raise CampaignError("--compare and --rate need a --motion file, not --sine")
+        if question.compare or question.rate or question.given:
+            raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
         return parse_sine(question.sine).trace(0.0), ()
     record = read_record(question.motion)
     if question.compare and record.force is None:
         raise CampaignError(f"--compare needs a column of the force in {question.motion}")
+    if question.given and record.force is None:
+        raise CampaignError(
+            f"--given {question.given!r} needs a column of the force in {question.motion}"
+        )
     if question.rate:
         return record.trace(parse_quantity(question.rate, "rate", of="--rate")), ()
     return _at_most(record)

@@ -14,8 +14,9 @@ from mfd_bayes.planning.loop import Loop
 from mfd_bayes.population.drawn import Drawn
 from mfd_bayes.population.effects import Cell, Effect
 from mfd_bayes.population.population import Parts, Population
-from mfd_bayes.population.predict import Predictor, draw_unknown
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.unshared import unknown_of
 
 Array = NDArray[np.float64]
 
@@ -120,7 +121,7 @@ class Devices:
     ) -> Drawn:
         """Ingredients of the force under a setting, without noise."""
         parts = self.parts(setting, rng, scattered=scattered)
-        unknown = draw_unknown(self.population, self.index.size, rng)
+        unknown = unknown_of(self.population, self.index.size, rng)
         return Drawn(parts, unknown, {}, discrepancy=self.discrepancy)
 
     def damper(self, loop: Loop, session: str, *, scattered: bool, seed: Sequence[int]) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.population import Parts
+from mfd_bayes.population.parts import Parts
 
 Array = NDArray[np.float64]
 

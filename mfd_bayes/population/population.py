@@ -13,6 +13,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.laws import INTERCEPTS, ratio
 from mfd_bayes.population.layout import Choice, Layout
+from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 
@@ -22,30 +23,6 @@ SHAPES = np.geomspace(1.0, 100.0, 41)
 """Equally probable shapes a of the starts' density Beta(a, a): from anywhere to the middle."""
 
 _STRAIGHT = ("proportional", "affine")
-
-
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """What the shared coordinates of n drawn tests are made of, in prior units, (n, d) each.
-
-    Attributes
-    ----------
-    level
-        Of the medians over tests at the reference actuation.
-    law
-        Laws, dependences, and effects of the level and the session.
-    scatter
-        From test to test.
-    """
-
-    level: Array
-    law: Array
-    scatter: Array
-
-    @property
-    def total(self) -> Array:
-        """Their sum, the coordinates less their centre, (n, d)."""
-        return self.level + self.law + self.scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,13 +175,19 @@ class Population:
         """
         if self.starts is None:
             return rng.random(n)
+        a = self.draw_start_shapes(rng, n)
+        return np.asarray(rng.beta(a, a))
+
+    def draw_start_shapes(self, rng: np.random.Generator, n: int) -> Array:
+        """Shapes a of the density Beta(a, a) of the place in the gap where tests begin, (n,)."""
+        if self.starts is None:
+            return np.ones(n)
         known = self.starts.reshape(-1, self.starts.shape[-1])
         sides = np.clip(known, 1e-6, 1.0 - 1e-6)
         told = np.log(sides * (1.0 - sides)).sum(axis=1)[rng.integers(len(known), size=n)]
         log = np.outer(told, SHAPES - 1.0) - known.shape[1] * betaln(SHAPES, SHAPES)
         edges = np.cumsum(softmax(log, axis=1), axis=1)
-        a = SHAPES[np.argmax(rng.random((n, 1)) * edges[:, -1:] < edges, axis=1)]
-        return np.asarray(rng.beta(a, a))
+        return np.asarray(SHAPES[np.argmax(rng.random((n, 1)) * edges[:, -1:] < edges, axis=1)])
 
     def draw_test(
         self,
@@ -243,22 +226,31 @@ class Population:
             Whether to add test-to-test scatter, and what is unknown of a new session; without
             it, the median over tests, with what is unknown of a new level.
         """
+        expected = self.expected(setting, index)
+        law = expected.law.copy()
+        for name, k, sd in expected.open:
+            if scattered or name == "level":
+                law[:, k] += sd * rng.standard_normal(len(law))
+        scatter = np.zeros_like(law)
+        if scattered:
+            deviation = np.einsum("nij,nj->ni", expected.together, rng.standard_normal(law.shape))
+            scatter = expected.scatter * deviation
+        return Parts(expected.level, law, scatter)
+
+    def expected(self, setting: Setting, index: NDArray[np.intp]) -> Expected:
+        """What draws of the hyperparameters, (n,) by number, say of a test under a setting."""
         layout, h = self.layout, self.h.reshape(self.size, -1)[index]
         latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
         choice = self.choice.reshape(self.size, -1)[index]
         law = layout.offsets(h, choice, [setting])[:, 0]
-        sd, begin = layout.effect_sd(h), 0
+        sd, begin, unknown = layout.effect_sd(h), 0, []
         for effect in layout.effects:
             row, new = effect.row(effect.cell_of(setting, layout.settings))
             parts = latent[:, 1 + begin : 1 + begin + len(row)]
             for k in effect.members:
                 law[:, k] += parts[:, :, k] @ row
-                if new > 0 and (scattered or effect.name == "level"):
-                    law[:, k] += new * sd[:, begin, k] * rng.standard_normal(len(law))
+                if new > 0:
+                    unknown.append((effect.name, k, new * sd[:, begin, k]))
             begin += len(row)
-        scatter = np.zeros_like(law)
-        if scattered:
-            factor = self.together.reshape(self.size, *self.together.shape[2:])[index]
-            deviation = np.einsum("nij,nj->ni", factor, rng.standard_normal(law.shape))
-            scatter = layout.scatter(h) * deviation
-        return Parts(latent[:, 0], law, scatter)
+        together = self.together.reshape(self.size, *self.together.shape[2:])[index]
+        return Expected(latent[:, 0], law, tuple(unknown), layout.scatter(h), together)

@@ -14,13 +14,16 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
+from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.drawn import Drawn
 from mfd_bayes.population.kinds import KINDS
-from mfd_bayes.population.population import Parts, Population
+from mfd_bayes.population.parts import Parts
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
 from mfd_bayes.population.shown import ShownBand
+from mfd_bayes.population.unshared import scales_of, unknown_of
 from mfd_bayes.population.whole import whole_band
 from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
@@ -89,6 +92,9 @@ class Band(ShownBand):
         Band that holds the whole history with the probability, where it was asked for.
     shares : mapping of str to float
         What makes it wide: share of each source in the variance, where it was asked for.
+    given : Conditioned, or None
+        The part of the record that was known, where there is one: its `window` (s), `pareto_k`,
+        `method` ("weights" or "sampling") and `effective` draws.
     """
 
     time: Array
@@ -106,6 +112,7 @@ class Band(ShownBand):
     whole_upper: Array | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
     extras: Extras | None = field(default=None, repr=False)
+    given: Conditioned | None = None
 
     def widened(self, factor: float) -> Band:
         """The band of single samples, as many times as wide about its median."""
@@ -210,11 +217,24 @@ class Predictor:
         source: str,
     ) -> Band:
         """Band of drawn tests (n, d); what is no number is refused."""
-        unknown = draw_unknown(self.population, forecast.draws, rng)
-        scales = _scales(self.population, trace, index) if trace.varying else {}
+        unknown = unknown_of(self.population, forecast.draws, rng)
+        level, history = trace.reference_actuation, np.asarray(trace.actuation)
+        scales = scales_of(self.population, history, level, index) if trace.varying else {}
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, forecast.draws)
         drawn = Drawn(parts, unknown, scales, discrepancy=learned)
+        return self.finish(trace, forecast, drawn, rng, source)
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def finish(
+        self,
+        trace: Trace,
+        forecast: Forecast,
+        drawn: Drawn,
+        rng: np.random.Generator,
+        source: str,
+    ) -> Band:
+        """Band of drawn tests with all that they do not share; what is no number is refused."""
         values = self.values(drawn)
         damper = self.force(trace, drawn)
         if forecast.kind == "observation":
@@ -270,27 +290,3 @@ class Predictor:
     def _travel(self, trace: Trace, values: Mapping[str, Array]) -> Array:
         """Travel since the last turn, (n, T), in."""
         return self.model.travel(self.model.theta(values), trace, values.get("start"))
-
-
-def draw_unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
-    """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
-    shared = set(population.layout.names)
-    unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
-    if "start" in unknown:
-        unknown["start"] = population.draw_starts(rng, n)
-    return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
-
-
-def _scales(population: Population, trace: Trace, index: NDArray[np.intp]) -> dict[str, Array]:
-    """Factors of the quantities with a law along a history of actuation, (n, T) each."""
-    history = np.asarray(trace.actuation)
-    level = np.array([trace.reference_actuation])
-    scales = {}
-    for name in population.layout.laws:
-        along = population.ratio(name, history).reshape(-1, history.size)[index]
-        at_level = population.ratio(name, level).reshape(-1, 1)[index]
-        # without any actuation along the history it stays at its level
-        scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)
-        if name.startswith("Fc"):
-            scales[name.replace("Fc", "Fs")] = scales[name]
-    return scales

@@ -50,6 +50,40 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
     return Setting(trace.reference_actuation, session, covariates)
 
 
+def planned_setting(
+    tested: Sequence[Setting],
+    actuation: float,
+    session: str,
+    planned: Mapping[str, float | None],
+) -> Setting:
+    """Setting of a test before it is made.
+
+    Parameters
+    ----------
+    tested : sequence of Setting
+        Their geometric means stand for covariates that are not planned.
+    actuation : float, ksi or kip
+    session : str
+    planned : mapping of str to float or None
+        Covariates.
+
+    Raises
+    ------
+    FitError
+        When the actuation or a covariate is no number above zero.
+    """
+    if not 0.0 <= actuation < np.inf:
+        raise FitError(f"the planned actuation must be 0 or more, in ksi or kip, got {actuation}")
+    covariates = {}
+    for name, value in planned.items():
+        known = [s.covariates[name] for s in tested if s.covariates.get(name, 0.0) > 0.0]
+        usual = float(np.exp(np.mean(np.log(known)))) if known else 1.0
+        covariates[name] = usual if value is None else float(value)
+        if not 0.0 < covariates[name] < np.inf:
+            raise FitError(f"the planned {name} must be above zero, in in or in/s, got {value}")
+    return Setting(float(actuation), session, covariates)
+
+
 def same_level(actuation: float, other: float) -> bool:
     """Whether two actuations are at one level."""
     return abs(actuation - other) <= SAME_LEVEL * max(actuation, other)

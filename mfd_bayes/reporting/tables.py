@@ -8,6 +8,8 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from mfd_bayes.assessment.design import BASES, DesignRow
 from mfd_bayes.assessment.next_test import advice_rows
 from mfd_bayes.assessment.views import (
@@ -196,6 +198,8 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
     by = system.factor("kip")
     columns |= {f"{name}_{force}": v * by for name, v in forces.items() if v is not None}
+    if band.given is not None:
+        columns["given"] = band.given.holds(trace.time).astype(np.float64)
     head = (
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}",
@@ -203,6 +207,7 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
             ["whole: band of the whole history, of the same probability"]
             * (forces["whole_lower"] is not None)
         ),
+        *(["given: 1 where the force was given, 0 elsewhere"] * (band.given is not None)),
         *(f"warning: {remark}" for remark in band.remarks),
         *about,
     )

@@ -14,19 +14,23 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
-from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Effort
+from mfd_bayes.population.follow import Forecaster
+from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.kinds import THIS_TEST
+from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Band, Forecast, Predictor
-from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
-from mfd_bayes.population.setting import same_level
+from mfd_bayes.population.recalibration import chosen_factor, promise
+from mfd_bayes.population.setting import planned_setting
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, this_test
 from mfd_bayes.runs.folder import (
     POPULATION,
     PRIORS,
@@ -122,6 +126,11 @@ class Run:
         tested = range_of([self.tests[test].trace], unit) if test else self.tested
         return departures(tested, trace, unit)
 
+    @cached_property
+    def _pace(self) -> Pace:
+        """Rates at which the calibrated tests were fitted."""
+        return Pace.of(test.trace for test in self.tests.values())
+
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
         return self.manifest.settings.tests[name].session
@@ -139,6 +148,7 @@ class Run:
         whole: bool = False,
         recalibrate: bool = False,
         explain: bool | int = False,
+        given: tuple[float, float] | None = None,
     ) -> Band:
         """Band of the force under any motion and actuation, tested or new.
 
@@ -167,6 +177,9 @@ class Run:
         explain : bool or int
             Whether to compute `Band.shares`, what makes the band wide; or the number of
             permutations for that. It takes as long as some 70 predictions.
+        given : (float, float), s, optional
+            Window of the record in which the trace's force is known: the band of all the record,
+            given that part, for the kinds `new_test` and `observation`.
 
         Returns
         -------
@@ -176,21 +189,70 @@ class Run:
         Raises
         ------
         FitError
-            When the trace has no actuation, kind, probability or test is invalid, or the run
-            cannot be used to recalibrate.
+            When the trace has no actuation, kind, probability, test or given window is invalid,
+            the trace has no force there, or the run cannot be used to recalibrate.
         """
+        if given is not None:
+            check_given(test, recalibrate=recalibrate)
         permutations = PERMUTATIONS if explain is True else int(explain)
         forecast = Forecast(kind, probability, draws, seed, session, whole, permutations)
-        scores = self._left_out_factors(forecast) if recalibrate else ()
-        some = next(iter(self.tests.values())).posterior
-        predictor = Predictor(self.population, some.model, some.noise)
-        if kind == THIS_TEST or test:
-            own = self._this_test(forecast, test, trace).stored.values()
+        scores = left_out_factors(self.manifest, self.folder, forecast) if recalibrate else ()
+        predictor = self._predictor()
+        if given is not None:
+            band = predict_given(predictor, trace, forecast, given, self._pace)
+        elif kind == THIS_TEST or test:
+            name = this_test(self.tests, self.held_out, forecast, test)
+            check_level(name, self.tests[name].trace, trace, self.actuation_unit)
+            own = self.tests[name].stored.values()
             band = predictor.repeat(trace, forecast, own)
         else:
             band = predictor.predict(trace, forecast)
-        band = replace(band, remarks=self._remarks(trace, test), extras=self.extras)
+        remarks = (*self._remarks(trace, test), *band.remarks)
+        band = replace(band, remarks=remarks, extras=self.extras)
         return self._recalibrated(band, scores) if recalibrate else band
+
+    def follow(
+        self,
+        actuation: float,
+        kind: str = "new_test",
+        probability: float = 0.95,
+        *,
+        amplitude: float | None = None,
+        velocity: float | None = None,
+        draws: int = 1000,
+        seed: int = 0,
+        session: str = "",
+        refresh: bool = True,
+    ) -> Forecaster:
+        """Forecaster of a test that is about to run: its bands learn from the force as it comes.
+
+        Parameters
+        ----------
+        actuation : float, ksi or kip
+            As planned; that of the samples may differ.
+        kind : {"new_test", "observation"}
+        probability : float
+        amplitude : float, in, optional
+            Half the stroke as planned; the typical one of the tests when left out.
+        velocity : float, in/s, optional
+            Peak speed as planned, likewise.
+        draws : int
+            Draws that are stepped along; the time of an update is in proportion.
+        seed : int
+        session : str
+        refresh : bool
+            Whether a band may take some seconds to sample the draws anew.
+
+        Raises
+        ------
+        FitError
+            When the actuation is none, or the model has no steps.
+        """
+        tested = self.population.layout.settings
+        planned = {"amplitude": amplitude, "velocity": velocity}
+        setting = planned_setting(tested, actuation, session, planned)
+        forecast = Forecast(kind, probability, draws, seed, session)
+        return Forecaster(self._predictor(), setting, forecast, self._pace, refresh=refresh)
 
     def next_test(
         self,
@@ -222,49 +284,9 @@ class Run:
         effort = Effort(draws, seed)
         return next_test(self.population, self.tests, self.manifest, wanted, effort)
 
-    def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:
-        """The calibrated test that is asked for by its id."""
-        if forecast.kind != THIS_TEST:
-            raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
-        known = f"one of {', '.join(self.tests)}"
-        if not name:
-            raise FitError(f"the kind this_test needs the id of a calibrated test: {known}")
-        if name in self.held_out:
-            raise FitError(f"test {name!r} was held out, so nothing is known of it alone: {known}")
-        if name not in self.tests:
-            raise FitError(f"the run has no calibrated test {name!r}: {known}")
-        own, asked = self.tests[name].trace.reference_actuation, trace.reference_actuation
-        if np.isfinite(asked) and not same_level(own, asked):
-            unit = "psi" if self.actuation_unit == "ksi" else "lbf"
-            raise FitError(
-                f"test {name!r} was made at {1000 * own:.4g} {unit}, and the kind this_test knows "
-                f"nothing of {1000 * asked:.4g} {unit}: take the kind new_test"
-            )
-        return self.tests[name]
-
-    def _left_out_factors(self, forecast: Forecast) -> tuple[float, ...]:
-        """Scores of the tests that were left out, for a band of this probability."""
-        if forecast.kind != "observation":
-            raise FitError(
-                f"only the kind observation can be recalibrated, not {forecast.kind}: tests that "
-                "were left out show the force with its offset and noise"
-            )
-        if forecast.probability not in PROBABILITIES:
-            known = ", ".join(f"{p:g}" for p in PROBABILITIES)
-            raise FitError(
-                f"a band can be recalibrated for a probability of {known}, "
-                f"got {forecast.probability:g}"
-            )
-        found = self.manifest.crossvalidation
-        at = PROBABILITIES.index(forecast.probability)
-        scores = [p.factors[at] for p in found.predictions if p.factors] if found else []
-        if found is None or len(scores) < len(found.predictions):
-            raise FitError(
-                f"the run in {self.folder} has no tests that were left out, by which to "
-                "recalibrate; first run: mfd-bayes crossvalidate CAMPAIGN.toml "
-                f"-o {self.folder} --resume"
-            )
-        return tuple(scores)
+    def _predictor(self) -> Predictor:
+        some = next(iter(self.tests.values())).posterior
+        return Predictor(self.population, some.model, some.noise)
 
     def _recalibrated(self, band: Band, scores: tuple[float, ...]) -> Band:
         """The band, widened by the scores of tests that were left out."""

@@ -30,6 +30,8 @@ TURNS = 24
 PANELS = 60
 FEW = 12
 """Most panels that are drawn four to a row; more are drawn six to a row."""
+GIVEN = "#fff3d6"
+"""Ground of the part of a record that a prediction was given."""
 _VELOCITY_TURN = 0.02  # share of its peak-to-peak: smaller turns are noise
 
 
@@ -61,11 +63,14 @@ def draw_history(
     fans: Sequence[Fan] = (),
     first: int = 0,
     system: System = US,
+    *,
+    given: tuple[float, float] | None = None,
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
     The residual is the force minus the first fan's median; samples before `first` were not
-    fitted. Trace and fans are in the units of `system`.
+    fitted; from and to the times `given`, s, the force was known to the prediction. Trace and
+    fans are in the units of `system`.
     """
     windows = _windows(trace)
     rows = 3 if fans and trace.force is not None else 2
@@ -79,8 +84,11 @@ def draw_history(
         if window.start < first:
             for axes in column:
                 axes.axvspan(trace.time[window][0], trace.time[first], color="#eeeeee", zorder=0)
+        if given is not None:
+            for axes in column:
+                _mark_given(axes, given, trace.time[window])
     _label_history(grid, system)
-    _legend(figure, trace, fans, masked=first > 0)
+    _legend(figure, trace, fans, masked=first > 0, given=given is not None)
     return figure
 
 
@@ -230,7 +238,22 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
     return np.repeat(time[edges], 2), np.column_stack([low, high]).ravel()
 
 
-def _legend(figure: Figure, trace: Trace, fans: Sequence[Fan], *, masked: bool = False) -> None:
+def _mark_given(axes: Axes, given: tuple[float, float], time: Array) -> None:
+    """Shade the given part of a panel of these times, and draw its end."""
+    begin, end = max(given[0], float(time[0])), min(given[1], float(time[-1]))
+    if begin < end:
+        axes.axvspan(begin, end, color=GIVEN, zorder=0)
+        axes.axvline(end, color=colours.DATA, linewidth=0.8, linestyle="--")
+
+
+def _legend(
+    figure: Figure,
+    trace: Trace,
+    fans: Sequence[Fan],
+    *,
+    masked: bool = False,
+    given: bool = False,
+) -> None:
     handles: list[Line2D | Patch] = []
     if trace.force is not None:
         handles.append(Line2D([], [], color=colours.DATA, linewidth=0.9, label="measured"))
@@ -240,5 +263,7 @@ def _legend(figure: Figure, trace: Trace, fans: Sequence[Fan], *, masked: bool =
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
     if masked:
         handles.append(Patch(facecolor="#eeeeee", label="not fitted"))
+    if given:
+        handles.append(Patch(facecolor=GIVEN, label="given to the prediction"))
     if handles:
         figure.legend(handles=handles, loc="outside lower left", ncols=4)

@@ -1,0 +1,182 @@
+"""Synthetic tests drawn from a population with given values, and ranks of what is to be predicted.
+
+Truth and prediction share every assumption, so that ranks are uniform if the first part is taken in
+rightly: parameters with scatter, a start anywhere in the gap, offset, discrepancy, and independent
+noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.models import find_model
+from mfd_bayes.population.given import predict_given
+from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.pace import Pace
+from mfd_bayes.population.population import Population
+from mfd_bayes.population.predict import Band, Forecast, Predictor
+from mfd_bayes.population.residual import Residual, slip_force_of
+from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+MEDIANS = {
+    "sigma0": 25.0,  # kip/in
+    "sigma1": 0.02,  # kip·s/in
+    "sigma2": 0.01,
+    "Fc_fwd": 1.0,  # kip
+    "Fc_bwd": 1.2,
+    "static_excess_fwd": 0.15,
+    "static_excess_bwd": 0.15,
+    "k2": 0.8,  # kip/in
+    "k3": 20.0,
+    "d2": 0.10,  # in
+    "d3": 0.08,
+    "ell": 0.02,
+    "v_s": 0.4,  # in/s
+    "offset": 0.0,  # kip
+    "noise_sd": 0.05,
+}
+RATE = 32.0  # Hz
+SMALL, LARGE = 0.04, 0.5  # in: inside the gap, then full strokes
+BEGUN = 1.0  # s, when these begin
+END = 4.0
+DRAWS = 99
+"""Draws of each prediction: ranks go from 0 to this."""
+
+SHARES = (0.0, 0.25, 0.5, 1.0)
+"""Of the record that are given."""
+
+SAMPLES = (1.2, 2.2, 3.4)
+"""Times, s, at which the damper's force is ranked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Population and motion of all tests."""
+
+    predictor: Predictor
+    motion: Trace
+    pace: Pace
+
+
+def make_study(model: str = "three_stage") -> Study:
+    """The study of a model with the paper's quantities."""
+    time = np.arange(int(END * RATE)) / RATE
+    small = SMALL * np.sin(2.0 * np.pi * 2.0 * time)
+    later = np.maximum(time - BEGUN, 0.0)
+    large = LARGE * np.sin(2.0 * np.pi * 0.7 * later)
+    motion = Trace.from_arrays(time, np.where(time < BEGUN, small, large), 1.0)
+    one = Pace.of([motion])
+    # samples count fully, as the noise of the truth is independent
+    pace = Pace(one.steps, one.speeds, 1e-6 * one.travels)
+    population = make_population(motion)
+    return Study(Predictor(population, find_model(model), find_noise("iid")), motion, pace)
+
+
+def make_population(motion: Trace, scatter: float = 0.15) -> Population:
+    """A population with levels known to 3 % and scatter of 15 %, at one actuation."""
+    priors = load_priors("mfd")
+    settings = [Setting(p, "", setting_of(motion).covariates) for p in (0.5, 1.0, 2.0)]
+    layout = replace(lay_out(priors, tuple(MEDIANS), settings), reference=1.0)
+    d, shape = len(MEDIANS), (4, 500)
+    rng = np.random.default_rng(1)
+    middle = layout.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
+    latent = np.zeros((*shape, 1 + sum(len(e.cells) for e in layout.effects), d))
+    latent[:, :, 0] = middle + 0.03 * rng.normal(size=(*shape, d)) - layout.centre
+    latent[:, :, 0] /= layout.spread
+    h = np.zeros((*shape, layout.dim))
+    h[..., :d] = np.log(np.where(np.array(layout.names) == "offset", 0.05, scatter))
+    h[..., d : d + len(layout.effects)] = np.log(1e-6)
+    kept = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
+    return Population(
+        layout=layout,
+        h=h,
+        latent=latent,
+        choice=layout.draw_choice(shape[0] * shape[1]).reshape(*shape, -1),
+        together=np.broadcast_to(np.eye(d), (*shape, d, d)),
+        priors=kept,
+        actuation_unit="ksi",
+        walkers=10,
+        convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
+        residual=make_residual(motion),
+    )
+
+
+def make_residual(motion: Trace) -> Residual:
+    """Discrepancy of some 0.03 kip, even noise, and samples that are all independent."""
+    basis = TravelBasis.of([motion])
+    wave = 0.02 * np.sin(np.arange(basis.size))
+    covariance = 0.03**2 * basis.covariance()
+    even = np.zeros(basis.size)
+    return Residual(basis, wave, covariance, even, 1.1, 1e-4, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """One test: its record, the damper's force without offset and noise, and its quantities."""
+
+    trace: Trace
+    damper: Array
+    values: Mapping[str, Array]
+
+
+def draw_truth(study: Study, rng: np.random.Generator, noisier: float = 1.0) -> Truth:
+    """A test of the population; its noise is so many times larger than its noise_sd says."""
+    predictor, motion = study.predictor, study.motion
+    population, model = predictor.population, predictor.model
+    index = rng.choice(population.size, size=1)
+    values = population.draw_test(setting_of(motion), index, rng)
+    values |= {"start": population.draw_starts(rng, 1), "gamma1": np.ones(1)}
+    force = _damper(model, population.residual, motion, values, rng)
+    noise = noisier * values["noise_sd"] * rng.standard_normal(motion.samples)
+    measured = force + values["offset"] + noise
+    return Truth(replace(motion, force=measured), force, values)
+
+
+def _damper(
+    model: Model,
+    residual: Residual | None,
+    motion: Trace,
+    values: Mapping[str, Array],
+    rng: np.random.Generator,
+) -> Array:
+    force = model.force(model.theta(values), motion, values["start"])
+    if residual is not None:
+        coefficients = residual.draw_coefficients(rng, 1)
+        force = force + residual.discrepancy(motion, slip_force_of(model, values), coefficients)
+    return np.asarray(force[0])
+
+
+def ask(study: Study, truth: Truth, share: float, seed: int = 0, draws: int = DRAWS) -> Band:
+    """Band of a test of which a share of the record is given."""
+    forecast = Forecast(draws=draws, seed=seed)
+    if share == 0.0:
+        return study.predictor.predict(study.motion, forecast)
+    end = float(study.motion.time[-1]) * share
+    return predict_given(study.predictor, truth.trace, forecast, (0.0, end), study.pace)
+
+
+def ranks_of(truth: Truth, band: Band) -> dict[str, int]:
+    """Ranks of the true forces and quantities among a band's draws."""
+    found = {}
+    for time in SAMPLES:
+        at = int(np.searchsorted(band.time, time))
+        found[f"force at {time:g} s"] = int(np.sum(band.draws[:, at] < truth.damper[at]))
+    known, drawn = _quantities(truth.values), _quantities(band.values)
+    return found | {name: int(np.sum(drawn[name] < known[name])) for name in known}
+
+
+def _quantities(values: Mapping[str, Array]) -> dict[str, Array]:
+    names = ("Fc_fwd", "Fc_bwd", "k2", "offset", "noise_sd", "start")
+    return {name: values[name] for name in names} | {"gap": values["d2"] + values["d3"]}

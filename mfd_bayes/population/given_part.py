@@ -1,0 +1,247 @@
+"""The likelihood of a record's first part, for a test that follows the population.
+
+It is the population's own: samples are independent with the shape of the noise, and each counts as
+a share of an independent one (`pace`). The discrepancy's coefficients, which are Gaussian, are
+integrated out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.noise import LOG_2PI
+from mfd_bayes.errors import FitError
+from mfd_bayes.population.pace import Counted
+from mfd_bayes.population.residual import Residual
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+LEAST = 3
+"""Fewest samples of a given part, at the rate of the calibrated tests."""
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPart:
+    """The motion to the end of a given part or further, thinned, and the force where it counts.
+
+    Attributes
+    ----------
+    trace : Trace
+        With a force at every sample; only that inside the window is used.
+    counted : (T,) bool
+        The samples inside the window.
+    window : (float, float), s
+    """
+
+    trace: Trace
+    counted: NDArray[np.bool_]
+    window: tuple[float, float]
+
+
+def given_part(trace: Trace, window: tuple[float, float], step: float) -> GivenPart:
+    """The given part of a record, as means over blocks of samples.
+
+    Parameters
+    ----------
+    trace : Trace
+        With its force; what it is outside the window does not matter.
+    window : (float, float), s
+        Both ends belong to it.
+    step : float, s
+        Time between samples at which the noise is known; see `Pace.step`.
+
+    Raises
+    ------
+    FitError
+        When the window is none, not within the record or too short, or has no force.
+    """
+    begin, end = _checked(trace, window, step)
+    inside = (trace.time >= begin) & (trace.time <= end)
+    first, last = np.flatnonzero(inside)[[0, -1]]
+    size = block_size(float(np.median(np.diff(trace.time))), step)
+    end_of_motion = max(int(last), _second_turn(trace))
+    edges = np.arange(first % size, end_of_motion + 1, size)
+    if edges[0] > 0:
+        edges = np.insert(edges, 0, 0)
+    edges = edges[edges + size <= end_of_motion + 1]
+    counted = (edges >= first) & (edges + size <= last + 1)
+    if np.count_nonzero(counted) < LEAST:
+        raise FitError(
+            f"the given part {_words(window)} holds {np.count_nonzero(inside)} samples, too few: "
+            f"at least {LEAST * size} are expected"
+        )
+    force = np.asarray(trace.force)[inside]
+    if not np.any(force):
+        raise FitError(
+            f"the force is zero in the whole given part {_words(window)}: expected a measured force"
+        )
+    stop = int(edges[-1]) + size
+    return GivenPart(block_means(trace, edges, stop), counted, (begin, end))
+
+
+def _second_turn(trace: Trace) -> int:
+    """Sample until which the motion must be known, so that its first direction is.
+
+    The motion is known beyond the given part: only the force is not.
+    """
+    turns = trace.turning_points
+    return int(turns[1]) if turns.size > 1 else trace.samples - 1
+
+
+def _words(window: tuple[float, float]) -> str:
+    return f"from {window[0]:g} s to {window[1]:g} s"
+
+
+def _checked(trace: Trace, window: tuple[float, float], step: float) -> tuple[float, float]:
+    """Begin and end of a window that lies within a record with a force."""
+    try:
+        begin, end = (float(time) for time in window)
+    except (TypeError, ValueError):
+        begin = end = np.nan
+    if not begin < end < np.inf or begin == -np.inf:
+        raise FitError(f"given must be two times in s, the first before the second, got {window!r}")
+    if trace.force is None:
+        raise FitError(
+            f"the trace has no force: given {_words((begin, end))} needs the force measured there"
+        )
+    first, last = float(trace.time[0]), float(trace.time[-1])
+    if begin < first - step or end > last + step:
+        raise FitError(
+            f"the given part {_words((begin, end))} must lie within the record, which goes "
+            f"{_words((first, last))}"
+        )
+    return max(begin, first), min(end, last)
+
+
+def block_size(own: float, step: float) -> int:
+    """Samples `own` s apart that are averaged, so that means are at most about `step` s apart."""
+    return max(1, int(step / own + 0.25))
+
+
+def block_means(trace: Trace, edges: NDArray[np.intp], stop: int) -> Trace:
+    """Means of a trace over the samples from each edge to the next, up to sample `stop`."""
+    sizes = np.diff([*edges.tolist(), stop])
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values[:stop], edges) / sizes)
+
+    actuation = mean(np.asarray(trace.actuation)) if trace.varying else trace.actuation
+    return Trace.from_arrays(
+        mean(trace.time),
+        mean(trace.displacement),
+        None if np.any(np.isnan(actuation)) else actuation,
+        mean(np.asarray(trace.force)),
+        mean(trace.velocity),
+        hysteresis=trace.hysteresis,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """All that the likelihood of n tests needs of the residuals r over some samples.
+
+    r is what force, offset and the mean discrepancy leave over. Sums of several stretches of
+    samples add up.
+
+    Attributes
+    ----------
+    squares : (n,)
+        Σ ω r²/g², with the shares ω.
+    pulls : (n, K)
+        Σ ω r/g² times each function.
+    gram : (K, K)
+        Products of the functions, times ω/g².
+    log_shape : float
+        Σ ω log g.
+    samples : float
+        Σ ω, the number of independent samples.
+    """
+
+    squares: Array
+    pulls: Array
+    gram: Array
+    log_shape: float
+    samples: float
+
+    @classmethod
+    def of(cls, residuals: Array, counted: Counted) -> Sums:
+        """Those of residuals (n, T) at counted samples."""
+        weight = np.sqrt(counted.share) / counted.shape
+        scaled, standard = counted.functions * weight[:, None], residuals * weight
+        return cls(
+            np.einsum("nt,nt->n", standard, standard),
+            standard @ scaled,
+            scaled.T @ scaled,
+            float(counted.share @ np.log(counted.shape)),
+            float(counted.share.sum()),
+        )
+
+    def __add__(self, other: Sums) -> Sums:
+        return Sums(
+            self.squares + other.squares,
+            self.pulls + other.pulls,
+            self.gram + other.gram,
+            self.log_shape + other.log_shape,
+            self.samples + other.samples,
+        )
+
+    def of_tests(self, chosen: NDArray[np.intp]) -> Sums:
+        """Those of some of the tests."""
+        return replace(self, squares=self.squares[chosen], pulls=self.pulls[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class GivenLikelihood:
+    """Log likelihood of tests from their sums.
+
+    Attributes
+    ----------
+    residual : Residual
+    """
+
+    residual: Residual
+
+    def __call__(self, sums: Sums, slip: Array, sd: Array) -> Array:
+        """Log likelihood of tests of these slip forces and noise sds (n,), (n,).
+
+        With the discrepancy f B (m + L η), η ~ N(0, 1), in the axes U of Lᵀ BᵀB/g² L, each axis
+        has its own Gaussian integral.
+        """
+        axes, sizes = self._axes(sums.gram)
+        pulls, precision = self._conditional(sums, axes, sizes, slip, sd)
+        log = -0.5 * sums.squares / sd**2 - sums.log_shape
+        log -= sums.samples * (np.log(sd) + 0.5 * LOG_2PI)
+        log -= 0.5 * np.log(precision).sum(axis=1)
+        return np.asarray(log + 0.5 * np.sum(pulls**2 / precision, axis=1))
+
+    def draw_coefficients(
+        self, sums: Sums, slip: Array, sd: Array, rng: np.random.Generator
+    ) -> Array:
+        """Draws of the discrepancy's coefficients of each test, (n, K), kip."""
+        axes, sizes = self._axes(sums.gram)
+        pulls, precision = self._conditional(sums, axes, sizes, slip, sd)
+        eta = pulls / precision + rng.standard_normal(pulls.shape) / np.sqrt(precision)
+        return np.asarray(self.residual.mean + eta @ axes.T)
+
+    @cached_property
+    def _root(self) -> Array:
+        values, vectors = np.linalg.eigh(self.residual.covariance)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def _axes(self, gram: Array) -> tuple[Array, Array]:
+        """L U, (K, K), and the sizes of the axes, (K,)."""
+        sizes, vectors = np.linalg.eigh(self._root.T @ gram @ self._root)
+        return self._root @ vectors, np.maximum(sizes, 0.0)
+
+    def _conditional(
+        self, sums: Sums, axes: Array, sizes: Array, slip: Array, sd: Array
+    ) -> tuple[Array, Array]:
+        """Pull on each axis and its precision, (n, K) each."""
+        f = (slip / self.residual.slip_force)[:, None]
+        weight = 1.0 / sd[:, None] ** 2
+        return weight * f * (sums.pulls @ axes), 1.0 + weight * f**2 * sizes

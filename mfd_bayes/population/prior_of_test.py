@@ -1,0 +1,142 @@
+"""What a population says of one test before its force is known, as a density.
+
+Each draw of the hyperparameters gives a Gaussian density of the test's shared coordinates and a
+Beta density of its start in the gap; the population's prediction is the mixture of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betaln, expit, log_expit
+
+from mfd_bayes.population.parts import Expected, Parts
+from mfd_bayes.population.population import Population
+from mfd_bayes.population.setting import Setting
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SMOOTH = 0.75
+"""Share of the variance of the Gaussians' means that a smoothed prior has in their covariance."""
+
+SOME = 4
+"""Other labels among which a point is given a new one at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class TestPrior:
+    """Mixture of N densities of one test's d shared coordinates, in prior units, and its start.
+
+    A point is (x, t): x (d,), and the logit t of the start, which is the last coordinate.
+
+    Attributes
+    ----------
+    index : (N,) int
+        Draw of the hyperparameters behind each density, its label.
+    expected : Expected
+        Level and law of each.
+    mean : (N, d)
+    covariance : (N, d, d)
+    shape : (N,)
+        a of the start's Beta(a, a).
+    """
+
+    index: Index
+    expected: Expected
+    mean: Array
+    covariance: Array
+    shape: Array
+
+    __test__ = False  # pytest is not to collect it
+
+    @classmethod
+    def of(
+        cls, population: Population, setting: Setting, rng: np.random.Generator, n: int
+    ) -> TestPrior:
+        """Prior of a test under a setting, from n draws of the hyperparameters."""
+        index = rng.choice(population.size, size=n, replace=n > population.size)
+        expected = population.expected(setting, index)
+        root = expected.scatter[:, :, None] * expected.together
+        covariance = root @ np.swapaxes(root, 1, 2)
+        for _, k, sd in expected.open:
+            covariance[:, k, k] += sd**2
+        shape = population.draw_start_shapes(rng, n)
+        return cls(index, expected, expected.level + expected.law, covariance, shape)
+
+    @property
+    def size(self) -> int:
+        """Number of densities N."""
+        return len(self.mean)
+
+    def smoothed(self) -> TestPrior:
+        """The same mean and covariance, with densities that overlap.
+
+        The draws' means are shrunk towards their mean, and what they lose of their covariance is
+        given to each density (West, 1993): also a quantity that is the same in all tests, which
+        each density knows exactly, can then be moved.
+        """
+        middle = self.mean.mean(axis=0)
+        between = np.atleast_2d(np.cov(self.mean, rowvar=False))
+        mean = middle + np.sqrt(1.0 - SMOOTH) * (self.mean - middle)
+        covariance = self.covariance + SMOOTH * between + 1e-12 * np.eye(middle.size)
+        return TestPrior(self.index, self.expected, mean, covariance, self.shape)
+
+    @cached_property
+    def root(self) -> Array:
+        """Cholesky factors of the covariances, (N, d, d)."""
+        return np.asarray(np.linalg.cholesky(self.covariance))
+
+    @cached_property
+    def _inverse(self) -> Array:
+        return np.asarray(np.linalg.inv(self.root))
+
+    @cached_property
+    def _log_scale(self) -> Array:
+        diagonal = np.diagonal(self.root, axis1=1, axis2=2)
+        return np.asarray(-np.log(diagonal).sum(axis=1) - betaln(self.shape, self.shape))
+
+    def draw(self, labels: Index, rng: np.random.Generator) -> Array:
+        """Points of the densities with these labels (n,), (n, d + 1)."""
+        standard = rng.standard_normal((len(labels), self.mean.shape[1]))
+        x = self.mean[labels] + np.einsum("nij,nj->ni", self.root[labels], standard)
+        start = np.clip(rng.beta(self.shape[labels], self.shape[labels]), 1e-12, 1.0 - 1e-12)
+        return np.concatenate([x, np.log(start / (1.0 - start))[:, None]], axis=1)
+
+    def log_density(self, labels: Index, points: Array) -> Array:
+        """Log density of points (..., d + 1) under their labels' (...), without constants."""
+        away = points[..., :-1] - self.mean[labels]
+        standard = (self._inverse[labels] @ away[..., None])[..., 0]
+        t, a = points[..., -1], self.shape[labels]
+        of_start = a * (log_expit(t) + log_expit(-t))  # with the logit's Jacobian
+        return np.asarray(
+            -0.5 * np.einsum("...i,...i->...", standard, standard)
+            + self._log_scale[labels]
+            + of_start
+        )
+
+    def relabelled(self, labels: Index, points: Array, rng: np.random.Generator) -> Index:
+        """Labels of points (n, d + 1), drawn anew among `SOME` by their densities, (n,).
+
+        It leaves the mixture as it is, since all labels are equally probable.
+        """
+        others = rng.integers(self.size, size=(len(labels), SOME))
+        among = np.concatenate([labels[:, None], others], axis=1)
+        density = self.log_density(
+            among, np.broadcast_to(points[:, None], (*among.shape, points.shape[1]))
+        )
+        gumbel = density + rng.gumbel(size=density.shape)
+        return np.asarray(among[np.arange(len(labels)), np.argmax(gumbel, axis=1)])
+
+    def parts(self, labels: Index, points: Array) -> Parts:
+        """What points are made of: all that differs from level and law counts as scatter."""
+        level, law = self.expected.level[labels], self.expected.law[labels]
+        return Parts(level, law, points[:, :-1] - level - law)
+
+
+def start_of(points: Array) -> Array:
+    """Start in the gap of points (n, d + 1), (n,)."""
+    return np.asarray(expit(points[:, -1]))

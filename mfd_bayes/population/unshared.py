@@ -1,0 +1,38 @@
+"""What a predicted test does not share with others, and what follows a history of actuation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.population.population import Population
+
+Array = NDArray[np.float64]
+
+
+def unknown_of(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
+    shared = set(population.layout.names)
+    unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
+    if "start" in unknown:
+        unknown["start"] = population.draw_starts(rng, n)
+    return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
+
+
+def scales_of(
+    population: Population, history: Array, level: float, index: NDArray[np.intp]
+) -> dict[str, Array]:
+    """Factors along a history of actuation (T,) of what follows it, over their values at a level.
+
+    They are (n, T) each, of draws of the hyperparameters (n,).
+    """
+    reference = np.array([level])
+    scales = {}
+    for name in population.layout.laws:
+        along = population.ratio(name, history).reshape(-1, history.size)[index]
+        at_level = population.ratio(name, reference).reshape(-1, 1)[index]
+        # without any actuation along the history it stays at its level
+        scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)
+        if name.startswith("Fc"):
+            scales[name.replace("Fc", "Fs")] = scales[name]
+    return scales

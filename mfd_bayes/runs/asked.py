@@ -1,0 +1,92 @@
+"""What a prediction asks of a run: checked, and found."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.population.kinds import THIS_TEST
+from mfd_bayes.population.predict import Forecast
+from mfd_bayes.population.recalibration import PROBABILITIES
+from mfd_bayes.population.setting import same_level
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Manifest
+
+
+def left_out_factors(manifest: Manifest, folder: Path, forecast: Forecast) -> tuple[float, ...]:
+    """Scores of the tests that were left out, for a band of this probability.
+
+    Raises
+    ------
+    FitError
+        When the band's kind or probability has no scores, or the run in the folder has none.
+    """
+    if forecast.kind != "observation":
+        raise FitError(
+            f"only the kind observation can be recalibrated, not {forecast.kind}: tests that "
+            "were left out show the force with its offset and noise"
+        )
+    if forecast.probability not in PROBABILITIES:
+        known = ", ".join(f"{p:g}" for p in PROBABILITIES)
+        raise FitError(
+            f"a band can be recalibrated for a probability of {known}, got {forecast.probability:g}"
+        )
+    found = manifest.crossvalidation
+    at = PROBABILITIES.index(forecast.probability)
+    scores = [p.factors[at] for p in found.predictions if p.factors] if found else []
+    if found is None or len(scores) < len(found.predictions):
+        raise FitError(
+            f"the run in {folder} has no tests that were left out, by which to "
+            "recalibrate; first run: mfd-bayes crossvalidate CAMPAIGN.toml "
+            f"-o {folder} --resume"
+        )
+    return tuple(scores)
+
+
+def this_test(
+    tests: Collection[str], held_out: Collection[str], forecast: Forecast, name: str
+) -> str:
+    """Id of the calibrated test that is asked for.
+
+    Raises
+    ------
+    FitError
+        When the kind is another, or there is no calibrated test of this name.
+    """
+    if forecast.kind != THIS_TEST:
+        raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
+    known = f"one of {', '.join(tests)}"
+    if not name:
+        raise FitError(f"the kind this_test needs the id of a calibrated test: {known}")
+    if name in held_out:
+        raise FitError(f"test {name!r} was held out, so nothing is known of it alone: {known}")
+    if name not in tests:
+        raise FitError(f"the run has no calibrated test {name!r}: {known}")
+    return name
+
+
+def check_level(name: str, own: Trace, asked: Trace, unit: str) -> None:
+    """Refuse an actuation (`unit` is ksi or kip) that is not that of the test."""
+    made, wanted = own.reference_actuation, asked.reference_actuation
+    if np.isfinite(wanted) and not same_level(made, wanted):
+        unit = "psi" if unit == "ksi" else "lbf"
+        raise FitError(
+            f"test {name!r} was made at {1000 * made:.4g} {unit}, and the kind this_test knows "
+            f"nothing of {1000 * wanted:.4g} {unit}: take the kind new_test"
+        )
+
+
+def check_given(test: str, *, recalibrate: bool) -> None:
+    """Refuse what a given part cannot be combined with."""
+    if recalibrate:
+        raise FitError(
+            "recalibrate cannot be combined with given: the tests that were left out were "
+            "predicted without a part of them"
+        )
+    if test:
+        raise FitError(
+            f"given cannot be combined with a calibrated test ({test!r}): it shows one new test"
+        )

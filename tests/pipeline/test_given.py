@@ -1,0 +1,139 @@
+"""The command predict with --given, on the small synthetic campaign."""
+
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+from mfd_bayes.pipeline.question import Question, check_question
+
+
+@pytest.fixture(scope="module")
+def out(finished_run) -> Path:
+    assert finished_run.code == 0, finished_run.stderr
+    return finished_run.out
+
+
+@pytest.fixture(scope="module")
+def record(finished_run) -> Path:
+    """The record that was held out."""
+    return finished_run.campaign.parent / "p1200_f0.5.csv"
+
+
+@pytest.fixture
+def ask(out, tmp_path):
+    def predict(*options, actuation="1200 psi"):
+        arguments = ("predict", out, "--actuation", actuation, "-o", tmp_path / "bands.csv")
+        return CliRunner().invoke(app, [str(a) for a in (*arguments, *options)])
+
+    return predict
+
+
+def table(path):
+    text = path.read_text()
+    return text, pd.read_csv(StringIO(text), comment="#")
+
+
+def test_the_part_is_marked_and_the_rest_narrower(ask, out, record, tmp_path):
+    options = "--given", "0 s to 1 s", "--kind", "observation", "--compare", "--whole"
+    found = ask("--motion", record, *options)
+    assert found.exit_code == 0, found.output
+    assert "the force given from 0 s to 1 s" in " ".join(found.stdout.split())
+    text, narrow = table(tmp_path / "bands.csv")
+    assert "# given: 1 where the force was given, 0 elsewhere" in text
+    np.testing.assert_array_equal(narrow.given == 1, narrow.time_s <= 1.0)
+    assert np.all(narrow.whole_upper_kip >= narrow.upper_kip)
+    rest = narrow.time_s > 1.0
+    assert f"of the {rest.sum()} measured samples that were not given" in " ".join(
+        found.stdout.split()
+    )
+    trace = mb.read_record(record).trace()
+    motion = mb.Trace.from_arrays(trace.time, trace.displacement, 1.2)
+    before = mb.open_run(out).predict(motion, "observation")
+    width = np.mean((narrow.upper_kip - narrow.lower_kip)[rest])
+    assert width < 0.9 * np.mean((before.upper - before.lower)[rest])
+    picture = np.asarray(Image.open(tmp_path / "bands_history.png").convert("RGB"))
+    assert np.count_nonzero((picture == [0xFF, 0xF3, 0xD6]).all(axis=2)) > 1000
+    # its own table may be replaced
+    check_question(Question(record, "1200 psi", "new_test", 0.95, tmp_path / "bands.csv"))
+
+
+@pytest.mark.slow
+def test_derived_quantities_know_the_part_too(ask, record, tmp_path):
+    sds = []
+    for options in ((), ("--given", "0 s to 2 s")):
+        found = ask("--motion", record, "--kind", "observation", *options)
+        assert found.exit_code == 0, found.output
+        derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
+        sds.append(derived.sd["peak_fwd"])
+    assert sds[1] < 0.7 * sds[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--given", "soon"), "--given reads '0 s to 60 s', got 'soon'"),
+        (("--given", "2 s to 1 s"), "--given must end after it starts"),
+        (("--given", "0 s to 60 s"), "must lie within the record, which goes from 0 s to"),
+        (("--given", "0 s to 1 s", "--kind", "device"), "for the kinds new_test and observation"),
+        (("--given", "0 s to 1 s", "--explain"), "explain cannot be combined with given"),
+        (("--given", "0 s to 1 s", "--design"), "--design cannot be combined with --given"),
+        (
+            ("--given", "0 s to 1 s", "--kind", "observation", "--recalibrate"),
+            "recalibrate cannot be combined with given",
+        ),
+        (
+            ("--given", "0 s to 1 s", "--test", "p500_f0.5", "--extrapolate"),
+            "given cannot be combined with a calibrated test ('p500_f0.5')",
+        ),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(ask, record, tmp_path, options, said):
+    found = ask("--motion", record, *options)
+    assert found.exit_code == 2, found.output
+    (sentence,) = found.stderr.splitlines()
+    assert said in sentence
+    assert not (tmp_path / "bands.csv").exists()
+
+
+def test_a_motion_without_a_force_is_refused(ask, tmp_path):
+    time = np.arange(300) / 100.0
+    columns = np.column_stack([time, np.sin(np.pi * time)])
+    np.savetxt(
+        tmp_path / "m.csv", columns, "%.6f", ",", header="time_s,displacement_in", comments=""
+    )
+    found = ask("--motion", tmp_path / "m.csv", "--given", "0 s to 1 s")
+    assert found.exit_code == 2
+    assert "--given '0 s to 1 s' needs a column of the force in" in found.stderr
+    sine = ask("--sine", "1 in, 0.5 Hz, 3 cycles", "--given", "0 s to 1 s")
+    assert "--compare, --given and --rate need a --motion file" in sine.stderr
+
+
+def test_a_run_is_followed(out, record):
+    run = mb.open_run(out)
+    trace = mb.read_record(record).trace()
+    forecaster = run.follow(1.2, amplitude=1.0, velocity=3.0, draws=100, refresh=False)
+    part = slice(0, 60)
+    forecaster.update(trace.time[part], trace.displacement[part], None, trace.force[part])
+    later = mb.Trace.from_arrays(trace.time[60:], trace.displacement[60:])
+    band = forecaster.band(later)
+    assert band.draws.shape == (100, later.samples)
+    with pytest.raises(mb.MfdError, match="the planned actuation must be 0 or more"):
+        run.follow(-1.0)
+    with pytest.raises(mb.MfdError, match="the planned velocity must be above zero"):
+        run.follow(1.0, velocity=0.0)
+
+
+def test_a_run_of_an_earlier_version_has_no_noise_for_it(out, record, monkeypatch):
+    run = mb.open_run(out)
+    monkeypatch.setitem(run.population.__dict__, "residual", None)
+    trace = mb.read_record(record).trace()
+    known = mb.Trace.from_arrays(trace.time, trace.displacement, 1.2, trace.force)
+    with pytest.raises(mb.MfdError, match="of an earlier version"):
+        run.predict(known, given=(0.0, 1.0))
