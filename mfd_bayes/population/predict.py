@@ -210,7 +210,7 @@ class Predictor:
         source: str,
     ) -> Band:
         """Band of drawn tests (n, d); what is no number is refused."""
-        unknown = _unknown(self.population, forecast.draws, rng)
+        unknown = draw_unknown(self.population, forecast.draws, rng)
         scales = _scales(self.population, trace, index) if trace.varying else {}
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, forecast.draws)
@@ -272,7 +272,7 @@ class Predictor:
         return self.model.travel(self.model.theta(values), trace, values.get("start"))
 
 
-def _unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
+def draw_unknown(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
     """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
     shared = set(population.layout.names)
     unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
