@@ -3,51 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.population import Parts, Population
 from mfd_bayes.population.predict import draw_unknown
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.response.building import Building
+from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.history import level_of, levels_along
 from mfd_bayes.response.leftover import Leftover
 
 Array = NDArray[np.float64]
-
-KINDS = ("new_test", "device")
-"""With each damper's own scatter from test to test, or the mean property alone."""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What is drawn.
-
-    Attributes
-    ----------
-    kind : {"new_test", "device"}
-    draws, seed : int
-    session : str
-    scatter : float
-        Factor of the scatter from test to test: 1, or another to see what it does.
-    """
-
-    kind: str = "new_test"
-    draws: int = 300
-    seed: int = 1
-    session: str = ""
-    scatter: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise BuildingError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-
 
 def draw_dampers(
     population: Population, model: Model, building: Building, choice: Choice

@@ -57,8 +57,9 @@ class Ground:
         return float(np.max(np.abs(self.acceleration)))
 
     def scaled(self, by: float) -> Ground:
-        """The motion times a factor."""
-        return replace(self, acceleration=by * self.acceleration)
+        """The motion times a factor, which its name says."""
+        name = f"{self.name} × {by:.3g}"
+        return replace(self, name=name, acceleration=by * self.acceleration)
 
     def with_peak(self, peak: float) -> Ground:
         """The motion scaled to a peak, in/s²."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, pro
 from mfd_bayes.population.setting import same_level
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.response.choice import Choice
 from mfd_bayes.runs.folder import (
     POPULATION,
     PRIORS,
@@ -38,6 +39,11 @@ from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
+
+if TYPE_CHECKING:
+    from mfd_bayes.response.building import Building
+    from mfd_bayes.response.ground import Ground
+    from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
 
@@ -186,6 +192,23 @@ class Run:
             band = predictor.predict(trace, forecast)
         band = replace(band, remarks=self._remarks(trace, test), extras=self.extras)
         return self._recalibrated(band, scores) if recalibrate else band
+
+    def respond(
+        self,
+        building: Building | str | Path,
+        grounds: Sequence[Ground | str | Path] | Ground | str | Path,
+        draws: int = 300,
+        seed: int = 1,
+        *,
+        kind: str = "new_test",
+        jobs: int = 1,
+        **settings: Any,
+    ) -> Response:
+        """Response of a building with this device as its dampers; see `respond_of_run`."""
+        from mfd_bayes.runs.response import respond_of_run
+
+        choice = Choice(kind, draws, seed)
+        return respond_of_run(self, building, grounds, choice, jobs=jobs, **settings)
 
     def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:
         """The calibrated test that is asked for by its id."""
