@@ -22,7 +22,6 @@ from mfd_bayes.reporting.response_tables import (
     sweep_csv,
 )
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.example import EXAMPLE
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.influence import influence
@@ -30,7 +29,7 @@ from mfd_bayes.response.measures import parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, parse_sweep, sweep_of
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.response import grounds_of, respond_of_run
+from mfd_bayes.runs.response import grounds_of
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.systems import SI, SYSTEMS, US, System, named_system
 from mfd_bayes.store.files import write_text
@@ -119,11 +118,11 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
     grounds = _grounds(query)
     run = open_run(out)
     system = named_system(query.units, run.system)
-    choice = Choice(query.kind, query.draws, query.seed)
 
     def answer(of: Building) -> Response:
-        return respond_of_run(
-            *(run, of, grounds, choice),
+        return run.respond(
+            *(of, grounds, query.draws, query.seed),
+            kind=query.kind,
             tolerance=query.tolerance,
             jobs=query.jobs,
             observe=observe,

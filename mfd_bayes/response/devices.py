@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.banks import Bank, PlasticBank, bank_of
 from mfd_bayes.friction.model import Model
-from mfd_bayes.response.leftover import Leftover
+from mfd_bayes.response.leftover import Leftover, LeftoverState
 
 Array = NDArray[np.float64]
 
@@ -96,8 +95,8 @@ class Devices:
 
     dampers: Dampers
     bank: Bank
-    storeys: Bank | None
-    leftover: Any = None
+    storeys: PlasticBank | None
+    leftover: LeftoverState | None = None
 
     @classmethod
     def at_rest(cls, dampers: Dampers, stiffness: Array, strength: Array) -> Devices:

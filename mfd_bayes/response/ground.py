@@ -25,6 +25,7 @@ LARGEST = 64 * 2**20
 MOST = 200_000
 """Most samples of a ground motion."""
 
+_HEAD = 50  # lines in which a header may say the step
 _STEP = re.compile(r"\bDT\s*=\s*([0-9.eE+-]+)", re.IGNORECASE)
 _POINTS = re.compile(r"\bNPTS\s*=\s*(\d+)", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
@@ -123,7 +124,8 @@ def read_ground(path: str | Path, *, step: float | None = None, unit: str = "") 
 def _of_text(path: Path, step: float | None, unit: str) -> Ground:
     """Motion of PEER's format, or of numbers alone in rows."""
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    head = next((i for i, line in enumerate(lines) if _is_data(line)), len(lines))
+    said = next((i + 1 for i, line in enumerate(lines[:_HEAD]) if _STEP.search(line)), None)
+    head = said or next((i for i, line in enumerate(lines) if _is_data(line)), len(lines))
     end = len(lines)
     while end > head and not _is_data(lines[end - 1]):  # "*** End data ***"
         end -= 1

@@ -174,15 +174,28 @@ class Ledger:
         x, v = moment.state[:, :n], moment.state[:, n:]
         pulled = (moment.force - self.rest)[:, :m]
         brace = 0.5 * self.brace * pulled**2
+        # of storeys that yielded, the linear structure holds more than their springs do
+        excess = self._excess(moment)
         return Energies(
             self._input.copy(),
             0.5 * np.einsum("ni,ni->n", v @ self.building.mass, v),
-            0.5 * np.einsum("ni,ni->n", x @ self.building.stiffness, x),
+            0.5 * np.einsum("ni,ni->n", x @ self.building.stiffness, x) - excess,
             self._damping.copy(),
             self._devices[:, :m] - brace,
-            self._devices[:, m:].sum(axis=1),
+            self._devices[:, m:].sum(axis=1) + excess,
             brace.sum(axis=1),
         )
+
+    def _excess(self, moment: Moment) -> Array:
+        """Elastic energy of whole drifts less that of the springs that yield, (n,), kip in."""
+        n, m = self.building.freedoms, self.dampers
+        bank = moment.devices.storeys
+        if bank is None:
+            return np.zeros(len(moment.state))
+        drift = moment.state[:, :n] @ self.frame.places[m:].T
+        stiffness = bank.stiffness.reshape(drift.shape)
+        spring = bank.spring.reshape(drift.shape)
+        return np.asarray(0.5 * (stiffness * drift**2 - spring**2 / stiffness).sum(axis=1))
 
     @property
     def energies(self) -> Energies:

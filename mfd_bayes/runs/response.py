@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from mfd_bayes.errors import BuildingError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.population.population import Population
 from mfd_bayes.response.analysis import respond
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.choice import Choice
@@ -17,14 +19,26 @@ from mfd_bayes.response.draws import draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.settling import Accuracy
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import MARGIN, Departure, Span
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """The calibrated device that the dampers are: what a run knows of it."""
+
+    population: Population
+    model: Model
+    actuation_unit: str
+    tested: tuple[Span, ...]
+    system: System
+
 
 Grounds = Sequence[Ground | str | Path] | Ground | str | Path
 
 
 def respond_of_run(
-    run: Run,
+    source: Source,
     building: Building | str | Path,
     grounds: Grounds,
     choice: Choice,
@@ -61,14 +75,13 @@ def respond_of_run(
     """
     built = building if isinstance(building, Building) else read_building(building)
     moved = grounds_of(grounds)
-    check_actuation(run, built)
+    check_actuation(source, built)
     if not 0.0 < tolerance < 1.0:
         raise BuildingError(f"tolerance must lie between 0 and 1, got {tolerance}")
-    model = next(iter(run.tests.values())).posterior.model
-    dampers = draw_dampers(run.population, model, built, choice)
+    dampers = draw_dampers(source.population, source.model, built, choice)
     accuracy = Accuracy(tolerance=tolerance)
     found = respond(built, moved, dampers, accuracy=accuracy, jobs=jobs, observe=observe)
-    return replace(found, remarks=(*remarks_of(run, found), *found.faults))
+    return replace(found, remarks=(*remarks_of(source, found), *found.faults))
 
 
 def grounds_of(grounds: Grounds) -> list[Ground]:
@@ -86,26 +99,26 @@ def _read(text: str) -> Ground:
     return read_ground(path, step=step, unit=unit)
 
 
-def check_actuation(run: Run, building: Building) -> None:
+def check_actuation(source: Source, building: Building) -> None:
     """Refuse dampers that are actuated by another kind of quantity than the tests were."""
     for device in building.devices:
-        if device.unit != run.actuation_unit:
-            kind = "pressure" if run.actuation_unit == "ksi" else "force"
+        if device.unit != source.actuation_unit:
+            kind = "pressure" if source.actuation_unit == "ksi" else "force"
             raise BuildingError(
                 f"the actuation of the damper at {device.name} must be a {kind}, as in the campaign"
             )
 
 
-def remarks_of(run: Run, response: Response) -> list[str]:
+def remarks_of(source: Source, response: Response) -> list[str]:
     """Where the dampers leave what was tested, in sentences."""
     if not response.dampers.count:
         return []
-    tested = {span.name: span for span in run.tested}
+    tested = {span.name: span for span in source.tested}
     levels = [d.actuation for d in response.building.devices if np.isfinite(d.actuation)]
     stroke = 2.0 * float(np.median(response.travel.max(axis=(1, 2))))
     asked = [Span("stroke", "in", stroke, stroke)]
     if levels:
-        asked.append(Span("actuation", run.actuation_unit, min(levels), max(levels)))
+        asked.append(Span("actuation", source.actuation_unit, min(levels), max(levels)))
     found = []
     for span in asked:
         own = tested.get(span.name)
@@ -113,8 +126,8 @@ def remarks_of(run: Run, response: Response) -> list[str]:
             continue
         below = span.lowest < own.lowest * (1 - MARGIN)
         if span.highest > own.highest * (1 + MARGIN) or below:
-            found.append(Departure(span, own).sentence(run.system))
-    if run.population.layout.covariate_reference:
+            found.append(Departure(span, own).sentence(source.system))
+    if source.population.layout.covariate_reference:
         found.append(
             "quantities that depend on speed or amplitude are taken at those of the typical test"
         )

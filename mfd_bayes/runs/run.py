@@ -205,10 +205,13 @@ class Run:
         **settings: Any,
     ) -> Response:
         """Response of a building with this device as its dampers; see `respond_of_run`."""
-        from mfd_bayes.runs.response import respond_of_run
+        from mfd_bayes.runs.response import Source, respond_of_run
 
+        model = next(iter(self.tests.values())).posterior.model
+        known = self.actuation_unit, self.tested, self.system
+        source = Source(self.population, model, *known)
         choice = Choice(kind, draws, seed)
-        return respond_of_run(self, building, grounds, choice, jobs=jobs, **settings)
+        return respond_of_run(source, building, grounds, choice, jobs=jobs, **settings)
 
     def _this_test(self, forecast: Forecast, name: str, trace: Trace) -> TestResult:
         """The calibrated test that is asked for by its id."""
