@@ -61,10 +61,14 @@ def bouc_wen_row(rng: np.random.Generator, slip: float) -> Array:
     """Parameters of Bouc-Wen hysteresis."""
     fwd, bwd = slip * rng.uniform(0.8, 1.2, 2)
     k = slip / rng.uniform(0.05, 0.2)
-    return np.array([k, rng.uniform(0, 0.05), fwd, bwd, rng.uniform(0.5, 1), rng.uniform(1, 3), 0.01])
+    return np.array(
+        [k, rng.uniform(0, 0.05), fwd, bwd, rng.uniform(0.5, 1), rng.uniform(1, 3), 0.01]
+    )
 
 
-Case = tuple[Model, Callable[[np.random.Generator, float], Array], Callable[..., tuple[float, float]]]
+Case = tuple[
+    Model, Callable[[np.random.Generator, float], Array], Callable[..., tuple[float, float]]
+]
 CASES: dict[str, Case] = {
     "lugre": (LuGre(), lugre_row, reference.lugre),
     "bouc_wen": (BoucWen(), bouc_wen_row, reference.bouc_wen),

@@ -96,9 +96,7 @@ def respond(
 
 def export(
     out: arguments.Run,
-    to: Annotated[
-        Literal["quofem", "opensees", "csv"], typer.Option(help="Who is to read it.")
-    ],
+    to: Annotated[Literal["quofem", "opensees", "csv"], typer.Option(help="Who is to read it.")],
     folder: Annotated[
         Path, typer.Option("-o", "--out", parser=arguments.path, help="Folder to write.")
     ] = Path("export"),

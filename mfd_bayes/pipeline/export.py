@@ -96,7 +96,9 @@ def _samples(run: Run, level: float, asked: Export) -> tuple[list[str], list[str
         (device,),
         Limits(),
     )
-    found = draw_dampers(run.population, model, building, Choice("new_test", asked.draws, asked.seed))
+    found = draw_dampers(
+        run.population, model, building, Choice("new_test", asked.draws, asked.seed)
+    )
     known = {q.name: q.unit for q in model.quantities}
     names = [*model.parameters, "start"]
     units = [*(known.get(name, "1") for name in model.parameters), "1"]
@@ -105,9 +107,10 @@ def _samples(run: Run, level: float, asked: Export) -> tuple[list[str], list[str
 
 def _write_csv(folder: Path, names: list[str], units: list[str], values: Array) -> list[str]:
     """One table with a header."""
-    head = [n if u == "1" else f"{n}_{u.replace('*', '_').replace('/', '_per_')}" for n, u in zip(
-        names, units, strict=True
-    )]
+    head = [
+        n if u == "1" else f"{n}_{u.replace('*', '_').replace('/', '_per_')}"
+        for n, u in zip(names, units, strict=True)
+    ]
     lines = [",".join(head), *(",".join(f"{v:.9g}" for v in row) for row in values)]
     write_text(folder / "samples.csv", "\n".join(lines) + "\n")
     return [f"{len(values)} joint samples of {len(names)} variables: {folder / 'samples.csv'}"]
@@ -130,14 +133,16 @@ def _write_quofem(folder: Path, names: list[str], units: list[str], values: Arra
         for name in names
     ]
     group = [f"{{{','.join(names)}}}"]
-    write_json(folder / "randomVariables.json", {"randomVariables": variables, "RVdataGroup": group})
+    write_json(
+        folder / "randomVariables.json", {"randomVariables": variables, "RVdataGroup": group}
+    )
     lines = ["%eval_id interface " + " ".join(names)]
     for i, row in enumerate(values, start=1):
         lines.append(f"{i} NO_ID " + " ".join(f"{v:.12g}" for v in row))
     write_text(folder / "dakotaTab.out", "\n".join(lines) + "\n")
     return [
         f"{len(values)} joint samples of {len(names)} variables: {folder}/NAME.txt, one column each",
-        f"the group that keeps their correlation: RVdataGroup in {folder / 'randomVariables.json'}; "
+        f"their group, which keeps the correlation: {folder / 'randomVariables.json'}; "
         f"all in one: {folder / 'dakotaTab.out'}",
     ]
 

@@ -242,13 +242,22 @@ def _verdict(response: Response, system: System) -> list[str]:
 
 def sweep_sentence(sweep: Sweep, system: System) -> str:
     """The best actuation, with its interval."""
-    what = {"mean": "the mean", "q90": "the 90 % quantile", "passing": "the chance to pass the limit"}
+    what = {
+        "mean": "the mean",
+        "q90": "the 90 % quantile",
+        "passing": "the chance to pass the limit",
+    }
     best = system.words([sweep.best], sweep.unit, 3, actuation=True)
     ends = system.words(sweep.interval, sweep.unit, 3, actuation=True)
-    edge = " It lies at an end of the range: sweep further." if sweep.best in (
-        sweep.levels[0],
-        sweep.levels[-1],
-    ) else ""
+    edge = (
+        " It lies at an end of the range: sweep further."
+        if sweep.best
+        in (
+            sweep.levels[0],
+            sweep.levels[-1],
+        )
+        else ""
+    )
     return (
         f"{what[sweep.goal][0].upper()}{what[sweep.goal][1:]} of the largest {sweep.quantity} is "
         f"smallest at {best} (90 % interval of the place: {ends}).{edge}"
@@ -277,4 +286,6 @@ def _write(
             images[f"{name}_{of.name}"] = to_png(figure)
             if of is system:
                 write_picture(folder / f"{name}.png", images[f"{name}_{of.name}"])
-    write_text(folder / "report.html", render_response(replace(view, metric=system is not US), images))
+    write_text(
+        folder / "report.html", render_response(replace(view, metric=system is not US), images)
+    )

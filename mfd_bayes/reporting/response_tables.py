@@ -39,7 +39,9 @@ def peaks_csv(rows: Iterable[Row], system: System) -> str:
         unit, by = shown_unit(row.unit, system)
         ends = [end for band in row.bands for end in band]
         figures = [row.median, row.mean, *ends, row.bare, row.plain]
-        lines.append([row.quantity, row.ground, row.place, unit, *(_number(by * f) for f in figures)])
+        lines.append(
+            [row.quantity, row.ground, row.place, unit, *(_number(by * f) for f in figures)]
+        )
     return _csv(lines)
 
 

@@ -91,7 +91,9 @@ def respond(
     """
     accuracy = accuracy or Accuracy()
     blocks = [
-        Block(f"{ground.name} {number + 1}.{part}", building, ground, dampers.chosen(rows), accuracy)
+        Block(
+            f"{ground.name} {number + 1}.{part}", building, ground, dampers.chosen(rows), accuracy
+        )
         for number, ground in enumerate(grounds)
         for part, rows in enumerate(_parts(dampers), start=1)
     ]

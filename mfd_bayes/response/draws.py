@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +19,7 @@ from mfd_bayes.response.history import level_of, levels_along
 from mfd_bayes.response.leftover import Leftover
 
 Array = NDArray[np.float64]
+
 
 def draw_dampers(
     population: Population, model: Model, building: Building, choice: Choice

@@ -37,7 +37,9 @@ class Equivalent:
     misfit: Array
 
 
-def equivalents(model: Model, theta: Array, start: Array, amplitude: float) -> dict[str, Equivalent]:
+def equivalents(
+    model: Model, theta: Array, start: Array, amplitude: float
+) -> dict[str, Equivalent]:
     """BoucWen and ElasticPP of OpenSees, fitted to the loops of each draw (n, p) by least squares.
 
     The motion is four cycles of growing amplitude at 0.25 Hz.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-EXAMPLE = '''\
-# A building with dampers, for: mfd-bayes respond OUT --building building.toml --ground FILE.AT2 -o FOLDER
+EXAMPLE = """\
+# A building with dampers, for: mfd-bayes respond OUT --building building.toml --ground …
 # Every quantity has its unit. Change what is here; what is left out has a sensible default.
 
 [building]
@@ -49,4 +49,4 @@ actuation = "1000 psi"
 [limits]
 drift = "1 %"
 acceleration = "0.5 g"
-'''
+"""

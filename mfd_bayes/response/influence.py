@@ -63,7 +63,9 @@ def _columns(values: Array) -> Array:
     mean = values.mean(axis=1)
     columns = np.stack([mean, (mean - mean.mean()) ** 2, *values.T[:6]], axis=1)
     spread = columns.std(axis=0)
-    return np.asarray(((columns - columns.mean(axis=0)) / np.maximum(spread, 1e-300))[:, spread > 0])
+    return np.asarray(
+        ((columns - columns.mean(axis=0)) / np.maximum(spread, 1e-300))[:, spread > 0]
+    )
 
 
 def _explained(columns: Sequence[Array], targets: Array) -> float:

@@ -26,9 +26,9 @@ def parse_mass(text: str) -> float:
     try:
         return parse_measure(text, MASS)
     except UnitError as error:
-        raise UnitError(f"expected a mass such as '45 Mg' or '0.26 kip*s^2/in', got {text!r}") from (
-            error
-        )
+        raise UnitError(
+            f"expected a mass such as '45 Mg' or '0.26 kip*s^2/in', got {text!r}"
+        ) from (error)
 
 
 def parse_acceleration(text: str) -> float:
@@ -43,9 +43,9 @@ def parse_acceleration(text: str) -> float:
     try:
         return parse_measure(text, ACCELERATION)
     except UnitError as error:
-        raise UnitError(f"expected an acceleration such as '0.3 g' or '3 m/s^2', got {text!r}") from (
-            error
-        )
+        raise UnitError(
+            f"expected an acceleration such as '0.3 g' or '3 m/s^2', got {text!r}"
+        ) from (error)
 
 
 def acceleration_factor(unit: str) -> float:

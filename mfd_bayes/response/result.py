@@ -193,7 +193,9 @@ class Response:
                 at = np.flatnonzero(flags)
                 if at.size:
                     listed = ", ".join(map(str, at[:10])) + (", …" if at.size > 10 else "")
-                    found.append(f"{ground.name}: {at.size} of {self.draws} draws {words}: {listed}")
+                    found.append(
+                        f"{ground.name}: {at.size} of {self.draws} draws {words}: {listed}"
+                    )
         return tuple(found)
 
     def rows(self) -> Iterator[Row]:

@@ -17,7 +17,7 @@ def _text(parse: Callable[[str], float]) -> BeforeValidator:
 
     def validate(value: object) -> float:
         if not isinstance(value, str):
-            raise ValueError(f"give a number and a unit in quotes, got {value!r}")  # noqa: TRY004
+            raise ValueError(f"give a number and a unit in quotes, got {value!r}")
         try:
             return parse(value)
         except UnitError as error:
@@ -64,7 +64,9 @@ def _checked_actuation(text: str) -> str:
     return text
 
 
-Actuation = Annotated[str, BeforeValidator(lambda v: _checked_actuation(v) if isinstance(v, str) else v)]
+Actuation = Annotated[
+    str, BeforeValidator(lambda v: _checked_actuation(v) if isinstance(v, str) else v)
+]
 
 
 class Part(BaseModel):

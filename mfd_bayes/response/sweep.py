@@ -66,11 +66,13 @@ def parse_sweep(text: str) -> tuple[Array, str]:
     BuildingError
         When it is no such range.
     """
-    plain = text.replace("\"", "").replace("'", "")
-    match = re.fullmatch(r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*", plain)
+    plain = text.replace('"', "").replace("'", "")
+    match = re.fullmatch(
+        r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*", plain
+    )
     if match is None:
         raise BuildingError(
-            f"--sweep {text!r}: expected actuation=\"500 psi to 1500 psi\", or the same with "
+            f'--sweep {text!r}: expected actuation="500 psi to 1500 psi", or the same with '
             "'in 5 steps' after it"
         )
     try:

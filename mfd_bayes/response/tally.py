@@ -86,7 +86,9 @@ class Energies:
         return Energies(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
-def work(before: Array, after: Array, slope_before: Array, slope_after: Array, step: float) -> Array:
+def work(
+    before: Array, after: Array, slope_before: Array, slope_after: Array, step: float
+) -> Array:
     """Integral of a power over a step, from its values and slopes at both ends."""
     trapezoid = 0.5 * step * (before + after)
     return np.asarray(trapezoid + CORRECTION * step**2 * (slope_before - slope_after))

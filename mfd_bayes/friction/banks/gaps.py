@@ -38,7 +38,9 @@ class Gaps:
         k2, k3, d2, d3 = (columns[name] for name in ("k2", "k3", "d2", "d3"))
         ell = columns["gamma2"] / columns["gamma1"]
         early, late = d2 / ell, (d2 + d3) / ell
-        return cls(k2, k3, d2, d2 + d3, ell, early, late, expit(late) * expit(-early), (k2 - k3) * d2)
+        return cls(
+            k2, k3, d2, d2 + d3, ell, early, late, expit(late) * expit(-early), (k2 - k3) * d2
+        )
 
     def chosen(self, rows: Rows) -> Gaps:
         """Those of some dampers."""

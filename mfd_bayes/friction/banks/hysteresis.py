@@ -87,7 +87,9 @@ class HystereticBank:
             for side in ("Fy_fwd", "Fy_bwd")
         }
         forward = self.columns["Fy_fwd"][pick] * shares["Fy_fwd"]
-        strength = sign * np.where(way > 0, forward, self.columns["Fy_bwd"][pick] * shares["Fy_bwd"])
+        strength = sign * np.where(
+            way > 0, forward, self.columns["Fy_bwd"][pick] * shares["Fy_bwd"]
+        )
         curve = self.curve if rows is None else chosen_curve(self.curve, rows)
         far = self.columns["k"][pick] / np.abs(strength) * np.abs(way)
         w = curve.value(curve.move(curve.place(z / strength)[:, None], far[:, None]))[:, 0]

@@ -31,7 +31,9 @@ class PlasticBank:
     displacement: Array
 
     @classmethod
-    def at_rest(cls, stiffness: Array, strength: Array, elastic: Array | None = None) -> PlasticBank:
+    def at_rest(
+        cls, stiffness: Array, strength: Array, elastic: Array | None = None
+    ) -> PlasticBank:
         """Springs without force at displacement 0."""
         zero = np.zeros(stiffness.size)
         return cls(stiffness, strength, zero if elastic is None else elastic, zero, zero)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,7 +37,7 @@ def draw_building(building: Building, system: System) -> Figure:
     figure = look.new_figure(4.2, float(np.clip(1.2 + 4.2 * level[-1] / (2.2 * width), 2.4, 8.0)))
     axes = figure.add_subplot()
     axes.plot([-0.2 * width, 1.2 * width], [0, 0], color="#333333", lw=2)
-    for low, high in zip(level[:-1], level[1:], strict=True):
+    for low, high in pairwise(level):
         axes.plot([0, 0, width, width], [low, high, high, low], color="#333333", lw=1.6)
     for i in range(len(heights)):
         weight = building.mass[i, i] * GRAVITY * system.factor("kip")
@@ -103,7 +104,9 @@ def _profile(axes: Axes, values: Array, bare: Array, friction: Array, *, step: b
         for low, high, colour in ((0, 4, _WIDE), (1, 3, _NARROW)):
             size = quantiles[high] - quantiles[low]
             axes.barh(at, size, left=quantiles[low], height=0.86, color=colour)
-        axes.plot(quantiles[2], at, "|", color=_MIDDLE, ms=16, mew=2, label="median; 50, 95 % bands")
+        axes.plot(
+            quantiles[2], at, "|", color=_MIDDLE, ms=16, mew=2, label="median; 50, 95 % bands"
+        )
         axes.plot(bare, at, "o", color=_BARE, ms=4, label="without dampers")
         axes.plot(friction, at, "s", color=_PLAIN, ms=4, label="plain friction")
     else:
@@ -176,7 +179,11 @@ def draw_sweep(sweep: Sweep, system: System) -> Figure:
     """Largest drift and acceleration against the actuation, with bands and the best one."""
     figure = look.new_figure(8.4, 3.2)
     by = 1000.0 if system.name == "us" else system.factor(sweep.unit)
-    unit = ("psi" if sweep.unit == "ksi" else "lbf") if system.name == "us" else system.unit(sweep.unit)
+    unit = (
+        ("psi" if sweep.unit == "ksi" else "lbf")
+        if system.name == "us"
+        else system.unit(sweep.unit)
+    )
     names = {"drift": (system.factor("in"), system.length), "acceleration": (1.0, "g")}
     for axes, (name, (factor, of)) in zip(figure.subplots(1, 2), names.items(), strict=True):
         flat = factor * sweep.values[name].reshape(len(sweep.levels), -1)
