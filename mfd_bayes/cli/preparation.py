@@ -25,7 +25,7 @@ def init(
     ] = False,
     building: Annotated[
         bool,
-        typer.Option("--building", help="Write a first building.toml for respond instead."),
+        typer.Option("--building", help="Write building.toml and ground.AT2 instead."),
     ] = False,
 ) -> None:
     """Write a first campaign.toml for a folder of test files, or a first building.toml.
@@ -49,7 +49,8 @@ def init(
 
         with mistakes():
             target = init_building(folder, force=force)
-        say(f"{target} written: change what is in it; then mfd-bayes respond --help")
+        say(f"{target} and an artificial ground.AT2 written: change what is in them")
+        say("look next: mfd-bayes respond --help")
         return
     if folder.suffix == ".toml":
         with mistakes():

@@ -141,7 +141,7 @@ def _write_quofem(folder: Path, names: list[str], units: list[str], values: Arra
         lines.append(f"{i} NO_ID " + " ".join(f"{v:.12g}" for v in row))
     write_text(folder / "dakotaTab.out", "\n".join(lines) + "\n")
     return [
-        f"{len(values)} joint samples of {len(names)} variables: {folder}/NAME.txt, one column each",
+        f"{len(values)} joint samples of {len(names)} variables: a file each in {folder}",
         f"their group, which keeps the correlation: {folder / 'randomVariables.json'}; "
         f"all in one: {folder / 'dakotaTab.out'}",
     ]

@@ -22,7 +22,7 @@ from mfd_bayes.reporting.response_tables import (
     sweep_csv,
 )
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.example import EXAMPLE
+from mfd_bayes.response.example import EXAMPLE, example_ground
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.influence import influence
 from mfd_bayes.response.measures import parse_acceleration
@@ -89,17 +89,20 @@ class Found:
 
 
 def init_building(path: Path, *, force: bool = False) -> Path:
-    """Write a first building file.
+    """Write a first building file, and an artificial ground motion, ground.AT2, beside it.
 
     Raises
     ------
     BuildingError
-        When it exists and `force` is not given.
+        When one exists and `force` is not given; nothing is written then.
     """
     target = path / "building.toml" if path.is_dir() or path.suffix != ".toml" else path
-    if target.exists() and not force:
-        raise BuildingError(f"{target} exists: give --force to replace it")
+    ground = target.with_name("ground.AT2")
+    for place in (target, ground):
+        if place.exists() and not force:
+            raise BuildingError(f"{place} exists: give --force to replace it")
     write_text(target, EXAMPLE)
+    write_text(ground, example_ground())
     return target
 
 
@@ -117,7 +120,7 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
     building = read_building(query.building)
     grounds = _grounds(query)
     run = open_run(out)
-    system = named_system(query.units, run.system)
+    system = named_system(query.units, SYSTEMS[run.system.name == "si"])
 
     def answer(of: Building) -> Response:
         return run.respond(

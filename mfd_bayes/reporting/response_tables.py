@@ -9,12 +9,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mfd_bayes.reporting.latex import escape
-from mfd_bayes.response.measures import GRAVITY
 from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.systems import System
 from mfd_bayes.store.files import json_text
-from mfd_bayes.units import percent
+from mfd_bayes.units import GRAVITY, percent
 
 
 def shown_unit(unit: str, system: System) -> tuple[str, float]:

@@ -14,7 +14,7 @@ from mfd_bayes.errors import BuildingError, MfdError, UnitError
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import why_no_file
 from mfd_bayes.records.roles import header_unit
-from mfd_bayes.response.measures import GRAVITY, acceleration_factor
+from mfd_bayes.response.measures import acceleration_factor
 from mfd_bayes.units import factor
 
 Array = NDArray[np.float64]
@@ -224,4 +224,4 @@ def parse_ground(text: str) -> tuple[Path, float | None, str]:
     return Path(name), step, unit
 
 
-__all__ = ["GRAVITY", "Ground", "ground_of", "parse_ground", "read_ground"]
+__all__ = ["Ground", "ground_of", "parse_ground", "read_ground"]

@@ -5,10 +5,7 @@ from __future__ import annotations
 import re
 
 from mfd_bayes.errors import UnitError
-from mfd_bayes.units import convert, parse_measure, parse_quantity
-
-GRAVITY = 9.80665 / 0.0254
-"""Acceleration of gravity, in/s²."""
+from mfd_bayes.units import GRAVITY, convert, parse_quantity, split_quantity
 
 MASS = "kip*s^2/in"
 ACCELERATION = "in/s^2"
@@ -24,7 +21,7 @@ def parse_mass(text: str) -> float:
     UnitError
     """
     try:
-        return parse_measure(text, MASS)
+        return parse_quantity(text, "mass")
     except UnitError as error:
         raise UnitError(
             f"expected a mass such as '45 Mg' or '0.26 kip*s^2/in', got {text!r}"
@@ -40,12 +37,13 @@ def parse_acceleration(text: str) -> float:
     """
     if match := _IN_G.fullmatch(text):
         return float(match[1]) * GRAVITY
+    value, unit = split_quantity(text)
     try:
-        return parse_measure(text, ACCELERATION)
+        return value * convert(unit, ACCELERATION)
     except UnitError as error:
         raise UnitError(
             f"expected an acceleration such as '0.3 g' or '3 m/s^2', got {text!r}"
-        ) from (error)
+        ) from error
 
 
 def acceleration_factor(unit: str) -> float:

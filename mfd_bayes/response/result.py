@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.measures import GRAVITY
 from mfd_bayes.response.settling import Settled
+from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
 

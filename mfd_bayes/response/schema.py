@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from mfd_bayes.errors import UnitError
-from mfd_bayes.response.measures import GRAVITY, parse_acceleration, parse_mass, parse_share
-from mfd_bayes.units import parse_actuation, parse_quantity
+from mfd_bayes.response.measures import parse_acceleration, parse_mass, parse_share
+from mfd_bayes.units import GRAVITY, parse_actuation, parse_quantity
 
 
 def _text(parse: Callable[[str], float]) -> BeforeValidator:

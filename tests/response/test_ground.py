@@ -8,7 +8,7 @@ import pytest
 
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.response.ground import parse_ground, read_ground
-from mfd_bayes.response.measures import GRAVITY
+from mfd_bayes.units import GRAVITY
 
 PEER = """PEER NGA STRONG MOTION DATABASE RECORD
 Imperial Valley, 5/19/1940, El Centro

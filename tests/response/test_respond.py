@@ -14,9 +14,10 @@ from mfd_bayes.response.analysis import respond
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
-from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.ground import Ground, read_ground
 from mfd_bayes.response.influence import influence
 from mfd_bayes.response.settling import Accuracy
+from mfd_bayes.units import GRAVITY
 
 BUILDING = """
 [building]
@@ -194,6 +195,7 @@ def test_a_first_building_file_is_written_once(tmp_path):
     done = CliRunner().invoke(app, ["init", str(tmp_path), "--building"])
     assert done.exit_code == 0
     assert read_building(tmp_path / "building.toml").freedoms == 3
+    assert read_ground(tmp_path / "ground.AT2").peak == pytest.approx(0.35 * GRAVITY)
     assert CliRunner().invoke(app, ["init", str(tmp_path), "--building"]).exit_code == 2
 
 

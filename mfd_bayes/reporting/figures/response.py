@@ -15,10 +15,10 @@ from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
 from mfd_bayes.response.building import Building
-from mfd_bayes.response.measures import GRAVITY
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.systems import System
+from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
 
