@@ -84,8 +84,7 @@ def three_stage(o: Oscillator, row: Array, start: float) -> tuple[float, float]:
     own = row[[0, 1, 2, 3, 4, 5, 6, 13]]
     direction = -1.0 if o.ground[np.flatnonzero(o.ground)[0]] > 0 else 1.0
     places = Places.begun(gaps, np.zeros(1), np.array([direction]), np.array([start]))
-    at_rest = Places.begun(gaps, np.zeros(1), np.ones(1), np.array([start]))
-    rest = float(blended(gaps, at_rest, np.zeros(1), np.zeros(1))[0])
+    rest = float(blended(gaps, places, np.zeros(1), np.zeros(1))[0])
     t, y, top = 0.0, np.zeros(3), [0.0, 0.0]
     while t < o.end - 1e-12:
         flow, force = _bristles(o, own, _blend(gaps, places), rest)

@@ -22,7 +22,7 @@ from mfd_bayes.reporting.response_tables import (
     sweep_csv,
 )
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.example import EXAMPLE, example_ground
+from mfd_bayes.response.example import example_building, example_ground
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.influence import influence
 from mfd_bayes.response.measures import parse_acceleration
@@ -101,7 +101,7 @@ def init_building(path: Path, *, force: bool = False) -> Path:
     for place in (target, ground):
         if place.exists() and not force:
             raise BuildingError(f"{place} exists: give --force to replace it")
-    write_text(target, EXAMPLE)
+    write_text(target, example_building())
     write_text(ground, example_ground())
     return target
 

@@ -25,7 +25,7 @@ from mfd_bayes.response.tally import Energies, Peaks
 
 Array = NDArray[np.float64]
 
-ROWS = 1200
+ROWS = 1500
 """Dampers of a block of draws: enough for numpy to be quick, few enough for the cache."""
 
 

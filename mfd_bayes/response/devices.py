@@ -32,6 +32,10 @@ class Dampers:
         Mean slip forces.
     scales : mapping of (n, m, T), optional
         Factors of what follows the actuation, at the times `times`; none for constant actuations.
+    about : mapping of (n, m)
+        Values by which the draws differ, by the name of the source, for `influence`.
+    direction : (m,), optional
+        ±1, direction in which each begins to move.
     """
 
     model: Model | None
@@ -42,6 +46,7 @@ class Dampers:
     scales: Mapping[str, Array] = field(default_factory=dict)
     times: Array | None = None
     about: Mapping[str, Array] = field(default_factory=dict)
+    direction: Array | None = None
 
     @property
     def draws(self) -> int:
@@ -65,12 +70,18 @@ class Dampers:
             about={name: a[rows] for name, a in self.about.items()},
         )
 
+    def towards(self, way: Array) -> Dampers:
+        """The dampers, about to move in the directions of the signs of `way`, (m,)."""
+        return replace(self, direction=np.where(way < 0, -1.0, 1.0))
+
     def bank(self) -> Bank:
         """The dampers at rest, as a bank of n m."""
         if self.model is None:
             slip = self.slip.ravel()
             return PlasticBank.at_rest(slip / RIGID, slip)
-        return bank_of(self.model, self.theta.reshape(-1, self.theta.shape[2]), self.start.ravel())
+        theta = self.theta.reshape(-1, self.theta.shape[2])
+        way = None if self.direction is None else np.tile(self.direction, self.draws)
+        return bank_of(self.model, theta, self.start.ravel(), way)
 
     def scales_at(self, time: float) -> dict[str, Array] | None:
         """Factors of what follows the actuation at a time, (n m,) each."""
@@ -118,6 +129,25 @@ class Devices:
         if self.storeys is None:
             return force
         return np.concatenate([force, self.storeys.force.reshape(n, -1)], axis=1)
+
+    def chosen(self, rows: NDArray[np.intp]) -> Devices:
+        """The devices of some buildings."""
+        flat = self._flat(rows, self.dampers.count)
+        storeys, left = self.storeys, self.leftover
+        if storeys is not None:
+            count = storeys.stiffness.size // self.dampers.draws
+            storeys = storeys.chosen(self._flat(rows, count))
+        return Devices(
+            self.dampers.chosen(rows),
+            self.bank.chosen(flat),
+            storeys,
+            None if left is None else left.chosen(rows),
+        )
+
+    @staticmethod
+    def _flat(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+        """Places in a bank of the devices of some buildings that have `count` each."""
+        return (rows[:, None] * count + np.arange(count)).ravel()
 
     def step(self, travel: Array, velocity: Array, dt: float, time: float) -> Devices:
         """State at the next sample, from travels and velocities (n, m + s)."""

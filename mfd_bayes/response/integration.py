@@ -18,8 +18,11 @@ from mfd_bayes.response.tally import Energies, Peaks
 
 Array = NDArray[np.float64]
 
+TOGETHER = 5
+"""Equilibrium iterations of all draws together."""
+
 ITERATIONS = 24
-"""Most equilibrium iterations of a step."""
+"""Most iterations of the draws that need more."""
 
 CLOSE = 1e-6
 """A force is in equilibrium when it changes by less than this share of the slip force."""
@@ -98,7 +101,9 @@ def integrate(
     places = np.concatenate([building.travels, building.drifts[strong]])
     frame = Frame.of(building, places)
     step = Step.of(frame, ground.step / parts)
-    devices = Devices.at_rest(dampers, building.storeys[strong], building.yields[strong])
+    way = -np.sign(ground.acceleration[np.flatnonzero(ground.acceleration)[0]])
+    begin = dampers.towards(way * (building.travels @ building.influence))
+    devices = Devices.at_rest(begin, building.storeys[strong], building.yields[strong])
     mover = _Mover.of(building, frame, step, devices)
     ledger = Ledger.of(building, frame, ground, devices, kept)
     state = np.zeros((dampers.draws, 2 * building.freedoms))
@@ -145,6 +150,7 @@ class _Mover:
     tolerance: Array
     unstable: NDArray[np.bool_]
     open: Array
+    earlier: Array | None = None
     iterations: int = 0
     steps: int = 0
 
@@ -182,27 +188,68 @@ class _Mover:
     def _balance(
         self, before: Moment, travel: Array, velocity: Array, time: float
     ) -> tuple[Devices, Array]:
-        """Devices and their forces at the end of a step, by a secant of each device."""
-        step, size, rest = self.step, self.step.size, self.rest
-        force, search = before.force, Search.of(before.force.shape)
+        """Devices and their forces at the end of a step, by a secant of each device.
+
+        Nearly all draws are in equilibrium after a few iterations; the others go on alone.
+        """
+        free = _Free(before.devices, before.force, travel, velocity, self.rest, self.tolerance)
         live = ~self.unstable[:, None]
-        for number in range(ITERATIONS):
-            pulled = force - rest
-            x = travel - pulled @ step.flexibility.T - pulled * self.brace
-            v = velocity - pulled @ step.mobility.T - (force - before.force) * (self.brace / size)
-            devices = before.devices.step(x, v, size, time)
+        guess = before.force if self.earlier is None else 2.0 * before.force - self.earlier
+        devices, found, force, far = self._search(free, guess, time, TOGETHER)
+        rows = np.flatnonzero((far & live).any(axis=1))
+        if rows.size:
+            some = free.chosen(rows)
+            _, _, force[rows], still = self._search(some, force[rows], time, ITERATIONS)
+            x, v = self._pulled(free, force)
+            devices = before.devices.step(x, v, self.step.size, time)
             found = devices.force
-            far = (np.abs(found - force) > self.tolerance) & live
-            if number:
-                jumps = far & search.closed(self.tolerance)
-                found = np.where(jumps, force, found)
-                far &= ~jumps
-            if not far.any():
-                break
-            force = search.next(force, found, self.tolerance)
-        else:
-            rough = np.abs(found - force) > ROUGH / CLOSE * self.tolerance
-            self.open += (rough & far).any(axis=1)
-        self.iterations += number + 1
+            found[rows] = force[rows]  # where it jumps, the force between is in equilibrium
+            self.open[rows] += still.any(axis=1)
         self.steps += 1
+        self.earlier = before.force
         return devices, found
+
+    def _pulled(self, free: _Free, force: Array) -> tuple[Array, Array]:
+        """Travels and velocities of devices that hold these forces."""
+        pulled, size = force - free.rest, self.step.size
+        x = free.travel - pulled @ self.step.flexibility.T - pulled * self.brace
+        rate = (force - free.force) * (self.brace / size)
+        return x, free.velocity - pulled @ self.step.mobility.T - rate
+
+    def _search(
+        self, free: _Free, force: Array, time: float, most: int
+    ) -> tuple[Devices, Array, Array, NDArray[np.bool_]]:
+        """Devices, their forces, what was tried last, and what is not in equilibrium."""
+        search = Search.of(force.shape)
+        for number in range(most):
+            x, v = self._pulled(free, force)
+            devices = free.devices.step(x, v, self.step.size, time)
+            found = devices.force
+            off = np.abs(found - force)
+            far = ~(off <= free.tolerance)
+            if number:
+                far &= ~search.closed(free.tolerance)
+            self.iterations += 1
+            if not far.any() or number == most - 1:
+                break
+            force = search.next(force, found, free.tolerance)
+        if most == ITERATIONS:
+            far &= off > ROUGH / CLOSE * free.tolerance
+        return devices, found, force, far
+
+
+@dataclass(frozen=True, eq=False)
+class _Free:
+    """Devices before a step, and where they would be after it without force; (n, m) each."""
+
+    devices: Devices
+    force: Array
+    travel: Array
+    velocity: Array
+    rest: Array
+    tolerance: Array
+
+    def chosen(self, rows: NDArray[np.intp]) -> _Free:
+        """Those of some draws."""
+        columns = (self.force, self.travel, self.velocity, self.rest, self.tolerance)
+        return _Free(self.devices.chosen(rows), *(column[rows] for column in columns))

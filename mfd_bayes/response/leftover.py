@@ -69,6 +69,11 @@ class LeftoverState:
     held: Array
     force: Array
 
+    def chosen(self, rows: NDArray[np.intp]) -> LeftoverState:
+        """That of some buildings."""
+        columns = (self.place, self.direction, self.turn, self.stroke, self.held, self.force)
+        return LeftoverState(self.leftover.chosen(rows), *(column[rows] for column in columns))
+
     def step(self, place: Array) -> LeftoverState:
         """State at the next displacements, (n, m), in."""
         way = place - self.place

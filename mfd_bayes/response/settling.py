@@ -35,7 +35,7 @@ class Accuracy:
     """
 
     tolerance: float = 0.01
-    longest: float = 0.02
+    longest: float = 0.01
     halvings: int = 4
     kept: int = 8
 

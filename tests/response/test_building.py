@@ -10,7 +10,7 @@ from scipy import linalg
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.response.building import building_of, read_building
 from mfd_bayes.response.content import content_of
-from mfd_bayes.response.example import EXAMPLE
+from mfd_bayes.response.example import example_building
 
 GOOD = """
 [building]
@@ -64,7 +64,7 @@ def test_both_modes_have_the_ratio(kind):
 
 def test_the_first_file_can_be_used(tmp_path):
     path = tmp_path / "building.toml"
-    path.write_text(EXAMPLE)
+    path.write_text(example_building())
     building = read_building(path)
     assert len(building.devices) == 3
     assert building.limits.drift == pytest.approx(0.01)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from mfd_bayes.friction.banks.bank import Bank
+from numpy.typing import ArrayLike
+
+from mfd_bayes.friction.banks.bank import Array, Bank
 from mfd_bayes.friction.banks.hysteresis import HystereticBank
 from mfd_bayes.friction.banks.one_by_one import OneByOne
 from mfd_bayes.friction.banks.paper import PaperBank
@@ -14,7 +16,9 @@ from mfd_bayes.friction.paper import PaperModel
 __all__ = ["Bank", "HystereticBank", "OneByOne", "PaperBank", "PlasticBank", "bank_of"]
 
 
-def bank_of(model: Model, theta: object, start: object = None) -> Bank:
+def bank_of(
+    model: Model, theta: ArrayLike, start: ArrayLike | None = None, direction: Array | None = None
+) -> Bank:
     """Bank of dampers of a model, at rest at displacement 0.
 
     Parameters
@@ -26,6 +30,9 @@ def bank_of(model: Model, theta: object, start: object = None) -> Bank:
         Parameters of each damper.
     start : (n,), optional
         Place of each in its gap; ½ when left out.
+    direction : (n,), optional
+        ±1, direction of each one's first motion, where it is known; what a damper holds at rest
+        inside its gap depends on it.
 
     Raises
     ------
@@ -33,7 +40,7 @@ def bank_of(model: Model, theta: object, start: object = None) -> Bank:
         When a shape or a value does not fit, or the model cannot be stepped in time.
     """
     if isinstance(model, PaperModel):
-        return PaperBank.at_rest(model, theta, start)
+        return PaperBank.at_rest(model, theta, start, direction)
     if isinstance(model, BoucWen):
         return HystereticBank.at_rest(model, theta)
-    return OneByOne.at_rest(model, theta, start)
+    return OneByOne.at_rest(model, theta, start, direction)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.banks.bank import Array, Scales
@@ -22,7 +22,13 @@ class OneByOne:
     force: Array
 
     @classmethod
-    def at_rest(cls, model: Model, theta: object, start: object = None) -> OneByOne:
+    def at_rest(
+        cls,
+        model: Model,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        direction: Array | None = None,
+    ) -> OneByOne:
         """Dampers at rest at displacement 0.
 
         Raises
@@ -35,9 +41,13 @@ class OneByOne:
         rows = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         places = np.full(len(rows), 0.5) if start is None else np.asarray(start, dtype=np.float64)
         states, forces = [], []
-        for row, place in zip(rows, np.broadcast_to(places, len(rows)), strict=True):
+        stepped: Any = model
+        for i, (row, place) in enumerate(
+            zip(rows, np.broadcast_to(places, len(rows)), strict=True)
+        ):
             begin = (row[None], np.array([place])) if model.has_gap else (row[None],)
-            force, state = model.step(model.start(*begin), 0.0, 0.0, 0.0)
+            way = None if direction is None else int(direction[i])
+            force, state = stepped.step(stepped.start(*begin, direction=way), 0.0, 0.0, 0.0)
             states.append(state)
             forces.append(float(force[0]))
         return cls(model, tuple(states), np.array(forces))

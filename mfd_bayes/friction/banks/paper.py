@@ -80,8 +80,14 @@ class PaperBank:
     start: Array
 
     @classmethod
-    def at_rest(cls, model: PaperModel, theta: ArrayLike, start: object = None) -> PaperBank:
-        """Dampers at rest at displacement 0, about to move forward.
+    def at_rest(
+        cls,
+        model: PaperModel,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        direction: Array | None = None,
+    ) -> PaperBank:
+        """Dampers at rest at displacement 0, about to move forward unless a direction is given.
 
         Raises
         ------
@@ -90,11 +96,12 @@ class PaperBank:
         """
         columns = {name: column[0] for name, column in check_theta(model, theta).items()}
         own = Bristles(**{f.name: columns[f.name] for f in fields(Bristles)})
-        zero, one = np.zeros(own.v_s.size), np.ones(own.v_s.size)
+        zero = np.zeros(own.v_s.size)
+        one = np.ones(zero.size) if direction is None else direction
         begin = np.broadcast_to(0.5 if start is None else np.asarray(start), zero.shape)
         gaps = Gaps.of(columns) if model.has_gap else None
         places = None if gaps is None else Places.begun(gaps, zero, one, begin)
-        still = np.zeros(zero.size, dtype=bool)
+        still = np.full(zero.size, direction is not None)
         return cls(own, own, gaps, zero, zero, zero, zero, one, still, places, begin)
 
     @property
@@ -218,9 +225,8 @@ def _relaxed(
     steady = kinetic + excess * np.exp(-((way / (dt * middle.v_s)) ** 2))
     steady /= np.maximum(middle.sigma0, FLOOR)
     step = np.where(way == 0.0, NO_STEP, way)
-    z = np.where(backward, -steady, steady) + np.exp(-np.abs(step) / steady) * (
-        z - np.where(backward, -steady, steady)
-    )
+    target = np.where(backward, -steady, steady)
+    z = target + np.exp(-np.abs(step) / steady) * (z - target)
     rate = np.abs(velocity) / steady * after.sigma1
     if before is not after:  # where the actuation fell while at rest, σ0 |z|/g is limited
         most = np.maximum(np.maximum(after.Fs_fwd, after.Fs_bwd), FLOOR)
