@@ -13,6 +13,10 @@ class CampaignError(MfdError):
     """A campaign file, or a setting, cannot be used as it is."""
 
 
+class BuildingError(MfdError):
+    """A building file, a ground motion, or what is asked of a building, cannot be used as it is."""
+
+
 class UnitError(MfdError):
     """A unit is unknown, or does not measure what it is used for."""
 

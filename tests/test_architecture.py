@@ -21,6 +21,7 @@ ROOMS = (
     "calibration",
     "population",
     "planning",
+    "response",
     "campaign",
     "runs",
     "validation",
@@ -48,13 +49,14 @@ HOMES = {
     "jinja2": ("mfd_bayes.reporting.html",),
     "markupsafe": (
         *("mfd_bayes.reporting.glossary", "mfd_bayes.reporting.html"),
-        "mfd_bayes.reporting.symbols",
+        *("mfd_bayes.reporting.symbols", "mfd_bayes.reporting.response_page"),
     ),
     "pint": ("mfd_bayes.units",),
     "pydantic": (
         *("mfd_bayes.campaign.schema", "mfd_bayes.campaign.content"),
         *("mfd_bayes.runs.manifest", "mfd_bayes.store.schema"),
         *("mfd_bayes.calibration.stored", "mfd_bayes.population.stored"),
+        *("mfd_bayes.response.schema", "mfd_bayes.response.content"),
     ),
     "h5py": (
         "mfd_bayes.records.readers.matlab_v73",
@@ -71,7 +73,7 @@ HOMES = {
     "typer": (
         *("mfd_bayes.cli.commands", "mfd_bayes.cli.arguments", "mfd_bayes.cli.preparation"),
         *("mfd_bayes.cli.calibration", "mfd_bayes.cli.prediction", "mfd_bayes.cli.planning"),
-        *("mfd_bayes.cli.console", "mfd_bayes.cli.exits"),
+        *("mfd_bayes.cli.console", "mfd_bayes.cli.exits", "mfd_bayes.cli.response"),
     ),
     "rich": ("mfd_bayes.cli.console", "mfd_bayes.cli.progress"),
 }
@@ -191,7 +193,8 @@ def test_what_is_run_would_be_seen() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["commands", "arguments", "preparation", "calibration", "prediction", "planning"]
+    "name",
+    ["commands", "arguments", "preparation", "calibration", "prediction", "planning", "response"],
 )
 def test_commands_call_the_pipeline_alone(name: str) -> None:
     ours = files_of(imports_of(PACKAGE / "cli" / f"{name}.py"))

@@ -16,6 +16,7 @@ from mfd_bayes.cli.environment import settle_environment
 from mfd_bayes.cli.planning import next_test
 from mfd_bayes.cli.prediction import compare, crossvalidate, predict
 from mfd_bayes.cli.preparation import init, inspect, prior_check
+from mfd_bayes.cli.response import export, respond
 from mfd_bayes.cli.streams import checked_streams
 from mfd_bayes.jobs.signals import end_on_signals
 
@@ -51,6 +52,8 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     (_USE, compare, "open out/MODEL/report.html of the model that is favoured"),
     (_USE, draws, "read the table with pandas, R or another program; or mfd-bayes predict --help"),
     (_USE, next_test, "make the test, add it to campaign.toml, and calibrate again"),
+    (_USE, respond, "open FOLDER/report.html, then mfd-bayes export --help"),
+    (_USE, export, "read about.json in the folder, beside the samples"),
     (_TRY, demo, "open out/report.html, then mfd-bayes inspect test.csv with a file of yours"),
 )
 """Panel of the help, command, and what to do next."""

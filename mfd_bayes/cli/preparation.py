@@ -19,12 +19,16 @@ def init(
         typer.Argument(
             parser=path, help="The folder of your test files, or a campaign.toml for its priors."
         ),
-    ],
+    ] = Path(),
     force: Annotated[
         bool, typer.Option("--force", help="Replace a campaign.toml or priors.toml that exists.")
     ] = False,
+    building: Annotated[
+        bool,
+        typer.Option("--building", help="Write building.toml and ground.AT2 instead."),
+    ] = False,
 ) -> None:
-    """Write a first campaign.toml for a folder of test files.
+    """Write a first campaign.toml for a folder of test files, or a first building.toml.
 
     Guesses columns, units, actuations and ids from the names and numbers of the
     files; what is not certain is marked "unsure" in the file, with the
@@ -36,9 +40,18 @@ def init(
     Example:
       mfd-bayes init tests
       mfd-bayes init tests/campaign.toml --force
+      mfd-bayes init --building
     """
     from mfd_bayes.pipeline import commands as pipeline
 
+    if building:
+        from mfd_bayes.pipeline.response import init_building
+
+        with mistakes():
+            target = init_building(folder, force=force)
+        say(f"{target} and an artificial ground.AT2 written: change what is in them")
+        say("look next: mfd-bayes respond --help")
+        return
     if folder.suffix == ".toml":
         with mistakes():
             written, named = pipeline.init_priors(folder, force=force)

@@ -83,7 +83,7 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
         a picture that is not given is left out.
     """
     whole = len(view.tests) <= ONE_PAGE
-    environment, shared = _environment(systems_for(small=view.small)), _shared(view)
+    environment, shared = page_environment(systems_for(small=view.small)), _shared(view)
     explorer = explore(view) if view.tests else None
     shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}
     pages = {
@@ -93,7 +93,7 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
             pictures={key: _picture(key, png, embedded=True) for key, png in shown.items()},
             links=_links(view, whole),
             explorer=explorer,
-            policy=_policy(shared["script"], *([explorer.library] if explorer else [])),
+            policy=policy_of(shared["script"], *([explorer.library] if explorer else [])),
             glossary=read_glossary(),
         )
     }
@@ -116,7 +116,7 @@ def _test_page(
         cells=shared["cells"],
         verdicts=shared["verdicts"],
         script=shared["script"],
-        policy=_policy(shared["script"]),
+        policy=policy_of(shared["script"]),
         fit=grid_of(check for check in test.checks if is_of_fit(check)),
         sampler=grid_of(check for check in test.checks if is_of_sampler(check)),
     )
@@ -182,17 +182,18 @@ def _script(name: str) -> str:
     return files("mfd_bayes.reporting").joinpath("templates", name).read_text(encoding="utf-8")
 
 
-def _policy(*scripts: str) -> str:
+def policy_of(*scripts: str) -> str:
     """Content security policy that allows these scripts and pictures of the page, nothing else."""
     hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
-    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     return (
         "default-src 'none'; img-src data: blob: file: 'self'; style-src 'unsafe-inline'; "
         f"script-src {allowed}; base-uri 'none'; form-action 'none'"
     )
 
 
-def _environment(systems: Pair) -> Environment:
+def page_environment(systems: Pair) -> Environment:
+    """Environment of the templates of all pages."""
     environment = Environment(
         loader=PackageLoader("mfd_bayes.reporting"),
         autoescape=True,
@@ -237,24 +238,30 @@ def _picture(key: str, png: bytes, *, embedded: bool) -> Picture:
     return Picture(name, width, height, name, quote(table.rpartition("/")[2]))
 
 
+def embedded_picture(key: str, png: bytes) -> Picture:
+    """Picture that is part of its page."""
+    return _picture(key, png, embedded=True)
+
+
 def _both(systems: Pair, value: float, unit: str, digits: int = 4) -> Markup:
     """A number in both systems of units; the page shows the one that the reader chose."""
     if not math.isfinite(value) or systems[1].unit(unit) == unit:
         return escape(symbols.number(value, digits))
-    return _either(*(symbols.number(value * s.factor(unit), digits) for s in systems))
+    return either(*(symbols.number(value * s.factor(unit), digits) for s in systems))
 
 
 def _both_units(systems: Pair, unit: str) -> Markup:
     """A unit in both systems."""
     if systems[1].unit(unit) == unit:
         return escape(symbols.unit_text(unit))
-    return _either(*(symbols.unit_text(s.unit(unit)) for s in systems))
+    return either(*(symbols.unit_text(s.unit(unit)) for s in systems))
 
 
 def _both_actuations(systems: Pair, test: TestView, unit: str) -> Markup:
     """A test's actuation in both systems."""
-    return _either(*(s.actuation(test.trace, unit) for s in systems))
+    return either(*(s.actuation(test.trace, unit) for s in systems))
 
 
-def _either(us: str, si: str) -> Markup:
+def either(us: str, si: str) -> Markup:
+    """Two texts, of which the page shows that in the system that the reader chose."""
     return Markup('<span class="us">{}</span><span class="si">{}</span>').format(us, si)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from mfd_bayes.population.recalibration import chosen_factor, promise
 from mfd_bayes.population.setting import planned_setting
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.response.choice import Choice
 from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, this_test
 from mfd_bayes.runs.folder import (
     POPULATION,
@@ -47,6 +48,11 @@ from mfd_bayes.runs.verdict import Use
 from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
+
+if TYPE_CHECKING:
+    from mfd_bayes.response.building import Building
+    from mfd_bayes.response.ground import Ground
+    from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
 
@@ -210,6 +216,26 @@ class Run:
         remarks = (*self._remarks(trace, test), *band.remarks)
         band = replace(band, remarks=remarks, extras=self.extras)
         return self._recalibrated(band, scores) if recalibrate else band
+
+    def respond(
+        self,
+        building: Building | str | Path,
+        grounds: Sequence[Ground | str | Path] | Ground | str | Path,
+        draws: int = 300,
+        seed: int = 1,
+        *,
+        kind: str = "new_test",
+        jobs: int = 1,
+        **settings: Any,
+    ) -> Response:
+        """Response of a building with this device as its dampers; see `respond_of_run`."""
+        from mfd_bayes.runs.response import Source, respond_of_run
+
+        model = next(iter(self.tests.values())).posterior.model
+        known = self.actuation_unit, self.tested, self.system
+        source = Source(self.population, model, *known)
+        choice = Choice(kind, draws, seed)
+        return respond_of_run(source, building, grounds, choice, jobs=jobs, **settings)
 
     def follow(
         self,

@@ -1,0 +1,1 @@
+"""How exactly, and how fast, buildings with dampers are stepped."""

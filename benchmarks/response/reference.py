@@ -1,0 +1,131 @@
+"""One degree of freedom with a damper, by scipy's solve_ivp: computed a second way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
+
+Array = NDArray[np.float64]
+RTOL = 1e-9
+
+
+class Oscillator:
+    """m ẍ + c ẋ + k x + F − F(0) = −m a_g, with a damper that has inner states."""
+
+    def __init__(self, mass: float, damping: float, stiffness: float, step: float, ground: Array):
+        self.mass, self.damping, self.stiffness = mass, damping, stiffness
+        self.step, self.ground = step, ground
+
+    def acceleration(self, t: float, x: float, v: float, force: float) -> float:
+        """ẍ, in/s²."""
+        place = min(max(t / self.step, 0.0), len(self.ground) - 1.0)
+        i = min(int(place), len(self.ground) - 2)
+        a = self.ground[i] + (place - i) * (self.ground[i + 1] - self.ground[i])
+        return -a - (self.damping * v + self.stiffness * x + force) / self.mass
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample, s."""
+        return self.step * (len(self.ground) - 1)
+
+
+def bouc_wen(o: Oscillator, row: Array) -> tuple[float, float]:
+    """Largest travel and force of Bouc-Wen hysteresis, in and kip."""
+    k, alpha, fwd, bwd, beta, n, c = row
+
+    def force(x: Array, v: Array, z: Array) -> Array:
+        return np.asarray(alpha * k * x + (1 - alpha) * z + c * v)
+
+    def flow(t: float, y: Array) -> list[float]:
+        x, v, z = y
+        strength = fwd if v >= 0 else bwd
+        grown = abs(z / strength) ** n * (1 - beta + beta * np.sign(z * v))
+        return [v, o.acceleration(t, x, v, force(x, v, z)), k * v * (1 - grown)]
+
+    return _peaks(_solved(flow, o, np.zeros(3)), force)
+
+
+def lugre(o: Oscillator, row: Array) -> tuple[float, float]:
+    """Largest travel and force of LuGre friction, in and kip."""
+    flow, force = _bristles(o, row)
+    return _peaks(_solved(flow, o, np.zeros(3)), force)
+
+
+def _bristles(o: Oscillator, row: Array, change: Any = None, rest: float = 0.0) -> tuple[Any, Any]:
+    s0, s1, s2, fs_f, fc_f, fs_b, fc_b, vs = row
+
+    def rate(v: Array, z: Array) -> Array:
+        forward = v >= 0
+        fs, fc = np.where(forward, fs_f, fs_b), np.where(forward, fc_f, fc_b)
+        g = fc + (fs - fc) * np.exp(-((v / vs) ** 2))
+        return np.asarray(v - s0 * np.abs(v) * z / g)
+
+    def force(x: Array, v: Array, z: Array) -> Array:
+        slip = s0 * z + s1 * rate(v, z) + s2 * v
+        return slip if change is None else change(x, slip)
+
+    def flow(t: float, y: Array) -> list[float]:
+        x, v, z = y
+        pull = float(np.asarray(force(x, v, z)).ravel()[0]) - rest
+        return [v, o.acceleration(t, x, v, pull), float(rate(v, z))]
+
+    return flow, force
+
+
+def three_stage(o: Oscillator, row: Array, start: float) -> tuple[float, float]:
+    """Largest travel and force of the three stages: from one turn of the motion to the next."""
+    names = ("k2", "k3", "d2", "d3", "gamma1", "gamma2")
+    gaps = Gaps.of({name: row[[7 + i]] for i, name in enumerate(names)})
+    own = row[[0, 1, 2, 3, 4, 5, 6, 13]]
+    direction = -1.0 if o.ground[np.flatnonzero(o.ground)[0]] > 0 else 1.0
+    places = Places.begun(gaps, np.zeros(1), np.array([direction]), np.array([start]))
+    rest = float(blended(gaps, places, np.zeros(1), np.zeros(1))[0])
+    t, y, top = 0.0, np.zeros(3), [0.0, 0.0]
+    while t < o.end - 1e-12:
+        flow, force = _bristles(o, own, _blend(gaps, places), rest)
+
+        def turn(t: float, y: Array, way: float = direction) -> float:
+            return float(way * y[1])
+
+        turn.terminal, turn.direction = True, -1.0  # type: ignore[attr-defined]
+        found = _solved(flow, o, y, t, turn)
+        top = [max(a, b) for a, b in zip(top, _peaks(found, force), strict=True)]
+        t, y = float(found.t[-1]), found.y[:, -1]
+        slip = np.array([own[0] * y[2]])  # at rest: no rate, no viscous force
+        direction = -direction
+        places = turned(gaps, places, y[:1], np.array([direction]), slip)
+        y = np.array([y[0], 1e-9 * direction, y[2]])
+    return top[0], top[1]
+
+
+def _blend(gaps: Gaps, places: Places) -> Any:
+    def change(x: Array, slip: Array) -> Array:
+        x, slip = np.atleast_1d(x), np.atleast_1d(slip)
+        many = Places(*(np.broadcast_to(c, x.shape) for c in places))
+        wide = Gaps(*(np.broadcast_to(c, x.shape) for c in vars(gaps).values()))
+        return blended(wide, many, x, slip)
+
+    return change
+
+
+def _solved(flow: Any, o: Oscillator, y: Array, begin: float = 0.0, event: Any = None) -> Any:
+    return solve_ivp(
+        flow,
+        (begin, o.end),
+        y,
+        method="LSODA",
+        rtol=RTOL,
+        atol=1e-11,
+        max_step=o.step,
+        events=event,
+    )
+
+
+def _peaks(found: Any, force: Any) -> tuple[float, float]:
+    x, v, z = found.y
+    return float(np.max(np.abs(x))), float(np.max(np.abs(force(x, v, z))))

@@ -1,0 +1,38 @@
+"""What every bank of dampers offers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Scales = Mapping[str, Array]
+
+
+class Bank(Protocol):
+    """State of n dampers, each with its own motion; a step makes a new one."""
+
+    @property
+    def force(self) -> Array:
+        """Force of each damper at its last sample, (n,), kip."""
+
+    def step(
+        self, displacement: Array, velocity: Array, dt: float, scales: Scales | None = None
+    ) -> Self:
+        """State at the next sample of each damper's motion.
+
+        This one is not changed, and may be stepped again: that is what equilibrium iterations do.
+
+        Parameters
+        ----------
+        displacement, velocity : (n,), in, in/s
+        dt : float, s
+        scales : mapping of (n,), optional
+            Factors of the parameters that follow the actuation.
+        """
+
+    def chosen(self, rows: NDArray[np.intp]) -> Self:
+        """The bank of some of its dampers."""

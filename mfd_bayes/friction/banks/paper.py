@@ -1,0 +1,236 @@
+"""A bank of LuGre or three-stage dampers (model.md sections 2 to 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.friction.banks.bank import Array, Scales
+from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
+from mfd_bayes.friction.banks.turns import turns_within
+from mfd_bayes.friction.bristles import FLOOR, NO_STEP
+from mfd_bayes.friction.paper import PaperModel, check_theta
+
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Bristles:
+    """LuGre's parameters, (n,) each."""
+
+    sigma0: Array
+    sigma1: Array
+    sigma2: Array
+    Fs_fwd: Array
+    Fc_fwd: Array
+    Fs_bwd: Array
+    Fc_bwd: Array
+    v_s: Array
+
+    def chosen(self, rows: Rows) -> Bristles:
+        """Those of some dampers."""
+        return Bristles(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def scaled(self, scales: Scales) -> Bristles:
+        """Those under a changed actuation."""
+        return replace(self, **{name: getattr(self, name) * s for name, s in scales.items()})
+
+    def midway(self, other: Bristles) -> Bristles:
+        """Their mean with those of another sample."""
+        if other is self:
+            return self
+        pairs = {f.name: (getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
+        return Bristles(**{name: 0.5 * (a + b) for name, (a, b) in pairs.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class PaperBank:
+    """LuGre or three-stage dampers, each with its own motion; equals `Stepped.step` of each.
+
+    Attributes
+    ----------
+    base, bristles : Bristles
+        At the reference actuation, and at that of the last sample.
+    gaps : Gaps or None
+        None for LuGre alone.
+    displacement, velocity, z, slip : (n,), in, in/s, in, kip
+        `z` is the bristles' deflection, `slip` the force F1.
+    direction : (n,)
+        ±1.
+    moved : (n,) bool
+        Whether a damper has moved; before, its direction is assumed.
+    places : Places or None
+        State of each gap.
+    start : (n,)
+        Place in the gap at the start.
+    """
+
+    base: Bristles
+    bristles: Bristles
+    gaps: Gaps | None
+    displacement: Array
+    velocity: Array
+    z: Array
+    slip: Array
+    direction: Array
+    moved: NDArray[np.bool_]
+    places: Places | None
+    start: Array
+
+    @classmethod
+    def at_rest(
+        cls,
+        model: PaperModel,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        direction: Array | None = None,
+    ) -> PaperBank:
+        """Dampers at rest at displacement 0, about to move forward unless a direction is given.
+
+        Raises
+        ------
+        FitError
+            When theta does not fit.
+        """
+        columns = {name: column[0] for name, column in check_theta(model, theta).items()}
+        own = Bristles(**{f.name: columns[f.name] for f in fields(Bristles)})
+        zero = np.zeros(own.v_s.size)
+        one = np.ones(zero.size) if direction is None else direction
+        begin = np.broadcast_to(0.5 if start is None else np.asarray(start), zero.shape)
+        gaps = Gaps.of(columns) if model.has_gap else None
+        places = None if gaps is None else Places.begun(gaps, zero, one, begin)
+        still = np.full(zero.size, direction is not None)
+        return cls(own, own, gaps, zero, zero, zero, zero, one, still, places, begin)
+
+    @property
+    def force(self) -> Array:
+        """Force of each damper, (n,), kip."""
+        if self.gaps is None or self.places is None:
+            return self.slip
+        return blended(self.gaps, self.places, self.displacement, self.slip)
+
+    def step(
+        self, displacement: Array, velocity: Array, dt: float, scales: Scales | None = None
+    ) -> PaperBank:
+        """State at the next sample; see `Bank.step`."""
+        after = self.base if scales is None else self.base.scaled(scales)
+        turns = turns_within(self.displacement, self.velocity, displacement, velocity, dt)
+        bank, left = self, np.full(displacement.size, dt)
+        if turns.rows.size:
+            rows = turns.rows
+            part = self.chosen(rows)
+            middle = part.bristles
+            if after is not self.bristles:
+                middle = _either(turns.share < 0.5, middle, after.chosen(rows))
+            zero = np.zeros(rows.size)
+            part = part._moved(turns.vertex, zero, turns.share * dt, middle)
+            bank = self._with(rows, part)
+            left[rows] = (1.0 - turns.share) * dt
+        return bank._moved(displacement, velocity, left, after)
+
+    def _moved(self, displacement: Array, velocity: Array, dt: Array, after: Bristles) -> PaperBank:
+        """State after a straight way of each damper, each in its own time, (n,) s."""
+        way = displacement - self.displacement
+        back = way * self.direction < 0
+        direction = np.where(back, -self.direction, self.direction)
+        places = self._places(back, direction)
+        slip, z = _relaxed(self.bristles, after, way, dt, velocity, self.z)
+        return PaperBank(
+            self.base,
+            after,
+            self.gaps,
+            displacement,
+            velocity,
+            z,
+            slip,
+            direction,
+            self.moved | (way != 0.0),
+            places,
+            self.start,
+        )
+
+    def _places(self, back: NDArray[np.bool_], direction: Array) -> Places | None:
+        """Gaps after the dampers that go `back` have turned, or begun the other way."""
+        if self.gaps is None or self.places is None or not back.any():
+            return self.places
+        places = self.places
+        rows = np.flatnonzero(back & self.moved)
+        if rows.size:
+            new = turned(
+                self.gaps.chosen(rows),
+                places.chosen(rows),
+                self.displacement[rows],
+                direction[rows],
+                self.slip[rows],
+            )
+            places = places.replaced(rows, new)
+        rows = np.flatnonzero(back & ~self.moved)
+        if rows.size:
+            at = self.displacement[rows], direction[rows], self.start[rows]
+            places = places.replaced(rows, Places.begun(self.gaps.chosen(rows), *at))
+        return places
+
+    def _with(self, rows: Rows, part: PaperBank) -> PaperBank:
+        """The bank with the state of some of its dampers replaced."""
+        new = {}
+        for name in ("displacement", "velocity", "z", "slip", "direction", "moved"):
+            column = getattr(self, name).copy()
+            column[rows] = getattr(part, name)
+            new[name] = column
+        places = self.places
+        if places is not None and part.places is not None:
+            places = places.replaced(rows, part.places)
+        bristles = self.bristles
+        if bristles is not self.base or part.bristles is not part.base:
+            columns = {f.name: getattr(bristles, f.name).copy() for f in fields(bristles)}
+            for name, column in columns.items():
+                column[rows] = getattr(part.bristles, name)
+            bristles = Bristles(**columns)
+        return replace(self, **new, places=places, bristles=bristles)
+
+    def chosen(self, rows: Rows) -> PaperBank:
+        """The bank of some of its dampers."""
+        base = self.base.chosen(rows)
+        return PaperBank(
+            base,
+            base if self.bristles is self.base else self.bristles.chosen(rows),
+            None if self.gaps is None else self.gaps.chosen(rows),
+            *(c[rows] for c in (self.displacement, self.velocity, self.z, self.slip)),
+            self.direction[rows],
+            self.moved[rows],
+            None if self.places is None else self.places.chosen(rows),
+            self.start[rows],
+        )
+
+
+def _either(early: NDArray[np.bool_], before: Bristles, after: Bristles) -> Bristles:
+    """The parameters of the nearer sample."""
+    return Bristles(
+        *(np.where(early, getattr(before, f.name), getattr(after, f.name)) for f in fields(before))
+    )
+
+
+def _relaxed(
+    before: Bristles, after: Bristles, way: Array, dt: Array, velocity: Array, z: Array
+) -> tuple[Array, Array]:
+    """Force F1 and deflection z after a step, (n,) kip and in; see `bristles.slip_force`."""
+    middle = before.midway(after)
+    backward = way < 0.0
+    static = np.where(backward, middle.Fs_bwd, middle.Fs_fwd)
+    kinetic = np.maximum(np.where(backward, middle.Fc_bwd, middle.Fc_fwd), FLOOR)
+    # the deflection that the bristles approach: sgn(v) g(v)/σ0
+    excess = np.maximum(static - kinetic, 0.0)
+    steady = kinetic + excess * np.exp(-((way / (dt * middle.v_s)) ** 2))
+    steady /= np.maximum(middle.sigma0, FLOOR)
+    step = np.where(way == 0.0, NO_STEP, way)
+    target = np.where(backward, -steady, steady)
+    z = target + np.exp(-np.abs(step) / steady) * (z - target)
+    rate = np.abs(velocity) / steady * after.sigma1
+    if before is not after:  # where the actuation fell while at rest, σ0 |z|/g is limited
+        most = np.maximum(np.maximum(after.Fs_fwd, after.Fs_bwd), FLOOR)
+        most = most / np.maximum(np.minimum(after.Fc_fwd, after.Fc_bwd), FLOOR)
+        rate *= np.minimum(1.0, most / np.maximum(np.abs(z) / steady, 1e-300))
+    slip = (after.sigma0 - rate) * z + (after.sigma1 + after.sigma2) * velocity
+    return slip, z

@@ -1,0 +1,176 @@
+"""Samples of a new device for other programs: quoFEM, OpenSees, and CSV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.response.building import Building, Device
+from mfd_bayes.response.choice import Choice
+from mfd_bayes.response.draws import draw_dampers
+from mfd_bayes.response.equivalent import Equivalent, equivalents
+from mfd_bayes.response.schema import Limits
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.store.files import write_json, write_text
+from mfd_bayes.units import parse_actuation
+
+Array = NDArray[np.float64]
+
+FITS = 24
+"""Draws to which a material is fitted."""
+
+ABOUT = "about.json"
+
+
+@dataclass(frozen=True)
+class Export:
+    """What is to be written: for whom, where, at which actuation, how many draws."""
+
+    to: str
+    folder: Path
+    actuation: str = ""
+    draws: int = 1000
+    seed: int = 1
+    force: bool = False
+
+
+def export(out: Path, asked: Export) -> list[str]:
+    """Write the samples of a new device; sentences that say what was written.
+
+    Raises
+    ------
+    MfdError
+        When the run or the actuation cannot be used, or the folder is not this command's.
+    """
+    folder = asked.folder
+    used = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    if used and not (folder / ABOUT).is_file() and not asked.force:
+        raise StoreError(
+            f"{folder} exists, and this command did not write it: give another name with -o, or "
+            "--force to write into it"
+        )
+    if (folder / "manifest.json").exists():
+        raise StoreError(f"{folder} is a run folder: give a folder of its own")
+    run = open_run(out)
+    level = _level(run, asked.actuation)
+    names, units, theta, start = _samples(run, level, asked)
+    about = {
+        "made_by": "mfd_bayes export",
+        "actuation": {"value": level, "unit": run.actuation_unit},
+        "variables": dict(zip(names, units, strict=True)),
+        "draws": asked.draws,
+        "seed": asked.seed,
+        "kind": "new_test",
+    }
+    writers = {"csv": _write_csv, "quofem": _write_quofem}
+    if asked.to in writers:
+        said = writers[asked.to](folder, names, units, np.column_stack([theta, start]))
+    else:
+        said = _write_opensees(folder, run, theta[:FITS], start[:FITS], about)
+    write_json(folder / ABOUT, about)
+    return said
+
+
+def _level(run: Run, actuation: str) -> float:
+    """Actuation that is asked for, or the middle of the tested ones."""
+    if not actuation:
+        return float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
+    level, unit = parse_actuation(actuation, of="--actuation")
+    if unit != run.actuation_unit:
+        kind = "pressure" if run.actuation_unit == "ksi" else "force"
+        raise CampaignError(f"--actuation {actuation!r} must be a {kind}, as in the campaign")
+    return level
+
+
+def _samples(run: Run, level: float, asked: Export) -> tuple[list[str], list[str], Array, Array]:
+    """Names, units and draws (n, p) of the parameters of a new device, and its starts (n,)."""
+    model = next(iter(run.tests.values())).posterior.model
+    one = np.ones((1, 1))
+    device = Device("device", 1, 0, level, run.actuation_unit)
+    building = Building(
+        *("one device", one, one, one, np.ones(1), one, np.ones(1), np.ones(1), np.ones(1)),
+        (device,),
+        Limits(),
+    )
+    found = draw_dampers(
+        run.population, model, building, Choice("new_test", asked.draws, asked.seed)
+    )
+    known = {q.name: q.unit for q in model.quantities}
+    names = [*model.parameters, "start"]
+    units = [*(known.get(name, "1") for name in model.parameters), "1"]
+    return names, units, found.theta[:, 0], found.start[:, 0]
+
+
+def _write_csv(folder: Path, names: list[str], units: list[str], values: Array) -> list[str]:
+    """One table with a header."""
+    head = [
+        n if u == "1" else f"{n}_{u.replace('*', '_').replace('/', '_per_')}"
+        for n, u in zip(names, units, strict=True)
+    ]
+    lines = [",".join(head), *(",".join(f"{v:.9g}" for v in row) for row in values)]
+    write_text(folder / "samples.csv", "\n".join(lines) + "\n")
+    return [f"{len(values)} joint samples of {len(names)} variables: {folder / 'samples.csv'}"]
+
+
+def _write_quofem(folder: Path, names: list[str], units: list[str], values: Array) -> list[str]:
+    """A column per variable without a header, the group of all, and dakotaTab.out."""
+    for name, column in zip(names, values.T, strict=True):
+        write_text(folder / f"{name}.txt", "\n".join(f"{v:.12g}" for v in column) + "\n")
+    variables = [
+        {
+            "name": name,
+            "variableClass": "Uncertain",
+            "inputType": "Dataset",
+            "distribution": "Discrete",
+            "refCount": 1,
+            "value": f"RV.{name}",
+            "dataDir": f"{name}.txt",
+        }
+        for name in names
+    ]
+    group = [f"{{{','.join(names)}}}"]
+    write_json(
+        folder / "randomVariables.json", {"randomVariables": variables, "RVdataGroup": group}
+    )
+    lines = ["%eval_id interface " + " ".join(names)]
+    for i, row in enumerate(values, start=1):
+        lines.append(f"{i} NO_ID " + " ".join(f"{v:.12g}" for v in row))
+    write_text(folder / "dakotaTab.out", "\n".join(lines) + "\n")
+    return [
+        f"{len(values)} joint samples of {len(names)} variables: a file each in {folder}",
+        f"their group, which keeps the correlation: {folder / 'randomVariables.json'}; "
+        f"all in one: {folder / 'dakotaTab.out'}",
+    ]
+
+
+def _write_opensees(
+    folder: Path, run: Run, theta: Array, start: Array, about: dict[str, object]
+) -> list[str]:
+    """Materials fitted to each draw's loops."""
+    model = next(iter(run.tests.values())).posterior.model
+    stroke = max((s.highest for s in run.tested if s.name == "stroke"), default=2.0)
+    fits = equivalents(model, theta, start, 0.5 * stroke)
+    said = []
+    for name, found in fits.items():
+        lines = [f"# {name} fitted to the predicted loops of draw i; kip, in, s", *found.commands]
+        write_text(folder / f"{name}.tcl", "\n".join(lines) + "\n")
+        said.append(_sentence(name, found, folder))
+    best = min(fits, key=lambda name: float(np.median(fits[name].misfit)))
+    about["misfit"] = {name: [float(m) for m in found.misfit] for name, found in fits.items()}
+    about["best"] = best
+    about["amplitude_in"] = 0.5 * stroke
+    said.append(f"the best of them: {best}; a gap and its retracing have no equal in one material")
+    return said
+
+
+def _sentence(name: str, found: Equivalent, folder: Path) -> str:
+    low, middle, high = np.quantile(found.misfit, [0.05, 0.5, 0.95])
+    return (
+        f"{name}: misfit (rms over the rms force of the predicted loop) {100 * middle:.3g} % "
+        f"({100 * low:.3g} to {100 * high:.3g} %) over {found.misfit.size} draws: "
+        f"{folder / (name + '.tcl')}"
+    )

@@ -1,0 +1,294 @@
+"""The response of a building from a finished run, written as a folder with a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mfd_bayes.errors import BuildingError, StoreError
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.pipeline.outputs import write_picture
+from mfd_bayes.reporting.response_page import ResponseView, render_response
+from mfd_bayes.reporting.response_tables import (
+    draws_csv,
+    limits_csv,
+    peaks_csv,
+    peaks_tex,
+    response_json,
+    shares_csv,
+    sweep_csv,
+)
+from mfd_bayes.response.building import Building, read_building
+from mfd_bayes.response.example import example_building, example_ground
+from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.influence import influence
+from mfd_bayes.response.measures import parse_acceleration
+from mfd_bayes.response.result import Response
+from mfd_bayes.response.sweep import Sweep, parse_sweep, sweep_of
+from mfd_bayes.runs.reading import reading
+from mfd_bayes.runs.response import grounds_of
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.systems import SI, SYSTEMS, US, System, named_system
+from mfd_bayes.store.files import write_text
+
+MARKER = "response.json"
+"""A folder with this file was written by this command, and may be written again."""
+
+
+@dataclass(frozen=True)
+class Query:
+    """What is asked of a building.
+
+    Attributes
+    ----------
+    building : Path
+    grounds : tuple of str
+        Files, each perhaps with ":0.01s" for its step and ":g" for its unit.
+    folder : Path
+        Of the page and the tables.
+    kind, draws, seed
+        As in `Run.respond`.
+    scale : float
+        Factor of every ground motion.
+    peak : str
+        Peak to which every ground motion is scaled instead, such as "0.3 g".
+    sweep : str
+        Such as 'actuation="500 psi to 1500 psi"'.
+    quantity, goal : str
+        What the sweep makes small: drift or acceleration; mean, q90 or passing.
+    """
+
+    building: Path
+    grounds: tuple[str, ...]
+    folder: Path
+    kind: str = "new_test"
+    draws: int = 300
+    seed: int = 1
+    scale: float = 1.0
+    peak: str = ""
+    sweep: str = ""
+    quantity: str = "drift"
+    goal: str = "mean"
+    tolerance: float = 0.01
+    jobs: int = 0
+    units: str = ""
+    force: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The response, the sweep if one was asked for, and the page."""
+
+    response: Response
+    sweep: Sweep | None
+    view: ResponseView
+    page: Path
+
+
+def init_building(path: Path, *, force: bool = False) -> Path:
+    """Write a first building file, and an artificial ground motion, ground.AT2, beside it.
+
+    Raises
+    ------
+    BuildingError
+        When one exists and `force` is not given; nothing is written then.
+    """
+    target = path / "building.toml" if path.is_dir() or path.suffix != ".toml" else path
+    ground = target.with_name("ground.AT2")
+    for place in (target, ground):
+        if place.exists() and not force:
+            raise BuildingError(f"{place} exists: give --force to replace it")
+    write_text(target, example_building())
+    write_text(ground, example_ground())
+    return target
+
+
+def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
+    """Response of a building with the device of a run; page and tables are written.
+
+    Raises
+    ------
+    MfdError
+        When the run, the building or a ground motion cannot be used, or the folder is not this
+        command's.
+    """
+    _check_folder(query)
+    levels = parse_sweep(query.sweep) if query.sweep else None
+    building = read_building(query.building)
+    grounds = _grounds(query)
+    run = open_run(out)
+    system = named_system(query.units, SYSTEMS[run.system.name == "si"])
+
+    def answer(of: Building) -> Response:
+        return run.respond(
+            *(of, grounds, query.draws, query.seed),
+            kind=query.kind,
+            tolerance=query.tolerance,
+            jobs=query.jobs,
+            observe=observe,
+        )
+
+    with reading(run.folder, run.manifest):
+        response = answer(building)
+        sweep = None
+        if levels is not None:
+            if not building.devices:
+                raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
+            each = [answer(building.at_level(float(level))) for level in levels[0]]
+            sweep = sweep_of(*levels, each, query.quantity, query.goal, query.seed)
+    view = view_of(run, response, sweep, query, system)
+    _write(response, sweep, view, query, system)
+    return Found(response, sweep, view, query.folder / "report.html")
+
+
+def _check_folder(query: Query) -> None:
+    folder = query.folder
+    if folder.exists() and not folder.is_dir():
+        raise StoreError(f"cannot write {folder}: it is a file, and a folder is expected")
+    used = folder.is_dir() and any(folder.iterdir())
+    if (folder / "manifest.json").exists():
+        raise StoreError(f"{folder} is a run folder: give a folder of its own for the response")
+    if used and not (folder / MARKER).is_file() and not query.force:
+        raise StoreError(
+            f"{folder} is not empty, and this command did not write it: give another name, or "
+            "--force to write into it"
+        )
+
+
+def _grounds(query: Query) -> list[Ground]:
+    grounds = grounds_of(list(query.grounds))
+    if not (np.isfinite(query.scale) and query.scale > 0):
+        raise BuildingError(f"--scale must be positive, got {query.scale}")
+    if query.peak:
+        if query.scale != 1.0:
+            raise BuildingError("give either --scale or --peak")
+        peak = parse_acceleration(query.peak)
+        if not peak > 0:
+            raise BuildingError(f"--peak must be positive, got {query.peak!r}")
+        return [ground.with_peak(peak) for ground in grounds]
+    return [g if query.scale == 1.0 else g.scaled(query.scale) for g in grounds]
+
+
+def view_of(
+    run: Run, response: Response, sweep: Sweep | None, query: Query, system: System
+) -> ResponseView:
+    """What the page shows of a response."""
+    several = len(response.grounds) > 1
+    title = f"{response.building.title}: response with dampers"
+    count = len(response.building.devices)
+    about = (
+        f"{response.draws} draws of kind {query.kind} of the device in {run.folder.name}, "
+        f"{count} damper{'' if count == 1 else 's'}, {len(response.grounds)} ground "
+        f"motion{'s' if several else ''}, fundamental period "
+        f"{response.building.modes.periods[0]:.3g} s."
+    )
+    shares = {name: influence(response, name) for name in ("drift", "acceleration")}
+    return ResponseView(
+        title,
+        about,
+        _mark(response),
+        tuple(_verdict(response, system)),
+        response.remarks,
+        tuple(response.rows()),
+        tuple(response.limits()),
+        {name: found for name, found in shares.items() if found},
+        "" if sweep is None else sweep_sentence(sweep, system),
+        tuple(ground.name for ground in response.grounds),
+        count,
+        system is SI,
+        {
+            "run": run.folder,
+            "building": query.building,
+            "ground motions": ", ".join(query.grounds),
+            "kind, draws, seed": f"{query.kind}, {query.draws}, {query.seed}",
+            "tolerance of peaks": f"{query.tolerance:g}",
+            "largest energy not accounted for": f"{response.imbalance.max():.1e} of the input",
+            "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
+        },
+    )
+
+
+def _mark(response: Response) -> str:
+    """Word of the verdict's colour, by the share of draws that are not settled."""
+    bad = float(np.mean(response.unstable | response.unsettled))
+    return "fail" if bad > 0.1 or response.unstable.mean() > 0.01 else "care" if bad else "pass"
+
+
+def _verdict(response: Response, system: System) -> list[str]:
+    """The answer in sentences, verdict first."""
+    found = []
+    ratios = bool(np.all(np.isfinite(response.building.heights)))
+    for g, ground in enumerate(response.grounds):
+        used = response.usable(g)
+        values = (response.drift_ratio if ratios else response.drift)[used, g]
+        if not len(values):
+            found.append(f"{ground.name}: every draw ran away.")
+            continue
+        by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
+        low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
+        bare = response.bare[g].drift
+        without = by * float(np.max(bare / response.building.heights if ratios else bare))
+        found.append(
+            f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
+            f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
+        )
+    for one in response.limits():
+        found.append(
+            f"{one.ground}: the limit of the {one.quantity} is passed with a probability of "
+            f"{100 * one.probability:.3g} % (standard error {100 * one.error:.2g} %)."
+        )
+    return found
+
+
+def sweep_sentence(sweep: Sweep, system: System) -> str:
+    """The best actuation, with its interval."""
+    what = {
+        "mean": "the mean",
+        "q90": "the 90 % quantile",
+        "passing": "the chance to pass the limit",
+    }
+    best = system.words([sweep.best], sweep.unit, 3, actuation=True)
+    ends = system.words(sweep.interval, sweep.unit, 3, actuation=True)
+    edge = (
+        " It lies at an end of the range: sweep further."
+        if sweep.best
+        in (
+            sweep.levels[0],
+            sweep.levels[-1],
+        )
+        else ""
+    )
+    return (
+        f"{what[sweep.goal][0].upper()}{what[sweep.goal][1:]} of the largest {sweep.quantity} is "
+        f"smallest at {best} (90 % interval of the place: {ends}).{edge}"
+    )
+
+
+def _write(
+    response: Response, sweep: Sweep | None, view: ResponseView, query: Query, system: System
+) -> None:
+    from mfd_bayes.reporting.figures import to_png
+    from mfd_bayes.reporting.figures.response import figures_of
+
+    folder = query.folder
+    about = {"title": view.title, "verdict": list(view.verdict), "remarks": list(view.remarks)}
+    write_text(folder / MARKER, response_json(view.rows, view.limits, dict(about)))
+    write_text(folder / "peaks.csv", peaks_csv(view.rows, system))
+    write_text(folder / "peaks.tex", peaks_tex(view.rows, system))
+    write_text(folder / "limits.csv", limits_csv(view.limits, system))
+    write_text(folder / "shares.csv", shares_csv({k: dict(v) for k, v in view.shares.items()}))
+    write_text(folder / "draws.csv", draws_csv(response, system))
+    if sweep is not None:
+        write_text(folder / "sweep.csv", sweep_csv(sweep, system))
+    images = {}
+    for of in SYSTEMS:
+        for name, figure in figures_of(response, sweep, of):
+            images[f"{name}_{of.name}"] = to_png(figure)
+            if of is system:
+                write_picture(folder / f"{name}.png", images[f"{name}_{of.name}"])
+    write_text(
+        folder / "report.html", render_response(replace(view, metric=system is not US), images)
+    )

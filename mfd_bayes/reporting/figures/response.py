@@ -1,0 +1,214 @@
+"""The response of a building: the building itself, drift profile, histories, loops and sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from mfd_bayes.reporting import colours
+from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.response.building import Building
+from mfd_bayes.response.result import Response
+from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.runs.systems import System
+from mfd_bayes.units import GRAVITY
+
+Array = NDArray[np.float64]
+
+_WIDE, _NARROW, _MIDDLE = colours.BANDS["new_test"]
+_BARE, _PLAIN = "#777777", colours.ORANGE
+DAMPERS = 12
+"""Most loops that are drawn."""
+
+
+@look.style()
+def draw_building(building: Building, system: System) -> Figure:
+    """The building to scale, with its dampers."""
+    heights = np.where(np.isfinite(building.heights), building.heights, 144.0)
+    level = np.concatenate([[0.0], np.cumsum(heights)])
+    width = max(1.2 * float(heights.mean()), 0.25 * float(level[-1]))
+    figure = look.new_figure(4.2, float(np.clip(1.2 + 4.2 * level[-1] / (2.2 * width), 2.4, 8.0)))
+    axes = figure.add_subplot()
+    axes.plot([-0.2 * width, 1.2 * width], [0, 0], color="#333333", lw=2)
+    for low, high in pairwise(level):
+        axes.plot([0, 0, width, width], [low, high, high, low], color="#333333", lw=1.6)
+    for i in range(len(heights)):
+        weight = building.mass[i, i] * GRAVITY * system.factor("kip")
+        note = f"{weight:.3g} {system.force}"
+        axes.text(1.06 * width, level[i + 1], note, va="center", fontsize=8)
+    places: dict[tuple[int, int], int] = {}
+    for device in building.devices:
+        key = device.lower, device.upper
+        places[key] = places.get(key, 0) + 1
+    for (low, high), count in places.items():
+        _draw_damper(axes, width, float(level[low]), float(level[high]), count)
+    axes.set_aspect("equal")
+    axes.set_xlim(-0.25 * width, 1.6 * width)
+    axes.axis("off")
+    return figure
+
+
+def _draw_damper(axes: Axes, width: float, low: float, high: float, count: int) -> None:
+    """A diagonal with a box: the damper in its brace."""
+    axes.plot([0, width], [low, high], color=_MIDDLE, lw=1.4)
+    x, y = 0.5 * width, 0.5 * (low + high)
+    size = 0.12 * width
+    box = Rectangle((x - size, y - size / 2), 2 * size, size, facecolor=_WIDE, edgecolor=_MIDDLE)
+    axes.add_patch(box)
+    text = "damper" if count == 1 else f"{count} dampers"
+    axes.text(x, y + 0.8 * size, text, ha="center", va="bottom", fontsize=8, color=_MIDDLE)
+
+
+@look.style()
+def draw_profile(response: Response, system: System) -> Figure:
+    """Storey drift and floor acceleration against height, with bands, for each ground motion."""
+    grounds = response.grounds
+    figure = look.new_figure(8.4, 0.6 + 3.0 * len(grounds))
+    grid = figure.subplots(len(grounds), 2, squeeze=False)
+    ratios = bool(np.all(np.isfinite(response.building.heights)))
+    for g, (left, right) in enumerate(grid):
+        bare, plain_ = response.bare[g], response.plain[g]
+        by = 100.0 / response.building.heights if ratios else system.factor("in")
+        used = response.usable(g)
+        drift = response.drift[used, g] * by
+        _profile(left, drift, bare.drift * by, plain_.drift * by, step=True)
+        left.set_xlabel(f"largest storey drift, {'% of height' if ratios else system.length}")
+        left.set_ylabel("storey")
+        if response.building.limits.drift is not None and ratios:
+            left.axvline(100.0 * response.building.limits.drift, color=colours.VERMILLION, ls="--")
+        acceleration = response.acceleration[used, g] / GRAVITY
+        others = bare.acceleration / GRAVITY, plain_.acceleration / GRAVITY
+        _profile(right, acceleration, *others, step=False)
+        if response.building.limits.acceleration is not None:
+            limit = response.building.limits.acceleration / GRAVITY
+            right.axvline(limit, color=colours.VERMILLION, ls="--")
+        right.set_xlabel("largest floor acceleration, g")
+        left.set_title(plain(grounds[g].name), fontsize=9, fontweight="normal")
+    grid[0, 1].legend(loc="best")
+    return figure
+
+
+def _profile(axes: Axes, values: Array, bare: Array, friction: Array, *, step: bool) -> None:
+    """Bands over the height: each storey as a box, or lines from floor to floor."""
+    n = values.shape[1]
+    at = np.arange(1, n + 1)
+    quantiles = np.quantile(values, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
+    if step:
+        for low, high, colour in ((0, 4, _WIDE), (1, 3, _NARROW)):
+            size = quantiles[high] - quantiles[low]
+            axes.barh(at, size, left=quantiles[low], height=0.86, color=colour)
+        axes.plot(
+            quantiles[2], at, "|", color=_MIDDLE, ms=16, mew=2, label="median; 50, 95 % bands"
+        )
+        axes.plot(bare, at, "o", color=_BARE, ms=4, label="without dampers")
+        axes.plot(friction, at, "s", color=_PLAIN, ms=4, label="plain friction")
+    else:
+        axes.fill_betweenx(at, quantiles[0], quantiles[4], color=_WIDE)
+        axes.fill_betweenx(at, quantiles[1], quantiles[3], color=_NARROW)
+        for low, high, colour, thick in ((0, 4, _WIDE, 6), (1, 3, _NARROW, 6)):
+            axes.hlines(at, quantiles[low], quantiles[high], color=colour, lw=thick)
+        axes.plot(quantiles[2], at, "-", color=_MIDDLE, lw=1.6, label="median; 50, 95 % bands")
+        axes.plot(bare, at, "o--", color=_BARE, ms=4, lw=0.8, label="without dampers")
+        axes.plot(friction, at, "s--", color=_PLAIN, ms=4, lw=0.8, label="plain friction")
+    axes.set_yticks(at)
+    axes.set_xlim(left=0.0)
+
+
+@look.style()
+def draw_histories(response: Response, ground: int, system: System) -> Figure:
+    """Drift of every storey against time, with bands, and that without dampers behind."""
+    values = response.histories[ground][response.usable(ground)]
+    storeys = values.shape[2]
+    figure = look.new_figure(10, 0.8 + 1.5 * storeys)
+    grid = figure.subplots(storeys, 1, squeeze=False, sharex=True)[:, 0]
+    time = response.grounds[ground].time
+    pick = slice(None, None, max(1, time.size // 2500))
+    by = system.factor("in")
+    for i, axes in enumerate(grid[::-1]):
+        low, middle, high = by * np.quantile(values[:, pick, i], [0.025, 0.5, 0.975], axis=0)
+        axes.plot(time[pick], by * response.bare[ground].history[pick, i], color="#bbbbbb", lw=0.7)
+        axes.fill_between(time[pick], low, high, color=_NARROW, lw=0.4)
+        axes.plot(time[pick], middle, color=_MIDDLE, lw=0.8)
+        axes.set_ylabel(f"storey {i + 1}, {system.length}")
+    grid[-1].set_xlabel("time, s")
+    grid[-1].margins(x=0.005)
+    name = plain(response.grounds[ground].name)
+    grid[0].set_title(
+        f"Storey drift, {name}: median and 95 % band; grey: without dampers",
+        fontsize=9,
+        fontweight="normal",
+    )
+    return figure
+
+
+@look.style()
+def draw_damper_loops(response: Response, ground: int, system: System) -> Figure:
+    """Force against travel of the dampers, of some draws."""
+    travels, forces = response.loops[ground]
+    shown = min(travels.shape[2], DAMPERS)
+    columns = min(4, max(shown, 1))
+    rows = -(-shown // columns)
+    figure = look.new_figure(max(2.6 * columns, 5.0), 2.5 * rows + 0.3)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    length, force = system.factor("in"), system.factor("kip")
+    for j, axes in enumerate(grid.flat):
+        if j >= shown:
+            axes.set_visible(False)
+            continue
+        for k in range(min(len(travels), 4)):
+            colour = _MIDDLE if k == 0 else _NARROW
+            path = travels[k, :, j] * length, forces[k, :, j] * force
+            axes.plot(*path, color=colour, lw=0.5, zorder=3 - (k > 0))
+        axes.set_title(plain(response.building.devices[j].name), fontsize=8, fontweight="normal")
+        if j + columns >= shown:
+            axes.set_xlabel(f"travel, {system.length}")
+        if j % columns == 0:
+            axes.set_ylabel(f"force, {system.force}")
+    return figure
+
+
+@look.style()
+def draw_sweep(sweep: Sweep, system: System) -> Figure:
+    """Largest drift and acceleration against the actuation, with bands and the best one."""
+    figure = look.new_figure(8.4, 3.2)
+    by = 1000.0 if system.name == "us" else system.factor(sweep.unit)
+    unit = (
+        ("psi" if sweep.unit == "ksi" else "lbf")
+        if system.name == "us"
+        else system.unit(sweep.unit)
+    )
+    names = {"drift": (system.factor("in"), system.length), "acceleration": (1.0, "g")}
+    for axes, (name, (factor, of)) in zip(figure.subplots(1, 2), names.items(), strict=True):
+        flat = factor * sweep.values[name].reshape(len(sweep.levels), -1)
+        q = np.quantile(flat, [0.025, 0.25, 0.5, 0.75, 0.975], axis=1)
+        axes.fill_between(by * sweep.levels, q[0], q[4], color=_WIDE)
+        axes.fill_between(by * sweep.levels, q[1], q[3], color=_NARROW)
+        axes.plot(by * sweep.levels, q[2], color=_MIDDLE)
+        axes.set(xlabel=f"actuation, {unit}", ylabel=f"largest {name}, {of}")
+        if name == sweep.quantity:
+            axes.axvspan(by * sweep.interval[0], by * sweep.interval[1], color="#f6e3c0", zorder=0)
+            axes.axvline(by * sweep.best, color=colours.ORANGE, lw=1.4)
+        axes.set_ylim(bottom=0.0)
+    return figure
+
+
+def figures_of(
+    response: Response, sweep: Sweep | None, system: System
+) -> Sequence[tuple[str, Figure]]:
+    """Every figure of a response by its name."""
+    found = [("building", draw_building(response.building, system))]
+    found.append(("profile", draw_profile(response, system)))
+    for g in range(len(response.grounds)):
+        found.append((f"history_{g + 1}", draw_histories(response, g, system)))
+        if response.dampers.count:
+            found.append((f"loops_{g + 1}", draw_damper_loops(response, g, system)))
+    if sweep is not None:
+        found.append(("sweep", draw_sweep(sweep, system)))
+    return found

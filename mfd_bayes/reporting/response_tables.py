@@ -1,0 +1,150 @@
+"""Tables of a building's response: CSV, JSON and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mfd_bayes.reporting.latex import escape
+from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
+from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.runs.systems import System
+from mfd_bayes.store.files import json_text
+from mfd_bayes.units import GRAVITY, percent
+
+
+def shown_unit(unit: str, system: System) -> tuple[str, float]:
+    """Unit in which a quantity is shown, and the factor to it: accelerations in g."""
+    if unit == "in/s^2":
+        return "g", 1.0 / GRAVITY
+    if unit == "1":
+        return "%", 100.0
+    if unit == "kip*in":
+        name = "kip*in" if system.name == "us" else "kN*mm"
+        return name, system.factor("kip") * system.factor("in")
+    return system.unit(unit), system.factor(unit)
+
+
+def peaks_csv(rows: Iterable[Row], system: System) -> str:
+    """Peaks and bands as CSV."""
+    head = ["quantity", "ground", "place", "unit", "median", "mean"]
+    for p in PROBABILITIES:
+        head += [f"lower_{percent(p)}", f"upper_{percent(p)}"]
+    lines: list[Sequence[object]] = [[*head, "without_dampers", "plain_friction"]]
+    for row in rows:
+        unit, by = shown_unit(row.unit, system)
+        ends = [end for band in row.bands for end in band]
+        figures = [row.median, row.mean, *ends, row.bare, row.plain]
+        lines.append(
+            [row.quantity, row.ground, row.place, unit, *(_number(by * f) for f in figures)]
+        )
+    return _csv(lines)
+
+
+def limits_csv(found: Iterable[Passing], system: System) -> str:
+    """Probabilities of passing limits as CSV."""
+    lines: list[Sequence[object]] = [
+        ["quantity", "ground", "limit", "unit", "probability", "standard_error"]
+    ]
+    for one in found:
+        unit, by = shown_unit(one.unit, system)
+        figures = _number(one.probability), _number(one.error)
+        lines.append([one.quantity, one.ground, _number(by * one.limit), unit, *figures])
+    return _csv(lines)
+
+
+def shares_csv(shares: dict[str, dict[str, float]]) -> str:
+    """Shares of variance as CSV."""
+    lines: list[Sequence[object]] = [["quantity", "source", "share"]]
+    lines += [[q, name, _number(s)] for q, found in shares.items() for name, s in found.items()]
+    return _csv(lines)
+
+
+def draws_csv(response: Response, system: System) -> str:
+    """The largest of each quantity over the building, for each draw and ground motion."""
+    lines: list[Sequence[object]] = [
+        [
+            *("draw", "ground", f"drift_{system.length}", "acceleration_g"),
+            *(f"base_shear_{system.force}", "step_s", "change", "unstable", "settled"),
+        ]
+    ]
+    drift, shear = response.measure("drift"), response.measure("base_shear")
+    acceleration = response.measure("acceleration")
+    for i in range(response.draws):
+        for g, ground in enumerate(response.grounds):
+            figures = (
+                drift[i, g] * system.factor("in"),
+                acceleration[i, g],
+                shear[i, g] * system.factor("kip"),
+                response.steps[i, g],
+                response.change[i, g],
+            )
+            flags = bool(response.unstable[i, g]), not bool(response.unsettled[i, g])
+            lines.append([i, ground.name, *map(_number, figures), *(int(f) for f in flags)])
+    return _csv(lines)
+
+
+def sweep_csv(sweep: Sweep, system: System) -> str:
+    """Drift and acceleration against the actuation as CSV."""
+    unit = sweep.unit
+    head = [f"actuation_{unit}", f"{sweep.quantity}_{sweep.goal}"]
+    for name, of in (("drift", system.length), ("acceleration", "g")):
+        head += [f"{name}_{part}_{of}" for part in ("median", "mean", "lower_95", "upper_95")]
+    lines: list[Sequence[object]] = [head]
+    for i, level in enumerate(sweep.levels):
+        cells = [_number(float(level)), _number(float(sweep.scores[i]))]
+        for name, by in (("drift", system.factor("in")), ("acceleration", 1.0)):
+            flat = by * sweep.values[name][i].ravel()
+            low, middle, high = np.quantile(flat, [0.025, 0.5, 0.975])
+            cells += [_number(float(v)) for v in (middle, flat.mean(), low, high)]
+        lines.append(cells)
+    return _csv(lines)
+
+
+def response_json(rows: Iterable[Row], found: Iterable[Passing], about: dict[str, object]) -> str:
+    """All rows and limits as JSON, in internal units: kip, in, s."""
+    peaks = [
+        {
+            **{key: getattr(row, key) for key in ("quantity", "ground", "place", "unit")},
+            **{key: getattr(row, key) for key in ("median", "mean", "bare", "plain")},
+            "bands": {
+                percent(p): list(band) for p, band in zip(PROBABILITIES, row.bands, strict=True)
+            },
+        }
+        for row in rows
+    ]
+    limits = [vars(one) for one in found]
+    return json_text({**about, "peaks": peaks, "limits": limits}, indent=2) + "\n"
+
+
+def peaks_tex(rows: Iterable[Row], system: System) -> str:
+    """Peaks of the storeys as a LaTeX table in the manner of booktabs."""
+    lines = [
+        "% Peaks of the response: median and equal-tailed 95 % band.",
+        r"\begin{tabular}{lllrrr}",
+        r"\toprule",
+        r"Quantity & Ground & Place & Median & 95\,\% band & Without dampers \\",
+        r"\midrule",
+    ]
+    for row in rows:
+        if row.quantity.startswith("damper"):
+            continue
+        unit, by = shown_unit(row.unit, system)
+        low, high = (by * end for end in row.bands[-1])
+        cells = [escape(f"{row.quantity}, {unit}"), escape(row.ground), escape(row.place)]
+        cells += [f"{by * row.median:.3g}", f"{low:.3g} to {high:.3g}", f"{by * row.bare:.3g}"]
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}" if np.isfinite(value) else ""
+
+
+def _csv(lines: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(lines)
+    return text.getvalue()

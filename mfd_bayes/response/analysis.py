@@ -1,0 +1,175 @@
+"""The response of a building: blocks of draws under each ground motion, here or in processes."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.jobs.dispatch import Workplace, run_jobs
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.response.building import Building
+from mfd_bayes.response.devices import Dampers
+from mfd_bayes.response.draws import no_dampers, plain_friction
+from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.result import Reference, Response
+from mfd_bayes.response.settling import Accuracy, Settled, settle
+from mfd_bayes.response.tally import Energies, Peaks
+
+Array = NDArray[np.float64]
+
+ROWS = 1500
+"""Dampers of a block of draws: enough for numpy to be quick, few enough for the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some draws of a building under one ground motion: work for one process.
+
+    The blocks do not depend on the number of processes, so that the draws do not either.
+    """
+
+    id: str
+    building: Building
+    ground: Ground
+    dampers: Dampers
+    accuracy: Accuracy
+
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """File that it stores."""
+        return (f"{self.id.replace(' ', '_').replace('/', '_')}.npz",)
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """No files."""
+        return ()
+
+    def solve(self, observe: Callable[[Step], Any] = lambda step: None) -> Settled:
+        """Histories of its draws."""
+        return settle(
+            self.building,
+            self.ground,
+            self.dampers,
+            self.accuracy,
+            lambda share: observe(Step(self.id, "halving steps", message=f"{share:.0%}")),
+        )
+
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Compute the histories and store them."""
+        begun = time.perf_counter()
+        observe(Step(self.id, "in the earthquake"))
+        np.savez(out / self.makes[0], **_packed(self.solve(observe)))  # type: ignore[arg-type]
+        return Outcome(self.id, State.DONE, time.perf_counter() - begun)
+
+
+def respond(
+    building: Building,
+    grounds: Sequence[Ground],
+    dampers: Dampers,
+    *,
+    accuracy: Accuracy | None = None,
+    jobs: int = 1,
+    observe: Callable[[Step], None] = lambda step: None,
+) -> Response:
+    """Response of every draw to every ground motion, and those without dampers beside.
+
+    Parameters
+    ----------
+    building : Building
+    grounds : sequence of Ground
+    dampers : Dampers
+        Of n draws of the building.
+    jobs : int
+        Number of processes; 0 for one per processor. The result does not depend on it.
+    """
+    accuracy = accuracy or Accuracy()
+    blocks = [
+        Block(
+            f"{ground.name} {number + 1}.{part}", building, ground, dampers.chosen(rows), accuracy
+        )
+        for number, ground in enumerate(grounds)
+        for part, rows in enumerate(_parts(dampers), start=1)
+    ]
+    found = _solved(blocks, jobs, observe)
+    each = len(blocks) // len(grounds)
+    settled = [_joined(found[i * each : (i + 1) * each]) for i in range(len(grounds))]
+    slip = np.median(dampers.slip, axis=0) if dampers.count else np.zeros(0)
+    bare = [_reference(building.bare(), ground, no_dampers(), accuracy) for ground in grounds]
+    plain = [_reference(building, ground, plain_friction(slip), accuracy) for ground in grounds]
+    return Response.of(building, grounds, dampers, settled, bare, plain, accuracy.tolerance)
+
+
+def _parts(dampers: Dampers) -> Iterator[NDArray[np.intp]]:
+    """Rows of each block of draws."""
+    size = max(10, ROWS // max(dampers.count, 1))
+    for begin in range(0, dampers.draws, size):
+        yield np.arange(begin, min(begin + size, dampers.draws))
+
+
+def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None]) -> list[Settled]:
+    """Histories of the blocks in their order."""
+    if min(jobs or os.cpu_count() or 1, len(blocks)) == 1:
+        found = []
+        for block in blocks:
+            observe(Step(block.id, "in the earthquake"))
+            found.append(block.solve(observe))
+            observe(Step(block.id, State.DONE))
+        return found
+    with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder:
+        out = Path(folder)
+        for outcome in run_jobs(blocks, out, Workplace(jobs), observe):
+            observe(Step(outcome.id, outcome.status))
+        return [_unpacked(out / block.makes[0]) for block in blocks]
+
+
+def _packed(settled: Settled) -> dict[str, Array]:
+    """Arrays of histories by name."""
+    arrays = {}
+    for field in fields(settled):
+        value = getattr(settled, field.name)
+        if isinstance(value, np.ndarray):
+            arrays[field.name] = value
+        else:
+            arrays |= {f"{field.name}.{f.name}": getattr(value, f.name) for f in fields(value)}
+    return arrays
+
+
+def _unpacked(path: Path) -> Settled:
+    with np.load(path) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    return _of_arrays(arrays)
+
+
+def _of_arrays(arrays: dict[str, Array]) -> Settled:
+    inner = {
+        name: kind(**{f.name: arrays.pop(f"{name}.{f.name}") for f in fields(kind)})
+        for name, kind in (("peaks", Peaks), ("energies", Energies))
+    }
+    return Settled(**arrays, **inner)  # type: ignore[arg-type]
+
+
+def _joined(parts: Sequence[Settled]) -> Settled:
+    """Histories of several blocks of draws, as one."""
+    packed = [_packed(part) for part in parts]
+    return _of_arrays({name: np.concatenate([p[name] for p in packed]) for name in packed[0]})
+
+
+def _reference(
+    building: Building, ground: Ground, dampers: Dampers, accuracy: Accuracy
+) -> Reference:
+    """Peaks of one building without uncertainty."""
+    found = settle(building, ground, dampers, accuracy)
+    return Reference(
+        found.peaks.drift[0],
+        found.peaks.acceleration[0],
+        float(found.peaks.base_shear[0]),
+        found.residual[0],
+        found.drifts[0],
+    )

@@ -1,0 +1,120 @@
+"""Draws of the dampers of a building from a calibrated population."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.friction.model import Model
+from mfd_bayes.population.population import Parts, Population
+from mfd_bayes.population.residual import slip_force_of
+from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.unshared import unknown_of
+from mfd_bayes.response.building import Building
+from mfd_bayes.response.choice import Choice
+from mfd_bayes.response.devices import Dampers
+from mfd_bayes.response.history import level_of, levels_along
+from mfd_bayes.response.leftover import Leftover
+
+Array = NDArray[np.float64]
+
+
+def draw_dampers(
+    population: Population, model: Model, building: Building, choice: Choice
+) -> Dampers:
+    """Dampers of n draws of a building, from the run's population.
+
+    What tests share (laws, levels, effects of level and session, the discrepancy) is one draw for
+    all dampers of a building; each has its own scatter from test to test and its own place in its
+    gap. The noise of measurements is left out: it belongs to load cells. The same seed gives the
+    same random numbers at any actuation.
+    """
+    levels = [level_of(device, building.folder) for device in building.devices]
+    rng = np.random.default_rng([choice.seed, 0])
+    index = rng.choice(population.size, size=choice.draws)
+    scattered = choice.kind == "new_test"
+    columns, slips, starts = [], [], []
+    about: dict[str, list[Array]] = {}
+    for j, level in enumerate(levels):
+        setting = Setting(level, choice.session, dict(population.layout.covariate_reference))
+        shared = np.random.default_rng([choice.seed, 1])
+        parts = population.draw_parts(setting, index, shared, scattered=scattered)
+        own = np.random.default_rng([choice.seed, 2, j])
+        scatter = parts.scatter
+        if scattered:
+            drawn = population.draw_parts(setting, index, own, scattered=True).scatter
+            scatter = choice.scatter * drawn
+        values = population.values(Parts(parts.level, parts.law, scatter))
+        own = np.random.default_rng([choice.seed, 3, j])
+        values = {**values, **unknown_of(population, choice.draws, own)}
+        columns.append(model.theta(values))
+        slips.append(slip_force_of(model, values))
+        starts.append(values["start"])
+        typical = population.values(Parts(parts.level, parts.law, np.zeros_like(scatter)))
+        typical = {**values, **typical}
+        gap = model.gap(values)
+        for name, column in (
+            ("law and level", slip_force_of(model, typical)),
+            ("scatter of slip force", np.log(slips[-1] / slip_force_of(model, typical))),
+            *(() if gap is None else (("gap", gap),)),
+            ("start in the gap", starts[-1]),
+        ):
+            about.setdefault(name, []).append(column)
+    if not levels:
+        return no_dampers(choice.draws)
+    slip = np.stack(slips, axis=1)
+    scales, times = _scales(population, building, index)
+    return Dampers(
+        model,
+        np.stack(columns, axis=1),
+        np.stack(starts, axis=1),
+        slip,
+        _leftover(population, slip, choice),
+        scales,
+        times,
+        {name: np.stack(parts, axis=1) for name, parts in about.items()},
+    )
+
+
+def no_dampers(draws: int = 1) -> Dampers:
+    """Of a building without any."""
+    return Dampers(None, np.zeros((draws, 0, 1)), np.zeros((draws, 0)), np.zeros((draws, 0)))
+
+
+def plain_friction(slip: Array) -> Dampers:
+    """One building whose dampers are almost rigid until they slip at forces (m,), kip."""
+    force = np.asarray(slip, dtype=np.float64)[None]
+    return Dampers(None, force[..., None], np.full(force.shape, 0.5), force)
+
+
+def _leftover(population: Population, slip: Array, choice: Choice) -> Leftover | None:
+    residual = population.residual
+    if residual is None:
+        return None
+    rng = np.random.default_rng([choice.seed, 4])
+    learned = residual.draw_coefficients(rng, len(slip))
+    return Leftover(residual.basis, learned, slip / residual.slip_force)
+
+
+def _scales(
+    population: Population, building: Building, index: NDArray[np.intp]
+) -> tuple[Mapping[str, Array], Array | None]:
+    """Factors of what follows the actuation, (n, m, T) each, where a damper has a history."""
+    found = levels_along(building)
+    if found is None:
+        return {}, None
+    times, levels = found
+    scales: dict[str, Array] = {}
+    for name in population.layout.laws:
+        rows = []
+        for device, along in zip(building.devices, levels, strict=True):
+            at = np.array([level_of(device, building.folder)])
+            ratio = population.ratio(name, along).reshape(-1, along.size)[index]
+            base = population.ratio(name, at).reshape(-1, 1)[index]
+            rows.append(np.where(base > 0, ratio / np.maximum(base, 1e-300), 1.0))
+        scales[name] = np.stack(rows, axis=1)
+        if name.startswith("Fc"):
+            scales[name.replace("Fc", "Fs")] = scales[name]
+    return scales, times

@@ -1,0 +1,227 @@
+"""Ground motions: PEER's .AT2, plain columns with a step, and CSV with units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import BuildingError, MfdError, UnitError
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.regular import why_no_file
+from mfd_bayes.records.roles import header_unit
+from mfd_bayes.response.measures import acceleration_factor
+from mfd_bayes.units import factor
+
+Array = NDArray[np.float64]
+
+LARGEST = 64 * 2**20
+"""Largest file, bytes."""
+
+MOST = 200_000
+"""Most samples of a ground motion."""
+
+_HEAD = 50  # lines in which a header may say the step
+_STEP = re.compile(r"\bDT\s*=\s*([0-9.eE+-]+)", re.IGNORECASE)
+_POINTS = re.compile(r"\bNPTS\s*=\s*(\d+)", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A ground motion.
+
+    Attributes
+    ----------
+    name : str
+    step : float, s
+    acceleration : (T,), in/s²
+        The first sample is at time 0.
+    """
+
+    name: str
+    step: float
+    acceleration: Array
+
+    @property
+    def time(self) -> Array:
+        """Times of the samples, (T,), s."""
+        return self.step * np.arange(self.acceleration.size)
+
+    @property
+    def peak(self) -> float:
+        """Largest acceleration, in/s²."""
+        return float(np.max(np.abs(self.acceleration)))
+
+    def scaled(self, by: float) -> Ground:
+        """The motion times a factor, which its name says."""
+        name = f"{self.name} × {by:.3g}"
+        return replace(self, name=name, acceleration=by * self.acceleration)
+
+    def with_peak(self, peak: float) -> Ground:
+        """The motion scaled to a peak, in/s²."""
+        return self.scaled(peak / self.peak)
+
+
+def ground_of(name: str, step: float, acceleration: Sequence[float] | Array) -> Ground:
+    """Checked ground motion of a step, s, and accelerations, in/s².
+
+    Raises
+    ------
+    BuildingError
+        When the step is not positive, or values are missing, not finite or all zero.
+    """
+    values = np.asarray(acceleration, dtype=np.float64)
+    if not (np.isfinite(step) and step > 0):
+        raise BuildingError(f"{name}: the step of a ground motion must be positive, got {step} s")
+    if values.ndim != 1 or not 2 <= values.size <= MOST:
+        raise BuildingError(f"{name}: expected 2 to {MOST} values, got {values.size}")
+    if not np.all(np.isfinite(values)):
+        row = int(np.argmax(~np.isfinite(values))) + 1
+        raise BuildingError(f"{name}: value {row} of the ground motion is no finite number")
+    if not np.any(values):
+        raise BuildingError(f"{name}: the ground does not move: all values are 0")
+    return Ground(name, float(step), values)
+
+
+def read_ground(path: str | Path, *, step: float | None = None, unit: str = "") -> Ground:
+    """Ground motion of a file.
+
+    Parameters
+    ----------
+    path : path
+        With the suffix .csv: a table with a column of the time and one of the acceleration, with
+        units in its header. Any other: PEER's .AT2, or numbers alone.
+    step : float, s, optional
+        Where the file does not say it.
+    unit : str, optional
+        Of the acceleration; "g" by default, but for a CSV whose header says it.
+
+    Raises
+    ------
+    BuildingError
+        When the file cannot be read, or its step is not known.
+    """
+    path = Path(path)
+    try:
+        if reason := why_no_file(path):
+            raise BuildingError(f"{path} {reason}")
+        if path.stat().st_size > LARGEST:
+            raise BuildingError(f"{path} is larger than {LARGEST >> 20} MB")
+        if path.suffix.lower() == ".csv":
+            return _of_table(path, step, unit)
+        return _of_text(path, step, unit)
+    except OSError as error:
+        raise BuildingError(f"cannot read {path}: {error.strerror or error}") from error
+    except UnitError as error:
+        raise BuildingError(f"{path}: {error}") from error
+
+
+def _of_text(path: Path, step: float | None, unit: str) -> Ground:
+    """Motion of PEER's format, or of numbers alone in rows."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    said = next((i + 1 for i, line in enumerate(lines[:_HEAD]) if _STEP.search(line)), None)
+    head = said or next((i for i, line in enumerate(lines) if _is_data(line)), len(lines))
+    end = len(lines)
+    while end > head and not _is_data(lines[end - 1]):  # "*** End data ***"
+        end -= 1
+    values: list[float] = []
+    for number, line in enumerate(lines[head:end], start=head + 1):
+        for word in _words(line):
+            try:
+                values.append(float(word.replace("D", "E").replace("d", "e")))
+            except ValueError:
+                raise BuildingError(
+                    f"{path} line {number}: expected numbers, got {word[:40]!r}"
+                ) from None
+    if not values:
+        raise BuildingError(f"{path} holds no numbers")
+    header = "\n".join(lines[:head])
+    if match := _STEP.search(header):
+        step = float(match[1])
+    if (points := _POINTS.search(header)) and int(points[1]) != len(values):
+        raise BuildingError(
+            f"{path}: the header says NPTS = {points[1]}, and there are {len(values)} values"
+        )
+    if step is None:
+        raise BuildingError(
+            f"{path} does not say its step (NPTS= …, DT= … SEC): give it as FILE:0.01s, or "
+            "step=0.01 in Python"
+        )
+    return ground_of(path.name, step, np.array(values) * acceleration_factor(unit or "g"))
+
+
+def _words(line: str) -> list[str]:
+    return line.replace(",", " ").replace(";", " ").split()
+
+
+def _is_data(line: str) -> bool:
+    words = _words(line)
+    return bool(words) and all(_NUMBER.fullmatch(word) for word in words)
+
+
+def _of_table(path: Path, step: float | None, unit: str) -> Ground:
+    """Motion of a CSV with names, such as time_s and acceleration_g."""
+    try:
+        table = read_table(path)
+        names = {name: name.lower() for name in table.names}
+        moves = [n for n, low in names.items() if low.startswith(("acc", "a_", "ag", "ground"))]
+        if len(moves) != 1:
+            raise BuildingError(
+                f"{path} needs one column of the acceleration, such as 'acceleration_g'; it has "
+                f"{', '.join(table.names[:20])}"
+            )
+        times = [name for name, low in names.items() if low.startswith(("time", "t_", "t["))]
+        columns = table.columns([*moves, *times[:1]])
+    except MfdError as error:
+        raise BuildingError(str(error)) from error
+    own = unit or table.units.get(moves[0]) or header_unit(moves[0]) or ""
+    if not own:
+        raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
+    if times:
+        step = _step_of(path, columns[times[0]] * factor(header_unit(times[0]) or "s", "time"))
+    if step is None:
+        raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
+    return ground_of(path.name, step, columns[moves[0]] * acceleration_factor(own))
+
+
+def _step_of(path: Path, time: Array) -> float:
+    """Step of times, s, which must be even."""
+    steps = np.diff(time)
+    if time.size < 2 or not steps.min() > 0 or np.ptp(steps) > 1e-3 * steps.mean():
+        raise BuildingError(f"{path}: the time of a ground motion must grow by one even step")
+    return float((time[-1] - time[0]) / (time.size - 1))
+
+
+def parse_ground(text: str) -> tuple[Path, float | None, str]:
+    """File, step and unit of ``"Rinaldi.AT2:0.01s"`` or ``"a.txt:0.01s:cm/s^2"``.
+
+    Raises
+    ------
+    BuildingError
+        When what follows the colons is no step and no unit.
+    """
+    name, *rest = text.split(":")
+    if not rest or Path(text).exists():
+        return Path(text), None, ""
+    step, unit = None, ""
+    for part in rest:
+        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(s|ms)\s*", part)
+        try:
+            if match:
+                step = float(match[1]) * factor(match[2], "time")
+            else:
+                acceleration_factor(part)
+                unit = part
+        except (ValueError, UnitError) as error:
+            raise BuildingError(
+                f"--ground {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {part!r}"
+            ) from error
+    return Path(name), step, unit
+
+
+__all__ = ["Ground", "ground_of", "parse_ground", "read_ground"]

@@ -1,0 +1,146 @@
+"""Response against the actuation of the dampers, and the actuation that is best."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import BuildingError, UnitError
+from mfd_bayes.response.result import Response
+from mfd_bayes.units import parse_actuation
+
+Array = NDArray[np.float64]
+
+LEVELS = 9
+RESAMPLES = 400
+
+GOALS: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType(
+    {
+        "mean": lambda values, limit: values.mean(axis=-1),
+        "q90": lambda values, limit: np.quantile(values, 0.9, axis=-1),
+        "passing": lambda values, limit: np.mean(values > limit, axis=-1),
+    }
+)
+"""What is made small: the mean, the 90 % quantile, or the probability of passing a limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Peaks at several actuations, with the same random numbers.
+
+    Attributes
+    ----------
+    levels : (L,), ksi or kip
+    unit : {"ksi", "kip"}
+    values : mapping of str to (L, n, g)
+        The largest over the building of "drift", in, and "acceleration", g.
+    quantity, goal : str
+    scores : (L,)
+        What is made small, over all ground motions.
+    best : float
+        The actuation at which it is smallest.
+    interval : (float, float)
+        Equal-tailed 90 % interval of the best actuation, over resampled draws.
+    """
+
+    levels: Array
+    unit: str
+    values: Mapping[str, Array]
+    quantity: str
+    goal: str
+    scores: Array
+    best: float
+    interval: tuple[float, float]
+
+
+def parse_sweep(text: str) -> tuple[Array, str]:
+    """Levels, (L,), and unit of ``actuation="500 psi to 1500 psi"``, perhaps ``in 5 steps``.
+
+    Raises
+    ------
+    BuildingError
+        When it is no such range.
+    """
+    plain = text.replace('"', "").replace("'", "")
+    match = re.fullmatch(
+        r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*", plain
+    )
+    if match is None:
+        raise BuildingError(
+            f'--sweep {text!r}: expected actuation="500 psi to 1500 psi", or the same with '
+            "'in 5 steps' after it"
+        )
+    try:
+        (low, unit), (high, other) = (parse_actuation(match[i], of="--sweep") for i in (1, 2))
+    except UnitError as error:
+        raise BuildingError(str(error)) from error
+    count = int(match[3]) + 1 if match[3] else LEVELS
+    if unit != other or not 0 < low < high or not 2 <= count <= 101:
+        raise BuildingError(
+            f"--sweep {text!r}: expected two levels above 0 of one kind, the lower one first"
+        )
+    return np.linspace(low, high, count), unit
+
+
+def sweep_of(
+    levels: Array, unit: str, responses: list[Response], quantity: str, goal: str, seed: int = 0
+) -> Sweep:
+    """The best actuation among the levels, between which a parabola is drawn.
+
+    Draws are the same at every level, so that resampling them compares like with like.
+
+    Raises
+    ------
+    BuildingError
+        When the quantity or the goal is unknown, or a limit is missing.
+    """
+    limit = responses[0].building.limits
+    known = {"drift": np.nan, "acceleration": np.nan}
+    if quantity not in known:
+        raise BuildingError(f"unknown quantity {quantity!r}: expected {' or '.join(known)}")
+    if goal not in GOALS:
+        raise BuildingError(f"unknown goal {goal!r}: expected one of {', '.join(GOALS)}")
+    values = {name: np.stack([r.measure(name) for r in responses]) for name in known}
+    shown, bound = values[quantity], np.nan
+    if goal == "passing":
+        shown, bound = _against_limit(responses, quantity)
+        if limit is None or not np.isfinite(bound):
+            raise BuildingError(f"the goal 'passing' needs limits.{quantity} in the building file")
+    n = shown.shape[1]
+    score = GOALS[goal]
+    flat = shown.reshape(len(levels), -1)
+    scores = score(flat, bound)
+    rng = np.random.default_rng(seed)
+    found = [
+        _lowest(levels, score(shown[:, rng.integers(n, size=n)].reshape(len(levels), -1), bound))
+        for _ in range(RESAMPLES)
+    ]
+    low, high = np.quantile(found, [0.05, 0.95])
+    best = _lowest(levels, scores)
+    return Sweep(levels, unit, values, quantity, goal, scores, best, (float(low), float(high)))
+
+
+def _against_limit(responses: list[Response], quantity: str) -> tuple[Array, float]:
+    """The quantity that has a limit, (L, n, g), and the limit."""
+    limits = responses[0].building.limits
+    if quantity == "drift":
+        ratios = np.stack([r.drift_ratio.max(axis=-1) for r in responses])
+        return ratios, np.nan if limits.drift is None else limits.drift
+    found = np.stack([r.acceleration.max(axis=-1) for r in responses])
+    return found, np.nan if limits.acceleration is None else limits.acceleration
+
+
+def _lowest(levels: Array, scores: Array) -> float:
+    """Place of the minimum, by a parabola through the lowest level and its neighbours."""
+    k = int(np.argmin(scores))
+    if k in (0, len(levels) - 1):
+        return float(levels[k])
+    a, b, c = scores[k - 1 : k + 2]
+    bend = a - 2.0 * b + c
+    shift = 0.5 * (a - c) / bend if bend > 0 else 0.0
+    return float(levels[k] + shift * (levels[1] - levels[0]))

@@ -1,0 +1,134 @@
+"""The response of a building whose dampers are the device of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mfd_bayes.errors import BuildingError
+from mfd_bayes.friction.model import Model
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.population.population import Population
+from mfd_bayes.response.analysis import respond
+from mfd_bayes.response.building import Building, read_building
+from mfd_bayes.response.choice import Choice
+from mfd_bayes.response.draws import draw_dampers
+from mfd_bayes.response.ground import Ground, parse_ground, read_ground
+from mfd_bayes.response.result import Response
+from mfd_bayes.response.settling import Accuracy
+from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.tested import MARGIN, Departure, Span
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """The calibrated device that the dampers are: what a run knows of it."""
+
+    population: Population
+    model: Model
+    actuation_unit: str
+    tested: tuple[Span, ...]
+    system: System
+
+
+Grounds = Sequence[Ground | str | Path] | Ground | str | Path
+
+
+def respond_of_run(
+    source: Source,
+    building: Building | str | Path,
+    grounds: Grounds,
+    choice: Choice,
+    *,
+    tolerance: float = 0.01,
+    jobs: int = 1,
+    observe: Callable[[Step], None] = lambda step: None,
+) -> Response:
+    """Response of a building with the device of a run as its dampers.
+
+    Parameters
+    ----------
+    building : Building or path
+        As `read_building` reads it.
+    grounds : Ground or path, or several
+        Paths as `read_ground` reads them; "FILE:0.01s" gives the step of a file without one.
+    choice : Choice
+        Kind of draws, "new_test" with each damper's scatter or "device" without; their number.
+    tolerance : float
+        Share by which no peak may change when the step is halved.
+    jobs : int
+        Processes; the result does not depend on them.
+
+    Returns
+    -------
+    Response
+        `drift` (draw, ground, storey), in, and others.
+
+    Raises
+    ------
+    BuildingError
+        When the building or a ground motion cannot be used, or the actuation is of another kind
+        than the run's.
+    """
+    built = building if isinstance(building, Building) else read_building(building)
+    moved = grounds_of(grounds)
+    check_actuation(source, built)
+    if not 0.0 < tolerance < 1.0:
+        raise BuildingError(f"tolerance must lie between 0 and 1, got {tolerance}")
+    dampers = draw_dampers(source.population, source.model, built, choice)
+    accuracy = Accuracy(tolerance=tolerance)
+    found = respond(built, moved, dampers, accuracy=accuracy, jobs=jobs, observe=observe)
+    return replace(found, remarks=(*remarks_of(source, found), *found.faults))
+
+
+def grounds_of(grounds: Grounds) -> list[Ground]:
+    """Ground motions of what is given."""
+    one = isinstance(grounds, Ground | str | Path)
+    given: Iterable[Ground | str | Path] = [grounds] if one else grounds  # type: ignore[list-item,assignment]
+    found = [g if isinstance(g, Ground) else _read(str(g)) for g in given]
+    if not found:
+        raise BuildingError("give at least one ground motion")
+    return found
+
+
+def _read(text: str) -> Ground:
+    path, step, unit = parse_ground(text)
+    return read_ground(path, step=step, unit=unit)
+
+
+def check_actuation(source: Source, building: Building) -> None:
+    """Refuse dampers that are actuated by another kind of quantity than the tests were."""
+    for device in building.devices:
+        if device.unit != source.actuation_unit:
+            kind = "pressure" if source.actuation_unit == "ksi" else "force"
+            raise BuildingError(
+                f"the actuation of the damper at {device.name} must be a {kind}, as in the campaign"
+            )
+
+
+def remarks_of(source: Source, response: Response) -> list[str]:
+    """Where the dampers leave what was tested, in sentences."""
+    if not response.dampers.count:
+        return []
+    tested = {span.name: span for span in source.tested}
+    levels = [d.actuation for d in response.building.devices if np.isfinite(d.actuation)]
+    stroke = 2.0 * float(np.median(response.travel.max(axis=(1, 2))))
+    asked = [Span("stroke", "in", stroke, stroke)]
+    if levels:
+        asked.append(Span("actuation", source.actuation_unit, min(levels), max(levels)))
+    found = []
+    for span in asked:
+        own = tested.get(span.name)
+        if own is None:
+            continue
+        below = span.lowest < own.lowest * (1 - MARGIN)
+        if span.highest > own.highest * (1 + MARGIN) or below:
+            found.append(Departure(span, own).sentence(source.system))
+    if source.population.layout.covariate_reference:
+        found.append(
+            "quantities that depend on speed or amplitude are taken at those of the typical test"
+        )
+    return found

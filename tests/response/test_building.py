@@ -1,0 +1,117 @@
+"""Building files: what is read, and one sentence for each mistake."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from mfd_bayes.errors import BuildingError
+from mfd_bayes.response.building import building_of, read_building
+from mfd_bayes.response.content import content_of
+from mfd_bayes.response.example import example_building
+
+GOOD = """
+[building]
+title = "Six storeys"
+damping = { ratio = "2 %" }
+[[storey]]
+weight = "100 kip"
+height = "144 in"
+stiffness = "326.32 kip/in"
+[[storey]]
+mass = "22.7 Mg"
+height = "12 ft"
+stiffness = "57.15 kN/mm"
+[[damper]]
+storey = 2
+count = 2
+actuation = ["900 psi", "1100 psi"]
+brace = "500 kip/in"
+"""
+
+
+def made(text):
+    return building_of(content_of(tomllib.loads(text), "b.toml"), Path("b.toml"))
+
+
+def test_units_are_turned_into_kip_in_and_s():
+    building = made(GOOD)
+    assert building.mass[0, 0] == pytest.approx(100 / 386.0886, rel=1e-6)
+    assert building.mass[1, 1] == pytest.approx(22700 / 175126.8, rel=1e-4)  # kg in a kip s²/in
+    assert building.storeys[1] == pytest.approx(326.3, rel=1e-3)
+    assert building.heights[1] == pytest.approx(144)
+    assert [d.actuation for d in building.devices] == [0.9, 1.1]
+    assert [d.brace for d in building.devices] == [500, 500]
+
+
+def test_periods_and_shapes_are_those_of_eigh():
+    building = made(GOOD)
+    squares, _ = linalg.eigh(building.stiffness, building.mass)
+    assert np.allclose(building.modes.periods, 2 * np.pi / np.sqrt(squares), rtol=1e-12)
+    shapes = building.modes.shapes
+    assert np.allclose(shapes.T @ building.mass @ shapes, np.eye(2), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["rayleigh", "modal"])
+def test_both_modes_have_the_ratio(kind):
+    building = made(GOOD.replace('ratio = "2 %"', f'kind = "{kind}", ratio = 0.03'))
+    modes = building.modes
+    got = np.diag(modes.shapes.T @ building.damping @ modes.shapes) / (2 * modes.frequencies)
+    assert np.allclose(got, 0.03)
+
+
+def test_the_first_file_can_be_used(tmp_path):
+    path = tmp_path / "building.toml"
+    path.write_text(example_building())
+    building = read_building(path)
+    assert len(building.devices) == 3
+    assert building.limits.drift == pytest.approx(0.01)
+
+
+def test_matrices_come_from_files(tmp_path):
+    np.savetxt(tmp_path / "M.csv", np.eye(2), delimiter=",")
+    np.save(tmp_path / "K.npy", np.array([[20.0, -10.0], [-10.0, 10.0]]))
+    path = tmp_path / "b.toml"
+    path.write_text('[matrices]\nmass = "M.csv"\nstiffness = "K.npy"\nunits = { mass = "Mg" }\n')
+    building = read_building(path)
+    assert building.mass[0, 0] == pytest.approx(1000 / 175126.8, rel=1e-4)
+    assert building.stiffness[0, 1] == -10.0
+    np.save(tmp_path / "K.npy", np.array([[20.0, -10.0], [-30.0, 10.0]]))
+    with pytest.raises(BuildingError, match=r"K\.npy must be symmetric"):
+        read_building(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('weight = "100 kip"', 'weight = "0 kip"', r"storey 1\.weight in b.toml.*greater than 0"),
+        ('"326.32 kip/in"', '"-3 kip/in"', r"storey 1\.stiffness in b.toml.*greater than 0"),
+        ('mass = "22.7 Mg"', 'mass = "22.7 in"', r"storey 2\.mass in b.toml: expected a mass"),
+        ('weight = "100 kip"', 'weight = "9 in"', r"storey 1\.weight in b.toml.*force"),
+        ('weight = "100 kip"', "", r"storey 1 in b.toml: give either mass or weight"),
+        ("storey = 2", "storey = 7", r"damper 1\.storey in b.toml: expected floors of 0.* to 2"),
+        ("storey = 2", "between = [1, 1]", r"damper 1\.between in b.toml.*two different"),
+        ("storey = 2", "", r"damper 1 in b.toml: give either storey, or between"),
+        ("count = 2", "count = 3", r"one for each of the 3 dampers"),
+        ('"900 psi"', '"900 in"', r"damper 1\.actuation.*actuation needs a pressure"),
+        ('stiffness = "57', 'stifness = "57', r"unknown key 'stifness'.*did you mean 'stiffness'"),
+        ('ratio = "2 %"', 'ratio = "200 %"', r"building\.damping\.ratio in b.toml.*less than 1"),
+        ("[[damper]]", "[damper]", r"a damper in b.toml begins with \[\[damper\]\]"),
+        (
+            'height = "12 ft"',
+            "height = 12",
+            r"storey 2\.height in b.toml: give a number and a unit",
+        ),
+    ],
+)
+def test_nonsense_is_one_sentence_with_the_key(old, new, words):
+    with pytest.raises(BuildingError, match=words) as error:
+        made(GOOD.replace(old, new))
+    assert "\n" not in str(error.value)
+
+
+def test_a_limit_of_the_drift_needs_heights():
+    with pytest.raises(BuildingError, match=r"limits\.drift in b.toml needs the height"):
+        made(GOOD.replace('height = "12 ft"\n', "") + '[limits]\ndrift = "1 %"\n')

@@ -1,0 +1,77 @@
+"""Ground motions are read in every layout, and mistakes name file and line."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import BuildingError
+from mfd_bayes.response.ground import parse_ground, read_ground
+from mfd_bayes.units import GRAVITY
+
+PEER = """PEER NGA STRONG MOTION DATABASE RECORD
+Imperial Valley, 5/19/1940, El Centro
+ACCELERATION TIME SERIES IN UNITS OF G
+NPTS=   6, DT=   .0100 SEC
+  .1000E-01  -.2000E-01   .3000E-01
+ -.4000E-01   .5000E-01   .0000E+00
+"""
+
+
+@pytest.fixture
+def records():
+    root = Path(os.environ.get("MFD_BAYES_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    folder = root / "ground_motions"
+    if not folder.is_dir():
+        pytest.skip(f"ground motions not found at {folder}")
+    return folder
+
+
+def test_a_header_of_four_lines_gives_step_and_values(tmp_path):
+    path = tmp_path / "a.AT2"
+    path.write_text(PEER)
+    ground = read_ground(path)
+    assert ground.step == 0.01
+    assert np.allclose(ground.acceleration / GRAVITY, [0.01, -0.02, 0.03, -0.04, 0.05, 0.0])
+    assert ground.with_peak(GRAVITY).peak == pytest.approx(GRAVITY)
+    path.write_text(PEER.replace("NPTS=   6", "NPTS=   7"))
+    with pytest.raises(BuildingError, match="NPTS = 7, and there are 6"):
+        read_ground(path)
+    path.write_text(PEER.replace(".3000E-01", ".3000E-01 ouch"))
+    with pytest.raises(BuildingError, match=r"a\.AT2 line 5: expected numbers, got 'ouch'"):
+        read_ground(path)
+
+
+def test_real_records_are_read(records):
+    ground = read_ground(records / "el_centro.AT2")
+    assert ground.acceleration.size == 1559
+    assert ground.peak / GRAVITY == pytest.approx(0.3188, abs=1e-4)
+    with pytest.raises(BuildingError, match="does not say its step"):
+        read_ground(records / "Rinaldi.AT2")
+    path, step, unit = parse_ground(f"{records / 'Rinaldi.AT2'}:0.01s")
+    assert read_ground(path, step=step, unit=unit).acceleration.size == 1991
+
+
+def test_a_table_has_units(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time_ms,acceleration_cm/s^2\n" + "".join(f"{20 * i},{i}\n" for i in range(9)))
+    ground = read_ground(path)
+    assert ground.step == pytest.approx(0.02)
+    assert ground.acceleration[-1] == pytest.approx(8 / 2.54)
+    path.write_text("time_s,acceleration_g\n0,1\n0.1,2\n0.3,1\n")
+    with pytest.raises(BuildingError, match="one even step"):
+        read_ground(path)
+
+
+def test_a_still_ground_is_refused(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("0\n0\n0\n")
+    with pytest.raises(BuildingError, match="does not move"):
+        read_ground(path, step=0.1)
+
+
+def test_what_follows_a_file_is_its_step_and_unit():
+    assert parse_ground("a.txt:10ms:cm/s^2") == (Path("a.txt"), pytest.approx(0.01), "cm/s^2")
+    with pytest.raises(BuildingError, match=r"expected FILE, FILE:0\.01s"):
+        parse_ground("a.txt:fast")

@@ -1,0 +1,231 @@
+"""From a finished run to the response of a building."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+from mfd_bayes.errors import BuildingError
+from mfd_bayes.response.analysis import respond
+from mfd_bayes.response.building import read_building
+from mfd_bayes.response.choice import Choice
+from mfd_bayes.response.draws import draw_dampers
+from mfd_bayes.response.ground import Ground, read_ground
+from mfd_bayes.response.influence import influence
+from mfd_bayes.response.settling import Accuracy
+from mfd_bayes.units import GRAVITY
+
+BUILDING = """
+[building]
+title = "Two storeys"
+[[storey]]
+weight = "20 kip"
+height = "144 in"
+stiffness = "8 kip/in"
+[[storey]]
+weight = "20 kip"
+height = "144 in"
+stiffness = "8 kip/in"
+[[damper]]
+storey = 1
+actuation = "1000 psi"
+[[damper]]
+storey = 2
+actuation = "1000 psi"
+[limits]
+drift = "0.5 %"
+"""
+
+ONCE = Accuracy(halvings=1)
+
+
+@pytest.fixture(scope="module")
+def run(finished_run):
+    return mb.open_run(finished_run.out)
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "building.toml"
+    path.write_text(BUILDING)
+    return path
+
+
+@pytest.fixture
+def ground():
+    white = np.random.default_rng(5).standard_normal(100)
+    values = np.convolve(white, np.hanning(9), mode="same")
+    return Ground("random", 0.02, 200.0 * values / np.abs(values).max())
+
+
+@pytest.fixture
+def quake(tmp_path, ground):
+    path = tmp_path / "quake.csv"
+    rows = zip(ground.time, ground.acceleration, strict=True)
+    path.write_text("time_s,acceleration_in/s^2\n" + "".join(f"{t:.2f},{a:.6f}\n" for t, a in rows))
+    return path
+
+
+def alone(population):
+    """The population with one draw of its hyperparameters, and nothing else unknown."""
+    one = {
+        name: getattr(population, name)[:1, :1] for name in ("h", "latent", "choice", "together")
+    }
+    return replace(population, **one, residual=None, starts=None)
+
+
+def dampers_of(run, path, scatter, draws=40):
+    model = next(iter(run.tests.values())).posterior.model
+    choice = Choice("new_test", draws, 3, scatter=scatter)
+    found = draw_dampers(alone(run.population), model, read_building(path), choice)
+    return replace(found, start=np.full(found.start.shape, 0.5))
+
+
+def test_without_scatter_all_draws_are_one_and_more_scatter_widens(run, path, ground):
+    building = read_building(path)
+
+    def peaks(scatter):
+        dampers = dampers_of(run, path, scatter)
+        return respond(building, [ground], dampers, accuracy=ONCE).drift[:, 0, 0]
+
+    none, some, more = peaks(0.0), peaks(1.0), peaks(2.0)
+    assert np.ptp(none) < 1e-9 * none.mean()
+    assert some.std() > 1e-3 * some.mean()
+    assert more.std() > 1.4 * some.std()
+    assert none[0] == pytest.approx(np.median(some), rel=0.2)
+
+
+def test_each_damper_has_its_own_scatter_and_shares_the_law(run, path):
+    dampers = dampers_of(run, path, 1.0)
+    first, second = dampers.slip.T
+    assert not np.allclose(first, second)
+    assert np.allclose(*dampers.about["law and level"].T)
+    assert np.allclose(dampers_of(run, path, 0.0).slip[:, 0], dampers_of(run, path, 0.0).slip[:, 1])
+
+
+def test_the_call_of_the_contract(run, path, ground):
+    response = run.respond(path, [ground], draws=12, seed=1, kind="device")
+    assert response.drift.shape == (12, 1, 2)
+    assert response.acceleration.shape == (12, 1, 2)
+    assert response.force.shape == response.travel.shape == response.energy.shape == (12, 1, 2)
+    assert np.all(response.energy > 0)
+    assert response.imbalance.max() < 1e-3
+    again = run.respond(path, ground, draws=12, seed=1, kind="device")
+    assert np.array_equal(again.drift, response.drift)
+    rows = [row for row in response.rows() if row.quantity == "drift"]
+    assert rows[0].bands[2][0] <= rows[0].bands[0][0] <= rows[0].median <= rows[0].bands[0][1]
+    assert rows[0].bare > 0
+    (limit,) = response.limits()
+    worst = response.drift_ratio[:, 0].max(axis=1)
+    assert limit.probability == np.mean(worst > 0.005)
+    assert 0 < limit.error < 0.2
+
+
+def test_shares_add_up_and_find_what_matters(run, path, ground):
+    response = run.respond(path, [ground, ground.scaled(2.0)], draws=40)
+    shares = influence(response)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["record to record"] > 0.8
+    first = response.dampers.about["gap"][:, 0]
+    planted = replace(response, drift=np.broadcast_to(first[:, None, None], response.drift.shape))
+    assert influence(planted)["gap"] > 0.7
+
+
+def test_dampers_of_another_kind_of_actuation_are_refused(run, path, ground):
+    path.write_text(BUILDING.replace("1000 psi", "40 lbf"))
+    with pytest.raises(BuildingError, match="must be a pressure, as in the campaign"):
+        run.respond(path, ground)
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_path):
+    out = tmp_path / "response"
+    words = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
+    words += ["-o", str(out), "--draws", "10", "--jobs", "1", "--tolerance", "0.2"]
+    sweep = ["--sweep", 'actuation="800 psi to 1200 psi in 2 steps"']
+    done = CliRunner().invoke(app, [*words, *sweep])
+    assert done.exit_code == 0, done.output
+    assert "the largest storey drift is" in done.output
+    assert "is smallest at" in done.output
+    page = (out / "report.html").read_text()
+    assert "Which actuation is best?" in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert json.loads((out / "response.json").read_text())["peaks"][0]["quantity"] == "drift ratio"
+    assert (out / "sweep.csv").read_text().count("\n") == 4
+    assert r"\toprule" in (out / "peaks.tex").read_text()
+    again = CliRunner().invoke(app, words)
+    assert again.exit_code == 0, again.output
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--sweep", "actuation=800 psi"], "expected actuation"),
+        (["--peak", "3 in"], "expected an acceleration"),
+        (["--ground", "nothing.AT2"], "cannot read nothing.AT2"),
+        (["--building", "nothing.toml"], "cannot read nothing.toml"),
+    ],
+)
+def test_a_mistake_is_one_sentence(finished_run, path, quake, tmp_path, words, sentence):
+    given = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
+    done = CliRunner().invoke(app, [*given, "-o", str(tmp_path / "r"), *words])
+    assert done.exit_code == 2
+    assert sentence in done.output
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_folder_of_others_is_left_alone(finished_run, path, quake, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    given = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
+    for folder, words in (
+        (tmp_path / "mine", "did not write it"),
+        (finished_run.out, "is a run folder"),
+    ):
+        done = CliRunner().invoke(app, [*given, "-o", str(folder)])
+        assert done.exit_code == 2
+        assert words in done.output
+
+
+def test_a_first_building_file_is_written_once(tmp_path):
+    done = CliRunner().invoke(app, ["init", str(tmp_path), "--building"])
+    assert done.exit_code == 0
+    assert read_building(tmp_path / "building.toml").freedoms == 3
+    assert read_ground(tmp_path / "ground.AT2").peak == pytest.approx(0.35 * GRAVITY)
+    assert CliRunner().invoke(app, ["init", str(tmp_path), "--building"]).exit_code == 2
+
+
+@pytest.mark.parametrize("to", ["quofem", "csv", pytest.param("opensees", marks=pytest.mark.slow)])
+def test_samples_go_to_other_programs(finished_run, tmp_path, to):
+    out = tmp_path / "samples"
+    words = ["export", str(finished_run.out), "--to", to, "-o", str(out), "--draws", "12"]
+    done = CliRunner().invoke(app, [*words, "--actuation", "1000 psi"])
+    assert done.exit_code == 0, done.output
+    if to == "quofem":
+        column = np.loadtxt(out / "Fc_fwd.txt")
+        head, *rows = (out / "dakotaTab.out").read_text().splitlines()
+        names = head.split()
+        assert names[:2] == ["%eval_id", "interface"]
+        at = names.index("Fc_fwd")
+        assert np.allclose([float(row.split()[at]) for row in rows], column)
+        group = json.loads((out / "randomVariables.json").read_text())["RVdataGroup"]
+        assert group == ["{" + ",".join(names[2:]) + "}"]
+    elif to == "csv":
+        assert (out / "samples.csv").read_text().startswith("sigma0")
+    else:
+        assert (out / "BoucWen.tcl").read_text().count("uniaxialMaterial BoucWen") == 12
+        misfit = json.loads((out / "about.json").read_text())["misfit"]["BoucWen"]
+        assert 0 < np.median(misfit) < 0.6
+
+
+@pytest.mark.slow
+def test_the_same_bits_whatever_the_number_of_processes(run, path, ground, monkeypatch):
+    monkeypatch.setattr("mfd_bayes.response.analysis.ROWS", 20)
+    one = run.respond(path, [ground], draws=20, jobs=1)
+    two = run.respond(path, [ground], draws=20, jobs=2)
+    assert np.array_equal(one.drift, two.drift)
+    assert np.array_equal(one.histories[0], two.histories[0])
