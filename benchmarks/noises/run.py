@@ -221,7 +221,8 @@ def main() -> None:
     for test, noise, fit in found:
         fits.setdefault(test, {})[noise] = fit
     fits = {f"{tension}lb": fits[f"{tension}lb"] for tension in TENSIONS}
-    print(f"four real tests under every noise, {platform_line()}")
+    print(f"four real tests under other noises, {platform_line()}")
+    print("calibrated: " + "; ".join(f"{test} with {', '.join(of)}" for test, of in fits.items()))
     apart_silent = table_of_intervals(fits)
     read_silent = table_of_readings(fits)
     wrong, share = table_of_second_fits(fits)
