@@ -1,4 +1,7 @@
-"""Small faults that are made in a module's syntax tree, one at a time."""
+"""Small faults that are made in a module's syntax tree, one at a time.
+
+Numbers, comparisons, operators and calls are changed, statements, `with` and `except` left out.
+"""
 
 from __future__ import annotations
 
@@ -98,14 +101,20 @@ def mutants(tree: ast.Module) -> list[Mutant]:
                 else:
                     getattr(parent, name)[index] = after
 
-            said = "nothing" if after is None or isinstance(after, ast.Pass) else ast.unparse(after)
+            before, said = _said(node), _said(after)
             where = ".".join(n.name for n in home)
             names = _bound(statement, home)
             column = getattr(node, "col_offset", 0)
-            found.append(
-                Mutant(len(found), line, last, column, where, names, ast.unparse(node), said, make)
-            )
+            found.append(Mutant(len(found), line, last, column, where, names, before, said, make))
     return found
+
+
+def _said(node: ast.AST | None) -> str:
+    """What stands there; of a statement that holds others its head."""
+    if node is None or isinstance(node, ast.Pass):
+        return "nothing"
+    headed = (ast.With, ast.ExceptHandler, ast.If, ast.While)
+    return ast.unparse(node).splitlines()[0] if isinstance(node, headed) else ast.unparse(node)
 
 
 _Home = tuple[ast.FunctionDef | ast.ClassDef, ...]
@@ -191,6 +200,12 @@ def _changes(node: ast.AST, parent: ast.AST, name: str) -> Iterator[ast.AST | No
     elif isinstance(node, (ast.If, ast.IfExp, ast.While)):
         if not isinstance(node.test, (ast.Compare, ast.BoolOp, ast.UnaryOp)):
             yield _with(node, test=ast.UnaryOp(ast.Not(), node.test))
+    elif isinstance(node, ast.With):
+        if not any(item.optional_vars for item in node.items):
+            yield ast.copy_location(ast.If(ast.Constant(True), node.body, []), node)
+    elif isinstance(node, ast.ExceptHandler):
+        if node.type is not None:
+            yield _with(node, type=ast.Tuple([], ast.Load()))
     elif isinstance(node, ast.stmt) and name in ("body", "orelse", "finalbody"):
         yield from _statements(node)
 

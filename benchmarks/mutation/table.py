@@ -33,7 +33,7 @@ class Outcome:
         Of the line.
     change : str
     state : str
-        One of `STATES`.
+        One of `STATES`, or "slow" where only a slow test noticed it.
     test : str
         The first that failed, or why there is none.
     seconds : float
@@ -82,6 +82,23 @@ def table(counts: Mapping[str, int], done: Sequence[Outcome], judged: Judged) ->
     return "\n".join(
         [*_modules(counts, done), "", *_shares(done, judged), *_survivors(done, judged)]
     )
+
+
+def listed(done: Sequence[Outcome], judged: Judged, *, with_slow: bool) -> str:
+    """How many faults fast and slow tests noticed, each fault, and what the survivors are."""
+    fast = sum(o.state in ("killed", "timed out") for o in done)
+    slow = sum(o.state == "slow" for o in done)
+    lines = [
+        f"{fast} of {len(done)} faults were noticed by fast tests, {slow} by slow tests only:",
+        f"the fast tests noticed {100 * fast / max(fast + slow, 1):.0f} % of what was noticed."
+        if with_slow
+        else "the slow tests were not tried on the others.",
+        *_shares(done, judged),
+        "",
+    ]
+    for o in done:
+        lines += [f"{o.module[10:]}:{o.line} {_short(o.change)}", f"    {o.state} {_short(o.test)}"]
+    return "\n".join([*lines, *_survivors(done, judged)])
 
 
 def _modules(counts: Mapping[str, int], done: Sequence[Outcome]) -> list[str]:

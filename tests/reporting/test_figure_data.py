@@ -45,6 +45,17 @@ def test_the_table_of_a_record_has_stages_where_they_are_known(campaign):
     assert {row["stage"] for row in rows} == {"2"}
 
 
+def test_the_table_of_a_record_has_the_band_of_the_model_where_it_is_known(campaign):
+    test = campaign.tests[0]
+    known = replace(test, device=test.observation)
+    for row in read(dict(tables_of_test(known))["tests/p800_f0.25/record.csv"])[:3]:
+        assert row["model_lower_95_kip"] == row["lower_95_kip"]
+    (row, *_) = read(
+        dict(tables_of_test(replace(test, device=None)))["tests/p800_f0.25/record.csv"]
+    )
+    assert not any(name.startswith("model_") for name in row)
+
+
 def test_quantiles_and_draws_agree(campaign, tables):
     rows = read(tables["tests/p800_f0.25/marginals.csv"])
     draws = read(tables["tests/p800_f0.25/draws.csv"])
