@@ -137,14 +137,21 @@ def _write(question: Question, drawn: Trace, answer: Answer, told: Trace) -> Non
     if answer.design:
         table = design_csv(answer.design, question.actuation)
         write_text(question.beside("design.csv"), table)
-    if band.given is not None and drawn.force is None:
-        known = np.where(band.given.holds(band.time), np.asarray(told.force), np.nan)
-        drawn = replace(drawn, force=known)
-    shown = convert_trace(drawn, system), [convert_fan(_fan(band), system.factor("kip"))]
-    write_picture(question.picture, to_png(draw_loops(title, *shown, system)))
+    fans = [convert_fan(_fan(band), system.factor("kip"))]
+    loops = draw_loops(title, convert_trace(drawn, system), fans, system)
+    write_picture(question.picture, to_png(loops))
     given = band.given.window if band.given else None
-    history = draw_history(title, *shown, system=system, given=given)
+    shown = convert_trace(_with_given(drawn, told, band), system)
+    history = draw_history(title, shown, fans, system=system, given=given)
     write_picture(question.beside("history.png"), to_png(history))
+
+
+def _with_given(drawn: Trace, told: Trace, band: Band) -> Trace:
+    """The trace with the force of the given part alone, where no force is compared."""
+    if band.given is None or drawn.force is not None:
+        return drawn
+    known = np.where(band.given.holds(band.time), np.asarray(told.force), np.nan)
+    return replace(drawn, force=known)
 
 
 def _fan(band: Band) -> Fan:

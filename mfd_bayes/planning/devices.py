@@ -13,7 +13,8 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.loop import Loop
 from mfd_bayes.population.drawn import Drawn
 from mfd_bayes.population.effects import Cell, Effect
-from mfd_bayes.population.population import Parts, Population
+from mfd_bayes.population.parts import Parts
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.unshared import unknown_of

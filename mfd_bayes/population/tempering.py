@@ -22,11 +22,14 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 LogLikelihood = Callable[[Index, Array], Array]
 
-MOVES = 8
+MOVES = 12
 """Metropolis steps of each point at each power."""
 
-LAST = 24
+LAST = 48
 """Metropolis steps at the end, where the power is 1."""
+
+EVERY = 4
+"""Metropolis steps for each change of the labels."""
 
 KEPT = 0.5
 """Effective share of the points after each step of the power."""
@@ -76,7 +79,7 @@ def temper(
     relabel : bool
         Whether the likelihood does not depend on labels, so that they may change.
     """
-    cloud = _Cloud(prior, log_likelihood, rng, n, relabel=relabel)
+    cloud = _Cloud(prior, log_likelihood, rng, n)
     power, powers = 0.0, 0
     while power < 1.0:
         step = _next_step(cloud.log_likelihood, 1.0 - power)
@@ -84,7 +87,9 @@ def temper(
         power, powers = power + step, powers + 1
         if power > 1.0 - 1e-12:
             power = 1.0
-        for _ in range(MOVES if power < 1.0 else LAST):
+        for turn in range(MOVES if power < 1.0 else LAST):
+            if relabel and turn % EVERY == 0:
+                cloud.relabel()
             cloud.move(power)
     return Tempered(cloud.labels, cloud.points, powers, cloud.accepted)
 
@@ -120,13 +125,12 @@ class _Cloud:
         log_likelihood: LogLikelihood,
         rng: np.random.Generator,
         n: int,
-        *,
-        relabel: bool,
     ) -> None:
-        self.prior, self.density, self.rng, self.relabel = prior, log_likelihood, rng, relabel
+        self.prior, self.density, self.rng = prior, log_likelihood, rng
         self.labels = rng.integers(prior.size, size=n)
         self.points = prior.draw(self.labels, rng)
         self.log_likelihood = log_likelihood(self.labels, self.points)
+        self.log_prior = prior.log_density(self.labels, self.points)
         self.length, self.accepted = 1.0, 0.0
 
     def resample(self, weights: Array) -> None:
@@ -134,22 +138,26 @@ class _Cloud:
         chosen = systematic(weights, weights.size, self.rng)
         self.labels, self.points = self.labels[chosen], self.points[chosen]
         self.log_likelihood = self.log_likelihood[chosen]
+        self.log_prior = self.log_prior[chosen]
         covariance = np.cov(self.points, rowvar=False)
         covariance += 1e-9 * np.diag(np.diag(covariance)) + 1e-14 * np.eye(len(covariance))
         self.root = np.linalg.cholesky(covariance)
 
+    def relabel(self) -> None:
+        """New labels of the points."""
+        self.labels = self.prior.relabelled(self.labels, self.points, self.rng)
+        self.log_prior = self.prior.log_density(self.labels, self.points)
+
     def move(self, power: float) -> None:
-        """New labels, and a Metropolis step of each point, at a power of the likelihood."""
+        """A Metropolis step of each point, at a power of the likelihood."""
         rng, (n, dim) = self.rng, self.points.shape
-        if self.relabel:
-            self.labels = self.prior.relabelled(self.labels, self.points, rng)
         length = self.length * 2.38 / np.sqrt(dim) * np.exp(0.7 * rng.standard_normal((n, 1)))
         proposed = self.points + length * (rng.standard_normal((n, dim)) @ self.root.T)
         found = self.density(self.labels, proposed)
-        gain = self.prior.log_density(self.labels, proposed)
-        gain -= self.prior.log_density(self.labels, self.points)
-        gain += power * (found - self.log_likelihood)
+        density = self.prior.log_density(self.labels, proposed)
+        gain = density - self.log_prior + power * (found - self.log_likelihood)
         yes = np.log(rng.random(n)) < gain
+        self.log_prior = np.where(yes, density, self.log_prior)
         self.points = np.where(yes[:, None], proposed, self.points)
         self.log_likelihood = np.where(yes, found, self.log_likelihood)
         self.accepted = float(np.mean(yes))

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.population import Parts, Population
+from mfd_bayes.population.parts import Parts
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.unshared import unknown_of

@@ -5,7 +5,7 @@ import pytest
 
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population import follow, given
+from mfd_bayes.population import follow, given, tempering
 from mfd_bayes.population.follow import Forecaster
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.incoming import AHEAD, Incoming
@@ -34,6 +34,8 @@ def make(study, monkeypatch):
     monkeypatch.setattr(follow, "TRIED", 500)
     monkeypatch.setattr(given, "TRIED", 500)
     monkeypatch.setattr(given, "POINTS", 200)
+    monkeypatch.setattr(tempering, "MOVES", 8)
+    monkeypatch.setattr(tempering, "LAST", 24)
 
     def forecaster(**options):
         forecast = Forecast(options.pop("kind", "new_test"), draws=options.pop("draws", 300))

@@ -69,11 +69,12 @@ def draw_history(
     """Displacement, force with bands, and residual against time.
 
     The residual is the force minus the first fan's median; samples before `first` were not
-    fitted; from and to the times `given`, s, the force was known to the prediction. Trace and
-    fans are in the units of `system`.
+    fitted; from and to the times `given`, s, the force was known to the prediction. There is no
+    residual where the force is NaN at a sample. Trace and fans are in the units of `system`.
     """
     windows = _windows(trace)
-    rows = 3 if fans and trace.force is not None else 2
+    whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
+    rows = 3 if fans and whole else 2
     figure = look.new_figure(10, 2.6 + 0.9 * rows)
     figure.suptitle(plain(title), x=0.01, ha="left")
     heights = (1.0, 2.6, 1.5)[:rows]
