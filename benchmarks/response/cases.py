@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.response import reference
+from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
@@ -66,12 +67,20 @@ def bouc_wen_row(rng: np.random.Generator, slip: float) -> Array:
     )
 
 
+def backlash_row(rng: np.random.Generator, slip: float) -> Array:
+    """Parameters of LuGre friction with a backlash spring."""
+    stiff, (fwd, bwd) = slip * rng.uniform(8, 15, 2), slip * rng.uniform(0.8, 1.2, 2)
+    inside = rng.uniform(0.15, 0.4), 0.02, 0.2 * slip
+    return np.array([*stiff, *inside, fwd, bwd, rng.uniform(1, 5), 0.005 * slip, 0.1, 0.15, 0.6])
+
+
 Case = tuple[
     Model, Callable[[np.random.Generator, float], Array], Callable[..., tuple[float, float]]
 ]
 CASES: dict[str, Case] = {
     "lugre": (LuGre(), lugre_row, reference.lugre),
     "bouc_wen": (BoucWen(), bouc_wen_row, reference.bouc_wen),
+    "backlash": (BacklashLuGre(), backlash_row, reference.backlash),
     "three_stage": (ThreeStage(), three_stage_row, reference.three_stage),
 }
 

@@ -50,6 +50,30 @@ def bouc_wen(o: Oscillator, row: Array) -> tuple[float, float]:
     return _peaks(_solved(flow, o, np.zeros(3)), force)
 
 
+def backlash(o: Oscillator, row: Array, start: float) -> tuple[float, float]:
+    """Largest travel and force of LuGre friction with a backlash spring, in and kip."""
+    kf, kb, gap, ell, k0, fwd, bwd, n, s2, ef, eb, vs = row
+
+    def spring(z: Array) -> Array:
+        up, down = np.logaddexp(0, (z - gap / 2) / ell), np.logaddexp(0, -(z + gap / 2) / ell)
+        return np.asarray(kf * ell * up - kb * ell * down + k0 * z)
+
+    def force(x: Array, v: Array, z: Array) -> Array:
+        return spring(z) + s2 * v
+
+    begin = -gap / 2 - bwd / kb + start * (gap + bwd / kb + fwd / kf)
+    rest = float(spring(np.array(begin)))
+
+    def flow(t: float, y: Array) -> list[float]:
+        x, v, z = y
+        g = float(spring(z))
+        slip = (fwd if g > 0 else bwd) * (1 + (ef if g > 0 else eb) * np.exp(-((v / vs) ** 2)))
+        rate = v * (1 - 0.5 * (1 + np.sign(v * g)) * abs(g / slip) ** n)
+        return [v, o.acceleration(t, x, v, g + s2 * v - rest), rate]
+
+    return _peaks(_solved(flow, o, np.array([0.0, 0.0, begin])), force)
+
+
 def lugre(o: Oscillator, row: Array) -> tuple[float, float]:
     """Largest travel and force of LuGre friction, in and kip."""
     flow, force = _bristles(o, row)

@@ -3,8 +3,8 @@
     python -m benchmarks.response.speed DRAWS JOBS RECORD > benchmarks/response/speed.txt
 
 The six-storey building of the ground motions' README: floors of 100 kip, the roof 50 kip, and
-326.32 kip/in in each storey; 2 % Rayleigh damping. Three-stage dampers with random parameters that
-slip at about 5 % of the weight above them.
+326.32 kip/in in each storey; 2 % Rayleigh damping. Three-stage dampers with random parameters,
+which slip at about 5 % of the weight above them.
 """
 
 from __future__ import annotations

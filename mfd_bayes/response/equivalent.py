@@ -84,11 +84,15 @@ def _bouc_wen(tag: int, trace: Trace, force: Array) -> tuple[str, Array]:
         k, fy, n = np.exp(q[:3])
         alpha, beta = q[3], 0.5 + 0.5 * q[4]
         row = np.array([[k, alpha, fy, fy, beta, 1.0 + n, 0.0]])
-        return model.force(row, trace)[0]
+        return np.asarray(model.force(row, trace)[0])
 
     begin = np.array([np.log(stiffness), np.log(slip), 0.0, 0.01, 0.2])
     bounds = ([-20, -20, -6, 0.0, 0.0], [20, 20, 2.5, 0.9, 1.0])
-    found = least_squares(lambda q: predicted(q) - force, begin, bounds=bounds, max_nfev=40).x
+
+    def off(q: Array) -> Array:
+        return np.asarray(predicted(q) - force)
+
+    found = least_squares(off, begin, bounds=bounds, max_nfev=40).x
     k, fy, n = np.exp(found[:3])
     alpha, beta, power = found[3], 0.5 + 0.5 * found[4], 1.0 + n
     # our z is a force and is compared with F_y; theirs is a displacement
@@ -114,6 +118,10 @@ def _elastic_plastic(tag: int, trace: Trace, force: Array) -> tuple[str, Array]:
         return np.array(forces)
 
     begin = np.log([stiffness, slip])
-    found = least_squares(lambda q: predicted(q) - force, begin, max_nfev=30).x
+
+    def off(q: Array) -> Array:
+        return np.asarray(predicted(q) - force)
+
+    found = least_squares(off, begin, max_nfev=30).x
     k, fy = np.exp(found)
     return f"uniaxialMaterial ElasticPP {tag} {k:.6g} {fy / k:.6g}", predicted(found)

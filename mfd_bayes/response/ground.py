@@ -50,7 +50,7 @@ class Ground:
     @property
     def time(self) -> Array:
         """Times of the samples, (T,), s."""
-        return self.step * np.arange(self.acceleration.size)
+        return np.asarray(self.step * np.arange(self.acceleration.size), dtype=np.float64)
 
     @property
     def peak(self) -> float:

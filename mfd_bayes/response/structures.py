@@ -117,4 +117,4 @@ def _matrix(path: Path, key: str) -> Array:
         )
     if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-9 * np.abs(matrix).max()):
         raise BuildingError(f"{key}: the matrix in {path} must be symmetric")
-    return 0.5 * (matrix + matrix.T)
+    return np.asarray(0.5 * (matrix + matrix.T))

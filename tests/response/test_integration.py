@@ -115,7 +115,7 @@ def test_plain_friction_slips_at_its_force():
 
 
 @pytest.mark.parametrize(
-    "name", ["lugre", "bouc_wen", pytest.param("three_stage", marks=pytest.mark.slow)]
+    "name", ["lugre", "bouc_wen", "backlash", pytest.param("three_stage", marks=pytest.mark.slow)]
 )
 def test_one_storey_agrees_with_solve_ivp(benchmark_module, name):
     cases = benchmark_module("response.cases")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from mfd_bayes.friction.backlash import BacklashLuGre
+from mfd_bayes.friction.banks.backlash import BacklashBank
 from mfd_bayes.friction.banks.bank import Array, Bank
 from mfd_bayes.friction.banks.hysteresis import HystereticBank
 from mfd_bayes.friction.banks.one_by_one import OneByOne
@@ -13,7 +15,15 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.paper import PaperModel
 
-__all__ = ["Bank", "HystereticBank", "OneByOne", "PaperBank", "PlasticBank", "bank_of"]
+__all__ = [
+    "BacklashBank",
+    "Bank",
+    "HystereticBank",
+    "OneByOne",
+    "PaperBank",
+    "PlasticBank",
+    "bank_of",
+]
 
 
 def bank_of(
@@ -43,4 +53,6 @@ def bank_of(
         return PaperBank.at_rest(model, theta, start, direction)
     if isinstance(model, BoucWen):
         return HystereticBank.at_rest(model, theta)
+    if isinstance(model, BacklashLuGre):
+        return BacklashBank.at_rest(model, theta, start)
     return OneByOne.at_rest(model, theta, start, direction)

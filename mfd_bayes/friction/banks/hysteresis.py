@@ -100,7 +100,9 @@ class HystereticBank:
         return HystereticBank(
             {name: column[rows] for name, column in self.columns.items()},
             chosen_curve(self.curve, rows),
-            *(column[rows] for column in (self.z, self.displacement, self.velocity)),
+            self.z[rows],
+            self.displacement[rows],
+            self.velocity[rows],
             {name: column[rows] for name, column in self.scales.items()},
         )
 
