@@ -262,7 +262,7 @@ def _entry(test: Test, record: Record, trace: Trace) -> Entry:
         rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
-        **({"derived": record.derived} if record.derived else {}),
+        derived=record.derived,
     )
 
 

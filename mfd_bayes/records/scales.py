@@ -90,7 +90,7 @@ def _positive(value: float, other: float) -> float:
 
 def _noise(force: Array) -> float:
     """Standard deviation of white noise whose second differences have the size of these."""
-    return float(np.median(np.abs(np.diff(force, 2)))) / 0.6745 / np.sqrt(6.0)
+    return float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))
 
 
 def _unloading(trace: Trace, force: Array, slip: float) -> float:

@@ -108,7 +108,8 @@ def arviz_data(groups: Mapping[str, xr.Dataset]) -> Any:
         warnings.simplefilter("ignore", FutureWarning)  # 0.23 announces version 1
         import arviz as az
     if hasattr(az, "InferenceData"):
-        return az.InferenceData(**groups)
+        inference_data: Any = az.InferenceData
+        return inference_data(**groups)
     return xr.DataTree.from_dict(dict(groups))
 
 
