@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def frames_of(run: Run, system: System, most: int = 0) -> Iterator[pd.DataFrame]
         kept = np.arange(chains * draws)
         if 0 < most < kept.size:
             kept = np.linspace(0, kept.size - 1, most).astype(np.intp)
-        columns = {"test": name, "chain": kept // draws, "draw": kept % draws}
+        columns: dict[str, Any] = {"test": name, "chain": kept // draws, "draw": kept % draws}
         for quantity, values in stored.draws.data_vars.items():
             unit = str(values.attrs.get("units", "1"))
             shown = "" if unit == "1" else f" [{system.unit(unit)}]"

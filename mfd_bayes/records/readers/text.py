@@ -209,7 +209,8 @@ def _best(head: Sequence[str]) -> tuple[str, Layout] | None:
 
     A table has names; without any, it is the longest block of rows of numbers.
     """
-    tables, blocks = [], []
+    tables: list[tuple[str, Layout]] = []
+    blocks: list[tuple[str, Layout]] = []
     for separator in SEPARATORS:
         rows = [_split(line, separator) for line in head]
         layout = find_layout(rows, _reads)
