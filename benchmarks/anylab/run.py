@@ -3,8 +3,8 @@
     python -m benchmarks.anylab.run [NUMBER OF THE DEVICE]
 
 prints a line for each device: how long it takes, what `init` guessed, how many of the true values
-that the data inform lie inside their 95 % intervals, and how `check` prints a figure. The table of
-all four stands in anylab.txt.
+that the data inform lie inside their 95 % intervals, and the slip force in the units of the report.
+
 """
 
 import subprocess
