@@ -87,7 +87,8 @@ def main() -> int:
         results.append(json.loads(path.read_text()))
     lines, good = table(results)
     print(f"Bands given a first part, {len(results)} synthetic tests, {DRAWS} draws each.")
-    print(f"python -m benchmarks.given.coverage; {processor()}, {versions('numpy', 'arviz')}")
+    print(f"python -m benchmarks.given.coverage --tests {len(results)}")
+    print(f"{processor()}, {versions('numpy', 'arviz')}")
     print(lines)
     return 0 if good else 1
 
