@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.draws import no_dampers, plain_friction
@@ -122,7 +124,10 @@ def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None])
             found.append(block.solve(observe))
             observe(Step(block.id, State.DONE))
         return found
-    with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder:
+    with (
+        tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder,
+        before_end(lambda: shutil.rmtree(folder, ignore_errors=True)),
+    ):
         out = Path(folder)
         for outcome in run_jobs(blocks, out, Workplace(jobs), observe):
             observe(Step(outcome.id, outcome.status))

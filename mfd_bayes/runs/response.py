@@ -41,8 +41,10 @@ def respond_of_run(
     source: Source,
     building: Building | str | Path,
     grounds: Grounds,
-    choice: Choice,
     *,
+    draws: int = 300,
+    seed: int = 1,
+    kind: str = "new_test",
     tolerance: float = 0.01,
     jobs: int = 1,
     observe: Callable[[Step], None] = lambda step: None,
@@ -55,8 +57,9 @@ def respond_of_run(
         As `read_building` reads it.
     grounds : Ground or path, or several
         Paths as `read_ground` reads them; "FILE:0.01s" gives the step of a file without one.
-    choice : Choice
-        Kind of draws, "new_test" with each damper's scatter or "device" without; their number.
+    draws, seed : int
+    kind : {"new_test", "device"}
+        With each damper's scatter from test to test, or the mean property alone.
     tolerance : float
         Share by which no peak may change when the step is halved.
     jobs : int
@@ -73,6 +76,7 @@ def respond_of_run(
         When the building or a ground motion cannot be used, or the actuation is of another kind
         than the run's.
     """
+    choice = Choice(kind, draws, seed)
     built = building if isinstance(building, Building) else read_building(building)
     moved = grounds_of(grounds)
     check_actuation(source, built)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,7 +30,6 @@ from mfd_bayes.population.recalibration import chosen_factor, promise
 from mfd_bayes.population.setting import planned_setting
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.choice import Choice
 from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, this_test
 from mfd_bayes.runs.folder import (
     POPULATION,
@@ -50,8 +49,6 @@ from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
 
 if TYPE_CHECKING:
-    from mfd_bayes.response.building import Building
-    from mfd_bayes.response.ground import Ground
     from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
@@ -218,15 +215,7 @@ class Run:
         return self._recalibrated(band, scores) if recalibrate else band
 
     def respond(
-        self,
-        building: Building | str | Path,
-        grounds: Sequence[Ground | str | Path] | Ground | str | Path,
-        draws: int = 300,
-        seed: int = 1,
-        *,
-        kind: str = "new_test",
-        jobs: int = 1,
-        **settings: Any,
+        self, building: Any, grounds: Any, draws: int = 300, seed: int = 1, **settings: Any
     ) -> Response:
         """Response of a building with this device as its dampers; see `respond_of_run`."""
         from mfd_bayes.runs.response import Source, respond_of_run
@@ -234,8 +223,7 @@ class Run:
         model = next(iter(self.tests.values())).posterior.model
         known = self.actuation_unit, self.tested, self.system
         source = Source(self.population, model, *known)
-        choice = Choice(kind, draws, seed)
-        return respond_of_run(source, building, grounds, choice, jobs=jobs, **settings)
+        return respond_of_run(source, building, grounds, draws=draws, seed=seed, **settings)
 
     def follow(
         self,

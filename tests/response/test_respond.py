@@ -1,6 +1,10 @@
 """From a finished run to the response of a building."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -229,3 +233,25 @@ def test_the_same_bits_whatever_the_number_of_processes(run, path, ground, monke
     two = run.respond(path, [ground], draws=20, jobs=2)
     assert np.array_equal(one.drift, two.drift)
     assert np.array_equal(one.histories[0], two.histories[0])
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_nothing(finished_run, path, quake, tmp_path):
+    words = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
+    words += ["-o", str(tmp_path / "r"), "--draws", "3000", "--jobs", "2"]
+    begun = subprocess.Popen(
+        [sys.executable, "-m", "mfd_bayes", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+    )
+    assert begun.stdout is not None
+    while "in the earthquake" not in begun.stdout.readline():
+        assert begun.poll() is None
+    begun.send_signal(signal.SIGINT)
+    said = begun.communicate(timeout=60)[0]
+    assert begun.returncode == 130
+    assert "interrupted" in said
+    assert not (tmp_path / "r").exists()
+    assert not [place for place in tmp_path.glob("mfd_bayes-*") if any(place.glob("*.npz"))]
