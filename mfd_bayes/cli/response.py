@@ -59,9 +59,9 @@ def respond(
     are numbers alone are taken to be in g; FILE:0.01s:cm/s^2 says otherwise.
 
     Example:
-      mfd-bayes respond out --building building.toml --ground quake.AT2 -o response
-      mfd-bayes respond out --building b.toml --ground q.AT2 -o r
-        --sweep actuation="500 psi to 1500 psi"
+      mfd-bayes respond out --building b.toml --ground quake.AT2 -o response
+
+    With --sweep actuation="500 psi to 1500 psi" it compares actuations.
     """
     from mfd_bayes.pipeline import response as pipeline
 
