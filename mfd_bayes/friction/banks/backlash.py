@@ -60,8 +60,9 @@ class BacklashBank:
         """Dampers at rest at displacement 0."""
         places = None if start is None else np.asarray(start, dtype=np.float64)
         state = model.start(theta, places)
-        zero = np.zeros(state.z.size)
-        return cls(state.damper, state.z, zero, zero, state.force, {})
+        z, force, _ = state.bent
+        zero = np.zeros(z.size)
+        return cls(state.damper, z, zero, zero, force, {})
 
     @property
     def force(self) -> Array:
