@@ -61,7 +61,9 @@ commands = ModuleType("mfd_bayes.pipeline.commands")
 commands.Options = Options
 commands.effort_of = lambda out, effort, *, resume: "quick"
 commands.calibrate_plan = work
-commands.plan_campaign = lambda *_: SimpleNamespace(manifest=SimpleNamespace(warnings=()))
+commands.plan_campaign = lambda *_: SimpleNamespace(
+    manifest=SimpleNamespace(warnings=()), system=SimpleNamespace(reworded=str)
+)
 commands.is_whole = lambda view: True
 sys.modules[commands.__name__] = mfd_bayes.pipeline.commands = commands
 main()
