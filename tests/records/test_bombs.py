@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does it")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="memory is limited as Linux does it"
+)
 
 HUGE = 1_250_000_000  # of doubles: 10 GB
 
