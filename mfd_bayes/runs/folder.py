@@ -116,8 +116,8 @@ def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 _TABLES = (
-    *("parameters.csv", "derived.csv", "readings.csv", "laws.csv", "law_scores.csv"),
-    *("checks.csv", "scores.csv"),
+    *("parameters.csv", "derived.csv", "readings.csv", "noises.csv"),
+    *("laws.csv", "law_scores.csv", "checks.csv", "scores.csv"),
     *("parameters.json", "laws.json", "parameters.tex", "laws.tex"),
     *("crossvalidation.csv", "tested_range.csv", "tables.docx", "tables.xlsx"),
 )

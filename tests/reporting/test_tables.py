@@ -16,6 +16,7 @@ from mfd_bayes.reporting.tables import (
     report_tables,
     scores_csv,
 )
+from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.verdict import Verdict
 
 
@@ -94,6 +95,14 @@ def test_laws_are_scored_best_first(campaign):
 def test_a_campaign_that_was_not_cross_validated_has_no_table_of_it(campaign):
     assert "crossvalidation.csv" in report_tables(campaign)
     assert "crossvalidation.csv" not in report_tables(replace(campaign, left_out=None))
+
+
+def test_a_new_run_in_a_folder_removes_every_table_of_the_old_one(campaign, tmp_path):
+    (tmp_path / "manifest.json").write_text("{}")
+    for name in report_tables(campaign):
+        (tmp_path / name).write_text("")
+    discard(tmp_path)
+    assert not any(tmp_path.iterdir())
 
 
 def test_nothing_to_write_leaves_the_header():
