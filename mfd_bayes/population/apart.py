@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.test_likelihood import LEAST_INFORMATION, TestLikelihood, without_prior
+from mfd_bayes.population.test_likelihood import (
+    LEAST_INFORMATION,
+    LeastSquares,
+    TestLikelihood,
+    without_prior,
+)
 
 Array = NDArray[np.float64]
 
@@ -104,6 +109,26 @@ class Joined:
         return self.log_likelihood(self.apart.join(x))
 
 
+@dataclass(frozen=True, eq=False)
+class JoinedSquares:
+    """The same where the likelihood depends on the force by a sum of squares."""
+
+    apart: Apart
+    log_likelihood: LeastSquares
+
+    def __call__(self, x: Array) -> Array:
+        """Log likelihood, (n,)."""
+        return self.log_likelihood(self.apart.join(x))
+
+    def standard(self, x: Array) -> Array:
+        """As in `LeastSquares`."""
+        return self.log_likelihood.standard(self.apart.join(x))
+
+    def by_squares(self, x: Array, squares: Array) -> Array:
+        """As in `LeastSquares`."""
+        return self.log_likelihood.by_squares(self.apart.join(x), squares)
+
+
 def set_apart(layout: Layout, tests: Sequence[TestLikelihood]) -> list[TestLikelihood]:
     """The tests' likelihoods, without what does not inform the population."""
     aparts = [Apart.of(layout, j) for j in range(len(tests))]
@@ -121,7 +146,12 @@ def _one(apart: Apart, test: TestLikelihood) -> TestLikelihood:
     told = np.setdiff1d(np.arange(draws.shape[1]), apart.columns)
     mean, covariance = np.zeros(draws.shape[1]), np.eye(draws.shape[1]) / LEAST_INFORMATION
     mean[told], covariance[np.ix_(told, told)] = without_prior(draws[:, told])
-    return TestLikelihood(Joined(apart, test.log_likelihood), log_own_prior, mean, covariance)
+    whole = test.log_likelihood
+    if isinstance(whole, LeastSquares):
+        likelihood: Callable[[Array], Array] = JoinedSquares(apart, whole)
+    else:
+        likelihood = Joined(apart, whole)
+    return TestLikelihood(likelihood, log_own_prior, mean, covariance)
 
 
 def _draws(test: TestLikelihood) -> Array:

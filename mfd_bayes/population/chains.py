@@ -60,17 +60,21 @@ class Chains:
     def partners(self, rng: np.random.Generator) -> list[tuple[Index, Index, Index]]:
         """Halves of the chains, each with two different partners from its ensemble's other half."""
         found = []
-        order = rng.permutation(len(self.h))
-        order = order[np.argsort(self.ensemble[order], kind="stable")]
-        by_ensemble = order.reshape(self.ensemble[-1] + 1, -1)
-        middle = by_ensemble.shape[1] // 2
-        halves = by_ensemble[:, :middle], by_ensemble[:, middle:]
-        for own, other in (halves, halves[::-1]):
+        for own, other in self.halves(rng):
             first = rng.integers(other.shape[1], size=own.shape)
             second = (first + rng.integers(1, other.shape[1], size=own.shape)) % other.shape[1]
             rows = np.arange(len(other))[:, None]
             found.append((own.ravel(), other[rows, first].ravel(), other[rows, second].ravel()))
         return found
+
+    def halves(self, rng: np.random.Generator) -> list[tuple[Index, Index]]:
+        """Random halves of the ensembles, each with the other half, (ensembles, …) each."""
+        order = rng.permutation(len(self.h))
+        order = order[np.argsort(self.ensemble[order], kind="stable")]
+        by_ensemble = order.reshape(self.ensemble[-1] + 1, -1)
+        middle = by_ensemble.shape[1] // 2
+        halves = by_ensemble[:, :middle], by_ensemble[:, middle:]
+        return [halves, halves[::-1]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import special, stats
 
 from mfd_bayes.friction import models
 
@@ -114,12 +116,17 @@ def log_prior(shape: str, q: Array) -> Array:
     return np.asarray(-0.5 * ((q - centre) / sd) ** 2)
 
 
+@cache
+def prior_of(shape: str) -> Any:
+    """Prior of a shape's coordinate, as a distribution of scipy.stats."""
+    if shape == "share":
+        return stats.logistic()
+    return stats.norm(1.0, 0.5) if shape == "exponent" else stats.norm(0.0, SENSITIVITY)
+
+
 def draw_shape(shape: str, uniform: Array) -> Array:
     """Coordinates of a shape drawn from its prior, from uniform numbers in (0, 1)."""
-    if shape == "share":
-        return np.asarray(special.logit(uniform))
-    centre, sd = (1.0, 0.5) if shape == "exponent" else (0.0, SENSITIVITY)
-    return np.asarray(centre + sd * special.ndtri(uniform))
+    return np.asarray(prior_of(shape).ppf(uniform))
 
 
 SENSITIVITY = 0.1

@@ -99,7 +99,7 @@ class Layout:
         """Quantities that the tests share."""
         return self.coordinates.names
 
-    @property
+    @cached_property
     def shapes(self) -> tuple[tuple[str, str], ...]:
         """Quantity and shape of each shape coordinate."""
         found = [(name, s) for name, law in self.laws.items() for s in shapes_of(law)]
@@ -122,14 +122,14 @@ class Layout:
         inferred[np.flatnonzero(self.common)] = False
         return inferred
 
-    @property
+    @cached_property
     def block(self) -> NDArray[np.intp]:
         """Scatter group to which each coordinate of h belongs, (dim,)."""
         shaped = [self.member[self.names.index(name)] for name, _ in self.shapes]
         effects = [effect.group for effect in self.effects]
         return np.array([*self.member, *effects, *shaped], dtype=np.intp)
 
-    @property
+    @cached_property
     def sd_scale(self) -> Array:
         """Prior scale of the scatter of each quantity and of the sd of each effect."""
         effects = [self.scatter_sd[effect.members[0]] for effect in self.effects]

@@ -13,24 +13,18 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.jobs.likelihoods import Evaluate
 from mfd_bayes.population.chains import Chains, TestDraws, ThinnedChains, by_walker
-from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.sweep import Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
+from mfd_bayes.population.warm_up import warm_up
 
 Array = NDArray[np.float64]
 
 WALKERS = 32
 """Chains of each ensemble."""
-
-WARM_UP = 40
-"""Warm-up sweeps with Gaussians in place of the likelihoods, which are cheap."""
-
-SETTLE = 20
-"""Further warm-up sweeps, with the likelihoods themselves."""
 
 KEPT = 1500
 """Least number of draws of each ensemble that are kept, about."""
@@ -107,7 +101,8 @@ def sample_joint(
     evaluate : callable, optional
         Computes the tests' likelihoods, in several processes.
     """
-    run = _Run(problem, effort, *_warm_up(problem, effort.ensembles, rng, evaluate))
+    chains = effort.ensembles * WALKERS, effort.ensembles
+    run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, *chains, rng, evaluate))
     for end in _looks(most_sweeps(effort)):
         run.sweep_until(end)
         dropped, convergence = run.converge()
@@ -115,29 +110,6 @@ def sample_joint(
         if convergence.reached(effort.r_hat, effort.ess):
             break
     return run.draws(dropped, convergence)
-
-
-def _warm_up(
-    problem: JointProblem, ensembles: int, rng: np.random.Generator, evaluate: Evaluate | None
-) -> tuple[Sampler, Chains]:
-    """A tuned sampler and its chains: with Gaussian likelihoods first, then with the tests' own."""
-    layout, tests = problem.layout, problem.tests
-    sampler = Sampler(Joint(layout, [test.approximated() for test in tests]), rng)
-    chains = sampler.start(ensembles * WALKERS, ensembles)
-    for i in range(WARM_UP):
-        if i in (WARM_UP // 3, 2 * WARM_UP // 3):
-            sampler.tune(chains)
-        sampler.sweep(chains)
-    if all(test.gaussian for test in tests):
-        return sampler, chains
-    sampler = Sampler(Joint(layout, tests, evaluate), rng)
-    sampler.tune(chains)
-    sampler.take_over(chains)
-    for i in range(SETTLE):
-        if i == SETTLE // 2:
-            sampler.tune(chains)
-        sampler.sweep(chains)
-    return sampler, chains
 
 
 class _Run:
@@ -206,7 +178,7 @@ class _Run:
 
 def _looks(limit: int) -> list[int]:
     """Numbers of sweeps at which convergence is measured, each half as many again as the last."""
-    looks = [min(40, limit)]
+    looks = [min(20, limit)]
     while looks[-1] < limit:
         looks.append(min(looks[-1] + max(20, looks[-1] // 2), limit))
     return looks

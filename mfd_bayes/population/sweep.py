@@ -3,7 +3,7 @@
 A sweep
 
 1.  updates scatter, effects' sd and shapes given the tests, with levels and effects integrated
-    out, by differential evolution;
+    out, by differential evolution and by leaps between modes;
 2.  draws levels and effects, and the tests' weights in the scatter, from their conditional
     densities;
 3.  updates every test's coordinates given the population: proposals of a Gaussian near the
@@ -11,10 +11,15 @@ A sweep
 4.  moves levels and scatter of the quantities that hardly differ, with all tests;
 5.  moves scatter and level of one quantity together with its tests' coordinates.
 
-Every move leaves the joint posterior as it is.
+Companions, whose tests have surrogates in place of their likelihoods, move all tests and levels
+along trajectories instead of 3 and 4. With companions a sweep ends by an exchange with them, after
+some sweeps of theirs, and needs fewer moves of its own. Every move leaves the joint posterior as it
+is.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +28,14 @@ from mfd_bayes.population.chains import Accepted, Chains
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.laws import draw_shape
 from mfd_bayes.population.layout import NONE
+from mfd_bayes.population.moves.exchange import exchange
+from mfd_bayes.population.moves.glide import glide
 from mfd_bayes.population.moves.hyperparameters import (
     draw_latent,
     draw_weights,
     evolve_hyperparameters,
 )
+from mfd_bayes.population.moves.leaps import leap
 from mfd_bayes.population.moves.lines import Tuning, transport
 from mfd_bayes.population.moves.one_test import (
     GaussianConditional,
@@ -39,30 +47,65 @@ from mfd_bayes.population.sharing import draw_common
 
 Array = NDArray[np.float64]
 
-EVOLUTIONS = 4
-"""Updates of scatter and shapes in a sweep."""
 
-NEAR = 2
-"""Proposals near the conditional density in a sweep, for every test."""
+@dataclass(frozen=True)
+class Plan:
+    """How often a sweep makes each kind of move.
 
-SHIFTS = 4
-"""Moves of the levels of quantities that hardly differ in a sweep."""
+    Attributes
+    ----------
+    evolutions : int
+        Of scatter and shapes.
+    near : int
+        Proposals near the conditional density of every test.
+    shifts : int
+        Moves of the levels of quantities that hardly differ.
+    glides : int
+        Trajectories; they need surrogates.
+    together : int
+        Moves of scatter and level together with the tests.
+    """
 
-TOGETHER = 2
-"""Moves of scatter and level together with the tests in a sweep."""
+    evolutions: int
+    near: int
+    shifts: int
+    glides: int
+    together: int
+
+
+ALONE = Plan(evolutions=4, near=2, shifts=4, glides=0, together=2)
+"""For chains without companions."""
+
+ACCOMPANIED = Plan(evolutions=1, near=1, shifts=1, glides=0, together=0)
+"""For chains with companions: most comes from these."""
+
+COMPANION = Plan(evolutions=2, near=0, shifts=0, glides=2, together=1)
+"""For companions."""
+
+BETWEEN = 2
+"""Sweeps of the companions in a sweep."""
 
 
 class Sampler:
     """Samples a joint posterior sweep by sweep.
 
+    Parameters
+    ----------
+    joint : Joint
+    rng : numpy.random.Generator
+    plan : Plan, optional
+
     Attributes
     ----------
+    companions : (Sampler, Chains), optional
+        Companions of the chains, and what samples them.
     accepted : dict of str to list of float
         Acceptance rates by kind of proposal, in the order of the sweeps.
     """
 
-    def __init__(self, joint: Joint, rng: np.random.Generator) -> None:
-        self.joint, self.rng = joint, rng
+    def __init__(self, joint: Joint, rng: np.random.Generator, plan: Plan = ALONE) -> None:
+        self.joint, self.rng, self.plan = joint, rng, plan
+        self.companions: tuple[Sampler, Chains] | None = None
         self.accepted: dict[str, list[float]] = {}
         self._tune(Tuning.by_prior(joint.layout, joint.tests))
 
@@ -102,19 +145,33 @@ class Sampler:
     def sweep(self, chains: Chains) -> None:
         """One sweep over everything, in place."""
         given = self.joint, chains, self.rng
-        for _ in range(EVOLUTIONS):
+        for _ in range(self.plan.evolutions):
             self._note(evolve_hyperparameters(*given))
+        self._note(leap(*given))
         draw_latent(*given)
         draw_weights(*given)
-        conditional = self.joint.conditional(chains)
-        for _ in range(NEAR):
-            self._note(step_near(*given, conditional))
-        self._note(evolve_tests(*given, conditional))
-        for _ in range(SHIFTS):
+        self._move_tests(chains)
+        for _ in range(self.plan.glides):
+            self._note(glide(*given))
+        for _ in range(self.plan.shifts):
             self._note(shift(*given, self.tuning))
         self._note(rescale(*given))
-        for _ in range(TOGETHER):
+        for _ in range(self.plan.together):
             self.move_together(chains)
+        if self.companions:
+            sampler, companions = self.companions
+            for _ in range(BETWEEN):
+                sampler.sweep(companions)
+            self._note(exchange(self.joint, chains, sampler.joint, companions, self.rng))
+
+    def _move_tests(self, chains: Chains) -> None:
+        """Move every test's coordinates given the population, in place."""
+        if not self.plan.near:
+            return
+        given = self.joint, chains, self.rng, self.joint.conditional(chains)
+        for _ in range(self.plan.near):
+            self._note(step_near(*given))
+        self._note(evolve_tests(*given))
 
     def move_together(self, chains: Chains) -> None:
         """Move scatter and level of one quantity, with its tests' values, in place."""
@@ -124,6 +181,10 @@ class Sampler:
     def tune(self, chains: Chains) -> None:
         """Tune proposals to the chains. It must not be called once chains are kept."""
         self._tune(Tuning.by_chains(self.joint.layout, self.joint.tests, chains))
+
+    def take_tuning(self, other: Sampler) -> None:
+        """Take the proposals' tuning from another sampler of the same layout."""
+        self._tune(other.tuning)
 
     def _tune(self, tuning: Tuning) -> None:
         self.tuning = tuning

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,20 @@ Array = NDArray[np.float64]
 
 LEAST_INFORMATION = 1e-3
 """Precision, in prior units, below which a test counts as uninformative in a direction."""
+
+
+@runtime_checkable
+class LeastSquares(Protocol):
+    """A log likelihood that depends on the model's force by a sum of squares."""
+
+    def __call__(self, x: Array) -> Array:
+        """Log likelihood at (n, D), (n,)."""
+
+    def standard(self, x: Array) -> Array:
+        """What the model leaves over at (n, D), over the shape of the noise, (n, T)."""
+
+    def by_squares(self, x: Array, squares: Array) -> Array:
+        """Log likelihood of coordinates (n, D) that leave such sums of squares over, (n,)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,12 +113,18 @@ class WorkingLikelihood:
         return inside
 
     def _log_density(self, x: Array) -> Array:
-        kept = self.kept
-        standard = self.residual(x)[:, kept] / self.shape[kept]
-        sd, samples = self.noise_sd(x), standard.shape[1]
-        squares = np.einsum("nt,nt->n", standard, standard) / sd**2
-        log_scale = samples * (np.log(sd) + 0.5 * LOG_2PI) + np.log(self.shape[kept]).sum()
-        return np.asarray(-self.information * (0.5 * squares + log_scale))
+        standard = self.standard(x)
+        return self.by_squares(x, np.einsum("nt,nt->n", standard, standard))
+
+    def standard(self, x: Array) -> Array:
+        """What model and discrepancy leave of the samples that count, over their shape, (n, T)."""
+        return np.asarray(self.residual(x)[:, self.kept] / self.shape[self.kept])
+
+    def by_squares(self, x: Array, squares: Array) -> Array:
+        """Log likelihood of (n, D) coordinates where `standard` has these sums of squares, (n,)."""
+        sd, shape = self.noise_sd(x), self.shape[self.kept]
+        log_scale = shape.size * (np.log(sd) + 0.5 * LOG_2PI) + np.log(shape).sum()
+        return np.asarray(-self.information * (0.5 * squares / sd**2 + log_scale))
 
 
 def working_likelihood(

@@ -39,6 +39,28 @@ def gaussian_test(mean: Array, covariance: Array) -> TestLikelihood:
 
 
 @dataclass(frozen=True, eq=False)
+class Squares:
+    """A Gaussian likelihood as a sum of squares, so that it may have a surrogate."""
+
+    mean: Array
+    root: Array
+
+    def __call__(self, x: Array) -> Array:
+        return self.by_squares(x, np.sum(self.standard(x) ** 2, axis=1))
+
+    def standard(self, x: Array) -> Array:
+        return np.asarray((x - self.mean) @ self.root)
+
+    def by_squares(self, x: Array, squares: Array) -> Array:
+        return -0.5 * squares
+
+
+def squared(test: TestLikelihood) -> TestLikelihood:
+    """The test with its Gaussian as a sum of squares."""
+    return replace(test, log_likelihood=Squares(test.mean, test.root))
+
+
+@dataclass(frozen=True, eq=False)
 class Moments:
     """Means and sds of all quantities, and exact draws of h (log scatter, log effect sd), u, x."""
 
@@ -157,6 +179,11 @@ class Linear:
             drawn[:, :u],
             drawn[:, u:].reshape(n, *self.y.shape),
         )
+
+
+@pytest.fixture(scope="session", name="squared")
+def _squared() -> Callable[[TestLikelihood], TestLikelihood]:
+    return squared
 
 
 @pytest.fixture(scope="session", name="gaussian_test")

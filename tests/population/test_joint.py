@@ -1,5 +1,6 @@
 """Every move of a sweep leaves a linear-Gaussian joint posterior invariant; broken ones do not."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,15 @@ from scipy.stats import norm
 from mfd_bayes.population.chains import Chains
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.moves import glide as gliding
+from mfd_bayes.population.moves import leaps as leaping
 from mfd_bayes.population.moves import one_test, shared
+from mfd_bayes.population.moves.glide import glide
 from mfd_bayes.population.moves.hyperparameters import draw_latent, evolve_hyperparameters
+from mfd_bayes.population.moves.leaps import leap
 from mfd_bayes.population.moves.lines import Lines, transport
-from mfd_bayes.population.sweep import Sampler
+from mfd_bayes.population.surrogate import surrogates_of
+from mfd_bayes.population.sweep import COMPANION, Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
 CHAINS = 4096
@@ -51,7 +57,7 @@ class Case:
             h[:, -1] = 1.0 + 0.5 * exact.u[:, -1]
         x = [exact.x[:, j].copy() for j in range(len(self.tests))]
         likelihoods = [t.log_likelihood(v) for t, v in zip(self.tests, x, strict=True)]
-        ensemble = np.repeat(np.arange(4), CHAINS // 4)
+        ensemble = np.repeat(np.arange(CHAINS // 32), 32)
         weight = np.ones((CHAINS, len(x), d))
         return Chains(h, latent, x, likelihoods, layout.draw_choice(CHAINS), weight, ensemble)
 
@@ -96,9 +102,11 @@ def sampler_of(case: Case, tests=None, layout=None) -> Sampler:
     return Sampler(joint, np.random.default_rng(4))
 
 
-def shift(case: Case, move, times: int = 30, sampler: Sampler | None = None) -> float:
+def shift(
+    case: Case, move, times: int = 30, sampler: Sampler | None = None, chains: Chains | None = None
+) -> float:
     """Largest change of a moment by a move, in standard errors."""
-    chains = case.chains()
+    chains = chains or case.chains()
     before = features(chains)
     sampler = sampler or sampler_of(case)
     for _ in range(times):
@@ -131,6 +139,27 @@ def hyper(sampler: Sampler, chains: Chains) -> None:
     latent(sampler, chains)
 
 
+def leaps(sampler: Sampler, chains: Chains) -> None:
+    """Leaps of effects and shapes with levels integrated out, some taken, then of the levels."""
+    accepted = leap(sampler.joint, chains, sampler.rng)
+    assert all(0.02 < np.mean(yes) < 1.0 for _, yes in accepted)
+    latent(sampler, chains)
+
+
+def with_surrogates(case: Case, squared) -> Sampler:
+    """A sampler whose tests have surrogates, which are exact here."""
+    given = [squared(test) for test in case.linear.likelihoods()]
+    rng = np.random.default_rng(5)
+    tests = surrogates_of(given, [case.exact.x[:256, j] for j in range(len(given))], rng)
+    return Sampler(Joint(case.linear.layout, tests), np.random.default_rng(4), COMPANION)
+
+
+def glides(sampler: Sampler, chains: Chains) -> None:
+    """A trajectory of levels and tests, most of them taken."""
+    accepted = glide(sampler.joint, chains, sampler.rng)
+    assert 0.5 < np.mean(accepted[0][1]) < 1.0
+
+
 def together(move, sampler: Sampler, chains: Chains, k: int = 0):
     """One move of a quantity's scatter and level with its tests; returns its acceptance."""
     return move(sampler.joint, chains, sampler.rng, sampler.tuning, k)[0][1]
@@ -155,6 +184,7 @@ def move_all(move, sampler: Sampler, chains: Chains, *tuning) -> None:
 
 MOVES = {
     "hyper": hyper,
+    "leap": leaps,
     "latent": latent,
     "near": of_one_test(one_test.step_near),
     "evolution": of_one_test(one_test.evolve_tests),
@@ -207,6 +237,28 @@ def test_a_move_of_all_tests_with_a_wrong_ratio_does_not(device, name, monkeypat
 
     monkeypatch.setattr(shared, "_accept", wrong)
     assert shift(device, MOVES[name], 150) > 1.5 * FAR
+
+
+@pytest.mark.parametrize("which", ["case", "pair", "vague", "device"])
+@pytest.mark.parametrize("move", [glides, MOVES["sweep"]])
+def test_trajectories_leave_the_posterior_as_it_is(request, squared, which, move):
+    found = request.getfixturevalue(which)
+    sampler = with_surrogates(found, squared)
+    taken = found.chains()
+    sampler.take_over(taken)
+    assert shift(found, move, 10, sampler, taken) < FAR
+
+
+def test_trajectories_whose_energy_is_forgotten_do_not(case, squared, monkeypatch):
+    monkeypatch.setattr(gliding, "SIZE", 1.2)
+    monkeypatch.setattr(gliding._Momentum, "energy", property(lambda self: np.zeros(CHAINS)))
+    sampler, taken = with_surrogates(case, squared), case.chains()
+    sampler.take_over(taken)
+
+    def move(sampler, chains):
+        glide(sampler.joint, chains, sampler.rng)
+
+    assert shift(case, move, 40, sampler, taken) > 1.5 * FAR
 
 
 @pytest.mark.parametrize("move", ["shift", "rescale"])
@@ -264,6 +316,27 @@ def test_proposals_near_a_gaussian_whose_density_is_forgotten_do_not(case, monke
         one_test.GaussianConditional, "square", lambda self, away: 0.0 * square(self, away)
     )
     assert shift(case, MOVES["near"], 100) > 1.5 * FAR
+
+
+def test_leaps_whose_density_is_forgotten_do_not(case, monkeypatch):
+    log = leaping._Density.log
+    monkeypatch.setattr(leaping._Density, "log", lambda self, at: 0.0 * log(self, at))
+    assert shift(case, MOVES["leap"], 60) > 1.5 * FAR
+
+
+def test_a_chain_that_is_alone_far_away_comes_back_by_leaps_alone(case):
+    """Effects as large as the law's whole range, and a law that says the opposite."""
+    first, odd = slice(0, CHAINS, 32), case.chains()
+    odd.h[first, -2:] = np.log(2.0), -1.5
+    without = deepcopy(odd)
+    sampler = sampler_of(case)
+    for _ in range(15):
+        hyper(sampler, without)
+        leaps(sampler, odd)
+    usual = case.chains().h[:, -1]
+    lost = [np.abs(c.h[first, -1] - usual.mean()) > 3.0 * usual.std() for c in (without, odd)]
+    assert np.mean(lost[0]) > 0.3
+    assert np.mean(lost[1]) < 0.05
 
 
 def test_transport_that_forgets_how_it_spreads_the_tests_does_not(vague, monkeypatch):

@@ -10,9 +10,11 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.population import sampling
 from mfd_bayes.population.apart import joined, set_apart
 from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.moves import exchange
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import WALKERS, JointProblem, _correlate, sample_joint
 from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.surrogate import Surrogate
 
 EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
 MEAN, SPREAD = 0.1, 0.1
@@ -64,6 +66,54 @@ def test_inference_is_brute_force_where_everything_is_gaussian(make_linear, prio
     mean, sd = deviations(linear, run(linear, priors))
     assert mean < MEAN
     assert sd < SPREAD
+
+
+WITH_SURROGATES = (
+    "with an effect of the level",
+    "one for the device, and one that differs",
+    "a test at zero",
+)
+
+
+@pytest.mark.parametrize("case", WITH_SURROGATES)
+def test_with_surrogates_it_is_brute_force_too(make_linear, priors, squared, case):
+    linear = make_linear(*CASES[case], seed=4)
+    draws = run(linear, priors, [squared(test) for test in linear.likelihoods()])
+    assert draws.accepted["exchange"] > 0.9
+    mean, sd = deviations(linear, draws)
+    assert mean < MEAN
+    assert sd < SPREAD
+
+
+@pytest.mark.slow
+def test_surrogates_that_are_wrong_change_nothing(make_linear, priors, squared, monkeypatch):
+    """They are of likelihoods that are half as wide; where they decide, the result is wrong."""
+    linear = make_linear(*CASES["two quantities, known together"], seed=4)
+    tests = [squared(test) for test in linear.likelihoods()]
+    weight = Surrogate.__call__
+
+    def narrow(surrogate, x):
+        return 1.8 * weight(surrogate, x)
+
+    monkeypatch.setattr(Surrogate, "__call__", narrow)
+    draws = run(linear, priors, tests, effort=replace(EFFORT, ess=500))
+    assert 0.2 < draws.accepted["exchange"] < 0.95
+    mean, sd = deviations(linear, draws)
+    assert mean < MEAN
+    assert sd < SPREAD
+    monkeypatch.setattr(exchange, "_gain", lambda *given: np.zeros(len(given[1].h)))
+    mean, sd = deviations(linear, run(linear, priors, tests, effort=FEWER))
+    assert mean > 2 * MEAN or sd > 2 * SPREAD
+
+
+def test_surrogates_that_nothing_is_exchanged_with_are_given_up(
+    make_linear, priors, squared, monkeypatch
+):
+    linear = make_linear(*CASES["one quantity"], seed=4)
+    monkeypatch.setattr(exchange, "_gain", lambda *given: np.full(len(given[1].h), -np.inf))
+    draws = run(linear, priors, [squared(test) for test in linear.likelihoods()])
+    assert "exchange" not in draws.accepted
+    assert deviations(linear, draws)[0] < MEAN
 
 
 def test_a_test_at_zero_that_informs_a_power_law_is_told_apart(make_linear, priors, monkeypatch):
@@ -135,7 +185,7 @@ def test_draws_are_laid_out_by_chain_and_walker(make_linear, priors):
     assert population.choice.shape == (chains, draws, 1)
     assert population.levels.shape == (chains, draws, 2)
     assert [x.shape for x in found.tests] == [(chains, draws, 2)] * 4
-    assert found.sweeps >= 40
+    assert found.sweeps >= 20
     assert all(0.0 <= share <= 1.0 for share in found.accepted.values())
 
 
@@ -153,8 +203,8 @@ def test_as_many_states_are_kept_as_are_asked_for(make_linear, priors, monkeypat
 
 
 def test_convergence_is_looked_at_now_and_then_and_at_the_limit():
-    assert sampling._looks(160) == [40, 60, 90, 135, 160]
-    assert sampling._looks(30) == [30]
+    assert sampling._looks(160) == [20, 40, 60, 90, 135, 160]
+    assert sampling._looks(30) == [20, 30]
 
 
 def test_chains_keep_their_laws(make_linear, priors):

@@ -85,9 +85,10 @@ def rescale(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
         jump = _size(rng, len(half), those.size) * (chains.h[first] - chains.h[second])[:, those]
         jump += 1e-3 * rng.standard_normal(jump.shape)
         h = chains.h[half].copy()
-        h[:, those] = np.clip(h[:, those] + jump, -FAR, FAR)
+        h[:, those] += jump
         # the Jacobian of the tests' coordinates cancels the change of their density
-        ratio = joint.layout.log_prior(h).sum(axis=1)
+        inside = np.all(np.abs(h) < FAR, axis=1)
+        ratio = np.where(inside, joint.layout.log_prior(h).sum(axis=1), -np.inf)
         ratio -= joint.layout.log_prior(chains.h[half]).sum(axis=1)
         xs = []
         for j, x in enumerate(chains.x):

@@ -1,0 +1,134 @@
+"""Warm-up of the chains that sample a population, and their companions.
+
+Gaussians in place of the likelihoods bring the chains near their places. Surrogates are fitted
+there, and chains that sample them go on to where the posterior is, where surrogates are fitted
+again, until they are so near the likelihoods that exchanges with them are accepted. Nothing of this
+is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import softmax
+
+from mfd_bayes.calibration.diagnostics import tempering
+from mfd_bayes.jobs.likelihoods import Evaluate
+from mfd_bayes.population.chains import Chains
+from mfd_bayes.population.joint import Joint
+from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.surrogate import surrogates_of
+from mfd_bayes.population.sweep import ACCOMPANIED, COMPANION, Sampler
+from mfd_bayes.population.test_likelihood import TestLikelihood
+
+Array = NDArray[np.float64]
+
+GAUSSIAN = 40
+"""Sweeps with Gaussians in place of the likelihoods, which are cheap."""
+
+SETTLE = 20
+"""Further sweeps where there are no surrogates."""
+
+FIRST = 5
+"""Sweeps with the likelihoods before surrogates are fitted."""
+
+ROUNDS = 6
+"""Most times that surrogates are fitted anew."""
+
+AHEAD = 10
+"""Sweeps with surrogates in each round."""
+
+LAST = 4
+"""Sweeps with companions before the first that is kept."""
+
+EFFECTIVE = 0.5
+"""Share of the chains that is effective, by their weights, where surrogates are near enough."""
+
+WORTH = 0.1
+"""Share of accepted exchanges below which companions are not worth their time."""
+
+
+def warm_up(
+    layout: Layout,
+    tests: Sequence[TestLikelihood],
+    n: int,
+    ensembles: int,
+    rng: np.random.Generator,
+    evaluate: Evaluate | None,
+) -> tuple[Sampler, Chains]:
+    """A tuned sampler and its n chains, with companions where the tests have surrogates."""
+    sampler = Sampler(Joint(layout, [test.approximated() for test in tests]), rng)
+    chains = sampler.start(n, ensembles)
+    _sweep(sampler, chains, GAUSSIAN)
+    if all(test.gaussian for test in tests):
+        return sampler, chains
+    sampler = Sampler(Joint(layout, tests, evaluate), rng)
+    sampler.tune(chains)
+    sampler.take_over(chains)
+    _sweep(sampler, chains, FIRST)
+    if _accompany(sampler, chains):
+        sampler.plan = ACCOMPANIED
+        _sweep(sampler, chains, LAST)
+        if np.mean(sampler.accepted["exchange"]) > WORTH:
+            return sampler, chains
+    sampler = Sampler(sampler.joint, rng)
+    sampler.tune(chains)
+    _sweep(sampler, chains, SETTLE)
+    return sampler, chains
+
+
+def _sweep(sampler: Sampler, chains: Chains, sweeps: int) -> None:
+    """Sweeps, with the proposals tuned after each third."""
+    for i in range(sweeps):
+        if i in (sweeps // 3, 2 * sweeps // 3):
+            sampler.tune(chains)
+        sampler.sweep(chains)
+
+
+def _accompany(sampler: Sampler, chains: Chains) -> bool:
+    """Give the chains companions, and move them where the companions went; whether there are."""
+    joint, rng, states = sampler.joint, sampler.rng, chains.x
+    for turn in range(ROUNDS):
+        surrogates = surrogates_of(joint.tests, states, rng)
+        if surrogates is None:
+            return False
+        companion = Sampler(Joint(joint.layout, surrogates), rng, COMPANION)
+        sampler.tune(chains)
+        companion.take_tuning(sampler)
+        ahead = deepcopy(chains)
+        companion.take_over(ahead)
+        sampler.companions = companion, ahead
+        visited = []
+        for _ in range(AHEAD):
+            companion.sweep(ahead)
+            visited.append([x.copy() for x in ahead.x])
+        true = list(joint.evaluate(enumerate(ahead.x)))
+        log_weights = np.sum(true, axis=0) - np.sum(ahead.log_likelihood, axis=0)
+        log_weights[np.isnan(log_weights)] = -np.inf
+        if not np.any(np.isfinite(log_weights)):
+            return False
+        log_weights -= log_weights.max()
+        near = tempering(np.maximum(log_weights, -1e6), EFFECTIVE)
+        if near == 1.0 and turn > 0:
+            break
+        picks = _resampled(near * log_weights, chains.ensemble, rng)
+        chains.h, chains.latent = ahead.h[picks], ahead.latent[picks]
+        chains.weight, chains.x = ahead.weight[picks], [x[picks] for x in ahead.x]
+        chains.log_likelihood = [found[picks] for found in true]
+        late = visited[AHEAD // 2 :]
+        states = [np.concatenate([x[j][picks] for x in late]) for j in range(len(joint.tests))]
+    return True
+
+
+def _resampled(
+    log_weights: Array, ensemble: NDArray[np.intp], rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Chains drawn by their weights, each from its own ensemble."""
+    picks = np.arange(len(log_weights))
+    for one in np.unique(ensemble):
+        those = np.flatnonzero(ensemble == one)
+        picks[those] = rng.choice(those, size=those.size, p=softmax(log_weights[those]))
+    return picks
