@@ -1,10 +1,11 @@
-"""How often the demo's 95 % intervals hold the true value, over several seeds.
+"""How often the demo's 95 % intervals hold the true value, and its bands a test left out.
 
     python -m benchmarks.demo_coverage.run [SEEDS] > benchmarks/demo_coverage/demo_coverage.txt
 
-runs `mfd-bayes demo --quick` with the seeds 1 to SEEDS (5): about five minutes on two cores.
+runs `mfd-bayes demo --quick` with the seeds 1 to SEEDS (5): about ten minutes on two cores.
 """
 
+import csv
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,9 @@ def main() -> None:
     inside: Counter[str] = Counter()
     known: Counter[str] = Counter()
     print(f"demo --quick, {platform_line()}")
-    print(f"{'seed':>6}{'inside':>9}{'known':>8}{'share':>9}  verdict")
+    bands: list[tuple[float, float]] = []
+    print(f"{'':32s}held-out test covered by")
+    print(f"{'seed':>6}{'inside':>9}{'known':>8}{'share':>9}{'50 %':>10}{'95 %':>7}  verdict")
     for seed in range(1, seeds + 1):
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "out"
@@ -32,13 +35,24 @@ def main() -> None:
                 capture_output=True,
             )
             view = assess(open_run(out))
+            with (out / "scores.csv").open() as file:
+                scored = [row for row in csv.DictReader(file) if row["role"] != "calibrate"]
+        middle, wide = (
+            sum(float(row[f"coverage_{level}"]) for row in scored) / len(scored)
+            for level in (50, 95)
+        )
+        bands.append((middle, wide))
         rows = [row for row in view.truth if row.informed]
         hits = sum(row.inside for row in rows)
         known.update(row.name for row in rows)
         inside.update(row.name for row in rows if row.inside)
-        print(f"{seed:6d}{hits:9d}{len(rows):8d}{hits / len(rows):9.1%}  {view.verdict}")
+        share = hits / len(rows)
+        print(
+            f"{seed:6d}{hits:9d}{len(rows):8d}{share:9.1%}{middle:10.1%}{wide:7.1%}  {view.verdict}"
+        )
     total, hits = sum(known.values()), sum(inside.values())
-    print(f"{'all':>6}{hits:9d}{total:8d}{hits / total:9.1%}")
+    middle, wide = (sum(part) / seeds for part in zip(*bands, strict=True))
+    print(f"{'all':>6}{hits:9d}{total:8d}{hits / total:9.1%}{middle:10.1%}{wide:7.1%}")
     print("\nby quantity")
     for name in sorted(known):
         print(f"{name:22s}{inside[name]:5d} of {known[name]}")

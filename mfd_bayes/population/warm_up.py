@@ -47,6 +47,9 @@ LAST = 4
 EFFECTIVE = 0.5
 """Share of the chains that is effective, by their weights, where surrogates are near enough."""
 
+MOST_TESTS = 100
+"""With more tests the errors of their surrogates add up, and no exchange would be accepted."""
+
 WORTH = 0.1
 """Share of accepted exchanges below which companions are not worth their time."""
 
@@ -91,6 +94,8 @@ def _sweep(sampler: Sampler, chains: Chains, sweeps: int) -> None:
 def _accompany(sampler: Sampler, chains: Chains) -> bool:
     """Give the chains companions, and move them where the companions went; whether there are."""
     joint, rng, states = sampler.joint, sampler.rng, chains.x
+    if len(joint.tests) > MOST_TESTS:
+        return False
     for turn in range(ROUNDS):
         surrogates = surrogates_of(joint.tests, states, rng)
         if surrogates is None:
