@@ -30,18 +30,21 @@ ROUND = 20
 ROUNDS = 12
 """Largest number of such rounds at full power; fewer where they no longer help."""
 
-HEAT = (0.3, 0.3, 0.4, 0.4, 0.5, 0.5, 0.65, 0.8)
+HEAT = (0.3, 0.35, 0.4, 0.5, 0.65, 0.8)
 """Powers of the density in the first rounds, so that walkers reach its tails and other modes."""
 
 BROAD = 0.5
 """The proposal learned at this power stays part of all later ones."""
 
-PATIENCE = 4
+PATIENCE = 2
 """The warm-up ends after this many rounds without a better acceptance rate."""
 
 SLOW = 40.0
-"""Autocorrelation time, steps, above which the proposal is learned again. It is also the least
-value used for the length of a run: far tails are visited more rarely than the estimate shows."""
+"""Autocorrelation time, steps, above which the proposal is learned again."""
+
+LEAST = 16.0
+"""Least autocorrelation time, steps, that is used for the length of a run: far tails are visited
+more rarely than the estimate shows."""
 
 PARTS = 6
 """Largest number of Student-t components of a learned proposal, besides the wide one."""
@@ -243,7 +246,7 @@ class _Walk:
 
     def length(self, chains: Chains) -> float:
         """Number of kept steps over the number that the effort requires."""
-        slowest = max(float(np.max(chains.autocorrelation)), SLOW)
+        slowest = max(float(np.max(chains.autocorrelation)), LEAST)
         asked = self._effort.length * slowest
         return self.fresh / asked if asked > 0.0 else math.inf
 
