@@ -18,7 +18,13 @@ from mfd_bayes.friction.paper import quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.single import Bent, advance_few
 from mfd_bayes.friction.three_stage import check_start
-from mfd_bayes.friction.yield_shares import Shares, check_number, step_shares, trace_shares
+from mfd_bayes.friction.yield_shares import (
+    Shares,
+    check_number,
+    check_step,
+    step_shares,
+    trace_shares,
+)
 from mfd_bayes.records.motion import vertices
 from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
@@ -195,17 +201,14 @@ class BacklashLuGre(Model):
             When a number is not finite, dt not positive, the actuation negative, or a name
             or a value in `scales` does not fit.
         """
-        check_number("displacement", displacement)
-        check_number("velocity", velocity)
+        first = bool(np.isnan(state.displacement))
+        check_step(displacement, velocity, dt, first=first)
         if state.reference is None and actuation is not None:
             state = replace(state, reference=actuation)
         size = state.damper.size
         shares = step_shares(size, state.reference, actuation, scales, ACTUATED)
         after = replace(state, displacement=displacement, velocity=velocity, shares=shares)
-        if not np.isnan(state.displacement):
-            check_number("dt", dt)
-            if dt <= 0:
-                raise FitError(f"dt must be positive, got {dt} s")
+        if not first:
             after = _moved(state, after, dt)
         return after.bent[1] + velocity * state.damper.columns["sigma2"], after
 

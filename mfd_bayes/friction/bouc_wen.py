@@ -22,6 +22,7 @@ from mfd_bayes.friction.yield_shares import (
     ACTUATED,
     Shares,
     check_number,
+    check_step,
     step_shares,
     trace_shares,
 )
@@ -208,16 +209,11 @@ class BoucWen(Model):
             When a number is not finite, dt not positive, the actuation negative, or a name
             or a value in `scales` does not fit.
         """
-        check_number("displacement", displacement)
-        check_number("velocity", velocity)
+        first = state.origin is None
+        check_step(displacement, velocity, dt, first=first)
         if state.reference is None and actuation is not None:
             state = replace(state, reference=actuation)
         shares = step_shares(state.z.size, state.reference, actuation, scales)
-        first = state.origin is None
-        if not first:
-            check_number("dt", dt)
-            if dt <= 0:
-                raise FitError(f"dt must be positive, got {dt} s")
         after = replace(
             state,
             origin=displacement if first else state.origin,

@@ -26,6 +26,17 @@ def check_number(name: str, value: float, *, least: float = -np.inf) -> None:
         raise FitError(f"{name} must be {words}, got {value}")
 
 
+def check_step(displacement: float, velocity: float, dt: float, *, first: bool) -> None:
+    """Refuse a sample that no step leads to; the time before the first does not matter."""
+    check_number("displacement", displacement)
+    check_number("velocity", velocity)
+    if first:
+        return
+    check_number("dt", dt)
+    if dt <= 0:
+        raise FitError(f"dt must be positive, got {dt} s")
+
+
 def _check_shares(
     scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...], ...], names: Names
 ) -> Shares:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.kinds import THIS_TEST
-from mfd_bayes.population.predict import Forecast
-from mfd_bayes.population.recalibration import PROBABILITIES
+from mfd_bayes.population.predict import Band, Forecast
+from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
 from mfd_bayes.population.setting import same_level
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
@@ -44,6 +45,14 @@ def left_out_factors(manifest: Manifest, folder: Path, forecast: Forecast) -> tu
             f"-o {folder} --resume"
         )
     return tuple(scores)
+
+
+def recalibrated(band: Band, scores: tuple[float, ...], manifest: Manifest) -> Band:
+    """The band, widened by the scores of tests that were left out."""
+    found = manifest.crossvalidation
+    said = promise(scores, band.probability, found.by if found else "test")
+    factor, _ = chosen_factor(scores, band.probability)
+    return replace(band.widened(factor), remarks=(*band.remarks, said))
 
 
 def this_test(

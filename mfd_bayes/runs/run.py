@@ -26,11 +26,10 @@ from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Band, Forecast, Predictor
-from mfd_bayes.population.recalibration import chosen_factor, promise
 from mfd_bayes.population.setting import planned_setting
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, this_test
+from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, recalibrated, this_test
 from mfd_bayes.runs.folder import (
     POPULATION,
     PRIORS,
@@ -212,7 +211,7 @@ class Run:
             band = predictor.predict(trace, forecast)
         remarks = (*self._remarks(trace, test), *band.remarks)
         band = replace(band, remarks=remarks, extras=self.extras)
-        return self._recalibrated(band, scores) if recalibrate else band
+        return recalibrated(band, scores, self.manifest) if recalibrate else band
 
     def respond(
         self, building: Any, grounds: Any, draws: int = 300, seed: int = 1, **settings: Any
@@ -301,13 +300,6 @@ class Run:
     def _predictor(self) -> Predictor:
         some = next(iter(self.tests.values())).posterior
         return Predictor(self.population, some.model, some.noise)
-
-    def _recalibrated(self, band: Band, scores: tuple[float, ...]) -> Band:
-        """The band, widened by the scores of tests that were left out."""
-        found = self.manifest.crossvalidation
-        said = promise(scores, band.probability, found.by if found else "test")
-        factor, _ = chosen_factor(scores, band.probability)
-        return replace(band.widened(factor), remarks=(*band.remarks, said))
 
     def _remarks(self, trace: Trace, test: str) -> tuple[str, ...]:
         """Reasons to trust a prediction less than its band suggests."""
