@@ -14,7 +14,7 @@ import pandas as pd
 
 from benchmarks.anylab.devices import DEVICES, write_device
 from benchmarks.anylab.run import command
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.units import factor
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks.common.machine import platform_line
 from mfd_bayes.assessment import assess
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.opening import open_run
 
 
 def main() -> None:

@@ -21,7 +21,8 @@ from mfd_bayes.errors import FitError, MfdError
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
 from mfd_bayes.pipeline import prediction
 from mfd_bayes.population.predict import Forecast, Predictor
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import Run
 
 _PREDICT = ("predict", "out", "--motion", "a.csv", "--actuation", "500 psi", "-o", "b.csv")
 COMMANDS: tuple[tuple[str, ...], ...] = (

@@ -36,8 +36,9 @@ from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.resumption import prepare_folder
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import json_text, write_json
 from mfd_bayes.store.netcdf import CalibratedTest, load_trace, save_test, save_trace
 from mfd_bayes.validation.folds import Fold, read_predictions

@@ -8,7 +8,7 @@ from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write
 from mfd_bayes.runs.folder import check_places, draws_as
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.systems import named_system
 
 

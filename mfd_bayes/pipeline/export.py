@@ -14,7 +14,8 @@ from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
 from mfd_bayes.response.equivalent import Equivalent, equivalents
 from mfd_bayes.response.schema import Limits
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_json, write_text
 from mfd_bayes.units import parse_actuation
 

@@ -22,8 +22,9 @@ from mfd_bayes.records.regular import why_no_file
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE
 from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import System, named_system
 from mfd_bayes.store.files import json_text, write_text
 

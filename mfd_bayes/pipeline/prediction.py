@@ -19,8 +19,9 @@ from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import System, named_system
 from mfd_bayes.runs.tested import far_sentences
 from mfd_bayes.store.files import write_text

@@ -22,8 +22,9 @@ from mfd_bayes.reporting.tables import (
 from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
 

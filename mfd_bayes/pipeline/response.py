@@ -28,9 +28,10 @@ from mfd_bayes.response.influence import influence
 from mfd_bayes.response.measures import parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, parse_sweep, sweep_of
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.response import grounds_of
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import SI, SYSTEMS, US, System, named_system
 from mfd_bayes.store.files import write_text
 

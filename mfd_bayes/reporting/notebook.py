@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.runs import run as runs
+from mfd_bayes.runs import opening
 from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def open_run(folder: str | Path) -> Run:
         When the folder is no finished run, a file in it is not what the run wrote, or another
         process changes it meanwhile.
     """
-    run = runs.open_run(folder)
+    run = opening.open_run(folder)
     extras = Notebook(run.system)
     tests = {name: replace(test, extras=extras) for name, test in run.tests.items()}
     return replace(run, tests=tests, extras=extras)

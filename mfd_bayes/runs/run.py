@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.extras import Extras
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.calibration.result import TestResult, load_result
-from mfd_bayes.errors import StoreError
-from mfd_bayes.jobs.job import State
+from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
@@ -32,20 +30,15 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, recalibrated, this_test
 from mfd_bayes.runs.folder import (
     POPULATION,
-    PRIORS,
-    check_links,
     check_stored,
-    posterior_of,
-    record_of,
 )
-from mfd_bayes.runs.manifest import Manifest, read_manifest
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.systems import System, is_small, sized, system_of
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given
 from mfd_bayes.store.cards import counted, grid
-from mfd_bayes.store.netcdf import load_trace
 
 if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
@@ -309,36 +302,3 @@ class Run:
         if verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote it
             remarks.append(f"the run is not usable as it is: {verdicts.get('sentence', '')}")
         return tuple(remarks)
-
-
-def open_run(folder: str | Path) -> Run:
-    """Finished calibration of a run folder.
-
-    Raises
-    ------
-    StoreError
-        When the folder is no finished run, a file in it is not what the run wrote, or another
-        process changes it meanwhile.
-    """
-    folder = Path(folder)
-    check_links(folder)
-    manifest = read_manifest(folder)
-    with reading(folder, manifest):
-        return _opened(folder, manifest)
-
-
-def _opened(folder: Path, manifest: Manifest) -> Run:
-    digests = manifest.files or {}
-    priors = load_priors(check_stored(folder, PRIORS, digests).name, folder)
-    tests, held_out = {}, {}
-    for test_id, entry in manifest.tests.items():
-        if entry.role == "validate":
-            path = check_stored(folder, record_of(test_id), digests)
-            held_out[test_id] = load_trace(path)[0]
-        elif entry.status == State.DONE:
-            name = posterior_of(test_id)
-            found = load_result(test_id, check_stored(folder, name, digests), priors)
-            tests[test_id] = replace(found, sha256=digests.get(name, ""))
-    if not tests:
-        raise StoreError(f"the run in {folder} has no calibrated test")
-    return Run(folder, manifest, priors, tests, held_out)

@@ -14,7 +14,7 @@ from mfd_bayes.campaign import file
 from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline import commands, comparison, crossvalidation, report
 from mfd_bayes.pipeline.plan import Options
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.opening import open_run
 
 TESTS = ("a", "b")
 

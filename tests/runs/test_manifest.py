@@ -15,8 +15,8 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline.commands import effort_of, report
 from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored
 from mfd_bayes.runs.manifest import read_begun, read_manifest
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.resumption import prepare_folder
-from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import write_text
 from mfd_bayes.validation.folds import Fold, read_predictions
 

@@ -14,7 +14,7 @@ import pytest
 from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline.commands import check, effort_of, report
 from mfd_bayes.runs.manifest import FORMAT
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.opening import open_run
 
 DATA = Path(__file__).parents[1] / "data"
 
