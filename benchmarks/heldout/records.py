@@ -31,10 +31,10 @@ displacement = {{ name = "displacement_in", unit = "in" }}
 force = {{ name = "force_kip", unit = "kip" }}
 
 [laws]
-Fc_fwd = "power"
-Fc_bwd = "power"
-Fs_fwd = "power"
-Fs_bwd = "power"
+Fc_fwd = "{law}"
+Fc_bwd = "{law}"
+Fs_fwd = "{law}"
+Fs_bwd = "{law}"
 """
 
 TEST = """
@@ -52,11 +52,15 @@ force = { name = "force_N" } }
 
 
 def lay_out(source: Path, folder: Path, session: str, noise: str) -> Path:
-    """Copy the records of a session, or of one tension of 2023, and write their campaign file."""
+    """Copy the records of a session, or of one tension of 2023, and write their campaign file.
+
+    The whole session of 2023-04 has tests at zero tension, and laws with residual friction.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with (source / "manifest.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    text = HEADER.format(session=session, noise=noise)
+    law = "affine" if session == "2023-04" else "power"
+    text = HEADER.format(session=session, noise=noise, law=law)
     for row in rows:
         if row["session"] != session and f"{row['tension_lbf']}lb" != session:
             continue

@@ -6,7 +6,9 @@ calibrates the sessions of the band brake with staged noise and predicts what wa
 
 -   the 36 lb harmonic tests, each in turn, and the earthquakes from all of them;
 -   the 2022 session: each tension in turn, and each test whose tension another test has too;
--   semi-active tests of another session, under the tension measured at the band's slack end.
+-   semi-active tests of another session, under the tension measured at the band's slack end;
+-   with --zero, instead: the two tests at zero tension from those at 30 and 36 lb, and each from
+    all others.
 
 The calibrated runs stay in out_heldout/, so that a second run does not sample them again; delete
 the folder when records or code have changed. --ou does the same with OU noise, to show what the
@@ -187,6 +189,23 @@ def many_levels(run: Run, options: argparse.Namespace, judged: bool) -> None:
     bar("width at a tension seen over that of a fitted test", ratio, ratio <= 2.0, "at most 2")
 
 
+def zero(run: Run, options: argparse.Namespace) -> None:
+    """Three levels of one session, one of them zero: what the laws say there, with and without."""
+    noise = run.manifest.settings.noise
+    print(f"\n2023-04: 0, 30 and 36 lb, affine laws ({noise} noise)")
+    for name, values in run.population.slopes().items():
+        low, middle, high = np.quantile(values, [0.025, 0.5, 0.975])
+        print(f"  {name:32s} {middle:9.4g} [{low:.4g}, {high:.4g}]")
+    tests = ["0lb_0.50Hz_1.0in", "0lb_1.00Hz_1.0in"]
+    for by, words in (("level", "from 30 and 36 lb"), ("test", "from all others")):
+        header(f"2023-04: zero tension {words} ({noise} noise)", "fitted width")
+        folds = [f for f in folds_of(run, by, options.fold_effort) if set(f.left_out) & set(tests)]
+        found = run_folds(run, folds, Options(jobs=options.jobs), lambda _: None)
+        for p in found:
+            if p.test in tests:
+                line(p.test, p.score, f"{p.fitted.width:12.2f}")
+
+
 def semi_active(runs: dict[str, Run], options: argparse.Namespace) -> None:
     """Tests under a changing tension, from all other sessions together."""
     header("semi-active, 2023-08: slack end's tension as measured; from all other sessions")
@@ -226,11 +245,15 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--ou", action="store_true", help="the same with OU noise, besides")
     parser.add_argument("--noise", default="staged", help="of --one-level")
     parser.add_argument("--one-level", action="store_true", help="the 36 lb session alone")
+    parser.add_argument("--zero", action="store_true", help="zero tension in and out, alone")
     return parser.parse_args()
 
 
 def main() -> None:
     options = parse()
+    if options.zero:
+        zero(finished(options.out, "2023-04", "ou", options), options)
+        return
     if options.one_level:
         one_level(finished(options.out, "36lb", options.noise, options), options, judged=True)
         return
