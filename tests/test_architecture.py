@@ -69,7 +69,7 @@ HOMES = {
     "nptdms": ("mfd_bayes.records.readers.tdms",),
     "dask": ("mfd_bayes.jobs.cluster",),
     "distributed": ("mfd_bayes.jobs.cluster",),
-    "threadpoolctl": ("mfd_bayes.jobs.cluster",),
+    "threadpoolctl": ("mfd_bayes.jobs.cluster", "mfd_bayes.population.inference"),
     "typer": (
         *("mfd_bayes.cli.commands", "mfd_bayes.cli.arguments", "mfd_bayes.cli.preparation"),
         *("mfd_bayes.cli.calibration", "mfd_bayes.cli.prediction", "mfd_bayes.cli.planning"),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
@@ -108,6 +109,17 @@ def infer_population(
     MfdError
         When a law, a prior or an actuation does not allow it.
     """
+    # BLAS adds up in another order with several threads, which small matrices do not need
+    with threadpool_limits(1, user_api="blas"):
+        return _inferred(tests, priors, settings, report)
+
+
+def _inferred(
+    tests: Mapping[str, TestResult],
+    priors: PriorFile,
+    settings: InferenceSettings,
+    report: Callable[[Progress], None],
+) -> Inference:
     some = next(iter(tests.values())).posterior
     under = [setting_of(t.trace, settings.sessions.get(name, "")) for name, t in tests.items()]
     noise = set(some.noise.parameters) - {"noise_sd"}
