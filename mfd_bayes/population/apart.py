@@ -110,15 +110,10 @@ class Joined:
 
 
 @dataclass(frozen=True, eq=False)
-class JoinedSquares:
+class JoinedSquares(Joined):
     """The same where the likelihood depends on the force by a sum of squares."""
 
-    apart: Apart
     log_likelihood: LeastSquares
-
-    def __call__(self, x: Array) -> Array:
-        """Log likelihood, (n,)."""
-        return self.log_likelihood(self.apart.join(x))
 
     def standard(self, x: Array) -> Array:
         """As in `LeastSquares`."""
@@ -148,7 +143,7 @@ def _one(apart: Apart, test: TestLikelihood) -> TestLikelihood:
     mean[told], covariance[np.ix_(told, told)] = without_prior(draws[:, told])
     whole = test.log_likelihood
     if isinstance(whole, LeastSquares):
-        likelihood: Callable[[Array], Array] = JoinedSquares(apart, whole)
+        likelihood: Joined = JoinedSquares(apart, whole)
     else:
         likelihood = Joined(apart, whole)
     return TestLikelihood(likelihood, log_own_prior, mean, covariance)

@@ -112,8 +112,13 @@ def log_prior(shape: str, q: Array) -> Array:
     """Log density of a shape's coordinate, without its constant."""
     if shape == "share":
         return np.asarray(special.log_expit(q) + special.log_expit(-q))
-    centre, sd = (1.0, 0.5) if shape == "exponent" else (0.0, SENSITIVITY)
+    centre, sd = _moments(shape)
     return np.asarray(-0.5 * ((q - centre) / sd) ** 2)
+
+
+def _moments(shape: str) -> tuple[float, float]:
+    """Mean and sd of a shape's normal prior: of an exponent, or of a dependence."""
+    return (1.0, 0.5) if shape == "exponent" else (0.0, SENSITIVITY)
 
 
 @cache
@@ -121,7 +126,7 @@ def prior_of(shape: str) -> Any:
     """Prior of a shape's coordinate, as a distribution of scipy.stats."""
     if shape == "share":
         return stats.logistic()
-    return stats.norm(1.0, 0.5) if shape == "exponent" else stats.norm(0.0, SENSITIVITY)
+    return stats.norm(*_moments(shape))
 
 
 def draw_shape(shape: str, uniform: Array) -> Array:

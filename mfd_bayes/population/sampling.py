@@ -101,8 +101,8 @@ def sample_joint(
     evaluate : callable, optional
         Computes the tests' likelihoods, in several processes.
     """
-    chains = effort.ensembles * WALKERS, effort.ensembles
-    run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, *chains, rng, evaluate))
+    size = effort.ensembles * WALKERS, effort.ensembles
+    run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, *size, rng, evaluate))
     for end in _looks(most_sweeps(effort)):
         run.sweep_until(end)
         dropped, convergence = run.converge()

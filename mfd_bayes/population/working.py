@@ -9,6 +9,7 @@ multiplied by the share of independent samples in a record, so that intervals ar
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,9 +123,19 @@ class WorkingLikelihood:
 
     def by_squares(self, x: Array, squares: Array) -> Array:
         """Log likelihood of (n, D) coordinates where `standard` has these sums of squares, (n,)."""
-        sd, shape = self.noise_sd(x), self.shape[self.kept]
-        log_scale = shape.size * (np.log(sd) + 0.5 * LOG_2PI) + np.log(shape).sum()
+        sd = self.noise_sd(x)
+        log_scale = self._samples * (np.log(sd) + 0.5 * LOG_2PI) + self._log_shape
         return np.asarray(-self.information * (0.5 * squares / sd**2 + log_scale))
+
+    @cached_property
+    def _samples(self) -> int:
+        """Number of samples that count."""
+        return self.shape[self.kept].size
+
+    @cached_property
+    def _log_shape(self) -> float:
+        """Sum of the logarithms of the shape at the samples that count."""
+        return float(np.log(self.shape[self.kept]).sum())
 
 
 def working_likelihood(

@@ -9,13 +9,7 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State
-from mfd_bayes.runs.folder import (
-    PRIORS,
-    check_links,
-    check_stored,
-    posterior_of,
-    record_of,
-)
+from mfd_bayes.runs.folder import PRIORS, check_links, check_stored, posterior_of, record_of
 from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run

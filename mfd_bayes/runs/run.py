@@ -28,10 +28,7 @@ from mfd_bayes.population.setting import planned_setting
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, recalibrated, this_test
-from mfd_bayes.runs.folder import (
-    POPULATION,
-    check_stored,
-)
+from mfd_bayes.runs.folder import POPULATION, check_stored
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.systems import System, is_small, sized, system_of

@@ -87,7 +87,7 @@ def test_with_surrogates_it_is_brute_force_too(make_linear, priors, squared, cas
 
 @pytest.mark.slow
 def test_surrogates_that_are_wrong_change_nothing(make_linear, priors, squared, monkeypatch):
-    """They are of likelihoods that are half as wide; where they decide, the result is wrong."""
+    """They are three quarters as wide as likelihoods; where they decide, the result is wrong."""
     linear = make_linear(*CASES["two quantities, known together"], seed=4)
     tests = [squared(test) for test in linear.likelihoods()]
     weight = Surrogate.__call__
