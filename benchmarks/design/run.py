@@ -118,9 +118,8 @@ def show(found: list[tuple[str, float, float, DesignRow]]) -> None:
 def finished(options: argparse.Namespace) -> Run:
     """Calibrated run of the session, or of three of its tests."""
     name = "smallest" if options.smallest else options.effort
-    campaign = records.lay_out(
-        options.data / "brfd", options.out / f"campaign_{name}", SESSION, "staged"
-    )
+    place = options.out / f"campaign_{name}"
+    campaign = records.lay_out(options.data / "brfd", place, SESSION, "staged", "three_stage")
     if options.smallest:
         head, *tests = campaign.read_text(encoding="utf-8").split("\n[[test]]")
         kept = [test for test in tests if any(f'"{known}"' in test for known in SMALLEST)]

@@ -24,6 +24,7 @@ HEADER = """\
 title = "Banded rotary friction device, {session}"
 priors = "brfd"
 noise = "{noise}"
+model = "{model}"
 
 [columns]
 time = {{ name = "time_s", unit = "s" }}
@@ -51,7 +52,7 @@ force = { name = "force_N" } }
 """
 
 
-def lay_out(source: Path, folder: Path, session: str, noise: str) -> Path:
+def lay_out(source: Path, folder: Path, session: str, noise: str, model: str) -> Path:
     """Copy the records of a session, or of one tension of 2023, and write their campaign file.
 
     The whole session of 2023-04 has tests at zero tension, and laws with residual friction.
@@ -60,7 +61,7 @@ def lay_out(source: Path, folder: Path, session: str, noise: str) -> Path:
     with (source / "manifest.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     law = "affine" if session == "2023-04" else "power"
-    text = HEADER.format(session=session, noise=noise, law=law)
+    text = HEADER.format(session=session, noise=noise, law=law, model=model)
     for row in rows:
         if row["session"] != session and f"{row['tension_lbf']}lb" != session:
             continue

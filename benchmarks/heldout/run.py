@@ -43,6 +43,7 @@ from mfd_bayes.validation.folds import folds_of, run_folds
 from mfd_bayes.validation.scores import score
 
 DRAWS = 800
+STAGED = "three_stage"
 PUBLISHED = {
     "36lb_0.25Hz_0.5in": 0.245,
     "36lb_0.50Hz_0.5in": 0.256,
@@ -89,9 +90,10 @@ def header(title: str, *more: str) -> None:
 
 def finished(folder: Path, session: str, noise: str, options: argparse.Namespace) -> Run:
     """Calibrated run of a session's records."""
-    out = folder / f"{session}_{noise}"
+    model = options.model
+    out = folder / (f"{session}_{noise}" + ("" if model == STAGED else f"_{model}"))
     place = folder / f"campaign_{out.name}"
-    campaign = records.lay_out(options.data / "brfd", place, session, noise)
+    campaign = records.lay_out(options.data / "brfd", place, session, noise, model)
     chosen = Options(effort=options.effort, seed=1, jobs=options.jobs, resume=out.exists())
     plan = plan_campaign(campaign, chosen)
     return calibrate(plan, out, lambda s: print(s.id, s.stage, file=sys.stderr))
@@ -244,6 +246,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--ou", action="store_true", help="the same with OU noise, besides")
     parser.add_argument("--noise", default="staged", help="of --one-level")
+    parser.add_argument("--model", default=STAGED, help="of the force, as in a campaign file")
     parser.add_argument("--one-level", action="store_true", help="the 36 lb session alone")
     parser.add_argument("--zero", action="store_true", help="zero tension in and out, alone")
     return parser.parse_args()
