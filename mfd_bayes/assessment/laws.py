@@ -108,8 +108,7 @@ def _tested(
     """Id, actuation, and three quantiles of each test's posterior, by quantity."""
     found: dict[str, list[tuple[str, float, float, float, float]]] = {name: [] for name in names}
     for test in run.tests.values():
-        draws, level = test.draws, test.trace.reference_actuation
         for name in names:
-            low, mid, high = np.quantile(draws[name].to_numpy(), [0.025, 0.5, 0.975])
-            found[name].append((test.id, level, float(low), float(mid), float(high)))
+            middle, low, high = test.intervals[name]
+            found[name].append((test.id, test.trace.reference_actuation, low, middle, high))
     return found

@@ -15,6 +15,9 @@ from scipy import optimize, special
 
 Array = NDArray[np.float64]
 
+FEWEST_STEPS = 8
+"""Of fewer steps of a chain, R̂ and effective sample size cannot be told."""
+
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
@@ -90,7 +93,7 @@ def measure(chains: Array) -> Convergence:
     ensembles, steps, walkers, dim = chains.shape
     by_time = chains.reshape(ensembles, steps * walkers, dim)
     by_walker = np.swapaxes(chains, 1, 2).reshape(ensembles * walkers, steps, dim)
-    if steps < 8:
+    if steps < FEWEST_STEPS:
         nothing = np.zeros(dim)
         return Convergence(np.full(dim, np.inf), nothing, nothing)
     return Convergence(
@@ -103,6 +106,11 @@ def measure(chains: Array) -> Convergence:
 def measure_draws(draws: Array, walkers: int) -> Convergence:
     """Convergence of one quantity's stored draws (chain, draw), which are ordered by walker."""
     return measure(draws.reshape(len(draws), walkers, -1, 1).swapaxes(1, 2))
+
+
+def effective_size(draws: Array) -> float:
+    """Bulk effective sample size of one quantity's stored draws (chain, draw); 0 if too few."""
+    return _arviz()[1](draws, "bulk") if draws.shape[1] >= FEWEST_STEPS else 0.0
 
 
 def _import_arviz() -> Any:

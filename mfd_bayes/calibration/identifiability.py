@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import special
 from scipy.stats import rankdata
 
-from mfd_bayes.calibration.diagnostics import measure_draws
+from mfd_bayes.calibration.diagnostics import effective_size
 from mfd_bayes.calibration.directions import Directions, find_directions
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
@@ -124,7 +124,7 @@ def identify(
 
 def _effective(draws: Array) -> float:
     """Smallest effective sample size of the coordinates, from draws (dim, chain, draw)."""
-    sizes = [measure_draws(coordinate, 1).ess_bulk[0] for coordinate in draws]
+    sizes = [effective_size(coordinate) for coordinate in draws]
     return float(np.min(np.nan_to_num(sizes, nan=0.0)))
 
 

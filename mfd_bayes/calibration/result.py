@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mfd_bayes.calibration.extras import Extras, needed
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.shown import HEAD, quantile_rows
+from mfd_bayes.calibration.shown import HEAD, interval_rows, intervals_of
 from mfd_bayes.calibration.stored import check_draws, check_facts
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.records.regular import hash_file
@@ -33,6 +34,8 @@ class TestResult:
         Of the stored posterior.
     sha256 : str
         Of that file, where it is known: the draws of another run are not taken for this one's.
+    intervals : mapping of str to (float, float, float)
+        Median and equal-tailed 95 % interval of every quantity: 50, 2.5 and 97.5 %.
     """
 
     __test__ = False
@@ -41,6 +44,7 @@ class TestResult:
     posterior: Posterior
     path: Path
     sha256: str = ""
+    intervals: Mapping[str, tuple[float, float, float]] = field(default_factory=dict, repr=False)
     extras: Extras | None = field(default=None, repr=False)
 
     def plot_loops(self, axes: Any = None) -> Any:
@@ -73,7 +77,7 @@ class TestResult:
         return needed(self.extras).inference_data(self)
 
     def _repr_html_(self) -> str:
-        rows = quantile_rows(self.stored.values())
+        rows = interval_rows(self.intervals)
         return grid(f"Test {self.id}, {self.posterior.model.name}", HEAD, rows)
 
     @property
@@ -118,4 +122,4 @@ def load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
     except MfdError as error:
         raise StoreError(f"{path} is damaged or not of this program: {error}") from error
     check_draws(stored, posterior, path)
-    return TestResult(test_id, posterior, path)
+    return TestResult(test_id, posterior, path, intervals=intervals_of(stored.values()))

@@ -12,6 +12,9 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.store.cards import card, counted, grid
 
 Array = NDArray[np.float64]
+Interval = tuple[float, float, float]
+"""50, 2.5 and 97.5 % quantiles of the draws of a quantity."""
+
 HEAD = ("quantity", "unit", "median", "2.5 %", "97.5 %")
 
 
@@ -40,12 +43,21 @@ class ShownDraws:
             f"{worst.worst_ess:.0f}, {self.wall_time:.1f} s"
         )
         title = f"Draws: {counted(chains, 'chain')} of {draws}"
-        return grid(title, HEAD, quantile_rows(self.values), note)
+        return grid(title, HEAD, interval_rows(intervals_of(self.values)), note)
 
 
-def quantile_rows(values: Mapping[str, Array]) -> Iterator[tuple[str, ...]]:
-    """Name, unit, median and 95 % interval of quantities, from draws of any shape."""
+def intervals_of(values: Mapping[str, Array]) -> dict[str, Interval]:
+    """Median and equal-tailed 95 % interval of quantities, from draws of any shape."""
+    return {name: _interval(drawn) for name, drawn in values.items()}
+
+
+def interval_rows(intervals: Mapping[str, Interval]) -> Iterator[tuple[str, ...]]:
+    """Name, unit, median and 95 % interval of quantities, as text."""
     known = units()
-    for name, drawn in values.items():
-        figures = np.quantile(drawn, [0.5, 0.025, 0.975])
+    for name, figures in intervals.items():
         yield name, known.get(name, ""), *(f"{figure:.4g}" for figure in figures)
+
+
+def _interval(drawn: Array) -> Interval:
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return float(np.median(drawn)), float(low), float(high)

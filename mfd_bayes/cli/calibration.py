@@ -99,24 +99,35 @@ def report(
     next_test: Annotated[
         bool, typer.Option("--next", help="Add a section on which test to make next.")
     ] = False,
+    tests: Annotated[
+        list[str] | None,
+        typer.Option(help="Draw this test's pictures, in a run of more than 12; may be repeated."),
+    ] = None,
+    all_tests: Annotated[
+        bool, typer.Option("--all-tests", help="Draw the pictures of every test of such a run.")
+    ] = False,
     units: arguments.Units = None,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
 
     Writes OUT/report.html, the tables beside it, OUT/figures and the pictures
     of every test; with --pdf OUT/report.pdf too. All are in the units of the
-    campaign, or in those of --units; the page has a switch for both.
+    campaign, or in those of --units; the page has a switch for both. In a run
+    of more than 12 tests, pictures of single tests are drawn only with --tests
+    or --all-tests.
 
     Example:
       mfd-bayes report out
       mfd-bayes report out --pdf
       mfd-bayes report out --units si --word --excel
+      mfd-bayes report out --tests p500_f0.05 --tests p800_f0.05
     """
     with mistakes(this_command()):
         from mfd_bayes.pipeline import commands as pipeline
 
         with progress.watch(quiet=quiet) as observe:
-            forms = pipeline.Forms(pdf, word, excel, next_test)
+            drawn = tuple(tests or ())
+            forms = pipeline.Forms(pdf, word, excel, next_test, drawn, all_tests)
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):

@@ -60,10 +60,9 @@ def report(
     StoreError
         When the folder is no finished run.
     ReportError
-        When a form is asked for that cannot be made; nothing is written then.
+        When a form or a test is asked for that cannot be made; nothing is written then.
     """
-    forms.check()
-    read_manifest(out)  # a folder that is no finished run is refused before it is locked
+    forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
     with alone_in(out):
         check_places(out)
         return write_report(open_run(out), observe, jobs=jobs, forms=forms, units=units)

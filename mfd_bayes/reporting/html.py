@@ -37,14 +37,12 @@ from mfd_bayes.reporting.digest import (
 )
 from mfd_bayes.reporting.explorer import explore
 from mfd_bayes.reporting.figure_data import table_of
+from mfd_bayes.reporting.forms import ONE_PAGE
 from mfd_bayes.reporting.glossary import read_glossary
 from mfd_bayes.runs.systems import System, systems_for
 
 Pair = tuple[System, System]
 """Customary and metric system of units."""
-
-ONE_PAGE = 12
-"""A report of more tests has a page for each."""
 
 NEXT = 10
 """Candidates for the next test that the page shows."""

@@ -13,16 +13,19 @@ from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.workers import run_in_processes
 from mfd_bayes.reporting.conversion import convert_test, in_tables, shown_in
 from mfd_bayes.reporting.exports import export_tables
-from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
+from mfd_bayes.reporting.figure_data import shared_tables, table_of, tables_of_test
 from mfd_bayes.reporting.figures import OF_TEST, draw_shared, draw_test
 from mfd_bayes.reporting.forms import PLAIN, Forms
-from mfd_bayes.reporting.html import ONE_PAGE, needed, render
+from mfd_bayes.reporting.html import needed, render
 from mfd_bayes.reporting.pdf import print_page
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.word import word_tables
 from mfd_bayes.reporting.workbook import excel_tables
 from mfd_bayes.runs.systems import System
 from mfd_bayes.store.files import write_bytes, write_text
+
+_ALONE = 3
+"""Drawings that one process has done before another has started."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,12 @@ class Drawing:
     def needs(self, out: Path) -> tuple[str, ...]:
         """Nothing: the test is in memory."""
         return ()
+
+    def remove(self, out: Path) -> None:
+        """Remove the figures, and the tables behind them, that an earlier report has made."""
+        for key in self.pictures:
+            (out / f"{key}.png").unlink(missing_ok=True)
+            (out / table_of(key)).unlink(missing_ok=True)
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Write figures and tables; remove a picture that now has nothing to show."""
@@ -96,7 +105,7 @@ def publish(
         images[key] = png
     for name, text in shared_tables(view):
         write_text(out / name, text)
-    images |= _draw_tests(view, out, processes)
+    images |= _draw_tests(view, out, processes, forms)
     observe(Step("report", "pages"))
     for name, page in render(view, images).items():
         write_text(out / name, page)
@@ -106,11 +115,15 @@ def publish(
     observe(Step("report", State.DONE))
 
 
-def _draw_tests(view: CampaignView, out: Path, processes: int) -> dict[str, bytes]:
-    """Draw the figures of all tests; the bytes that the pages need, by the figures' keys."""
-    system = shown_in(view)
-    drawings = [Drawing(test, system, view.actuation_unit) for test in view.tests]
-    if len(drawings) > ONE_PAGE and processes > 1:
+def _draw_tests(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[str, bytes]:
+    """Draw the figures of tests; the bytes that the pages need, by the figures' keys."""
+    system, names = shown_in(view), forms.drawn([test.id for test in view.tests])
+    every = [Drawing(test, system, view.actuation_unit) for test in view.tests]
+    drawings = [drawing for drawing in every if drawing.id in names]
+    for drawing in every:
+        if drawing.id not in names:
+            drawing.remove(out)
+    if len(drawings) > _ALONE and processes > 1:
         for _ in run_in_processes(drawings, out, processes, lambda _: None):
             pass
     else:

@@ -80,9 +80,7 @@ class Run:
     @cached_property
     def offset(self) -> float:
         """Median over the calibrated tests of the median offset of the force, kip."""
-        return float(
-            np.median([np.median(t.stored.values()["offset"]) for t in self.tests.values()])
-        )
+        return float(np.median([test.intervals["offset"][0] for test in self.tests.values()]))
 
     @property
     def hashed(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 
 import matplotlib
 import numpy as np
@@ -25,20 +26,19 @@ _STEPS = 300  # of a chain: a screen cannot show more
 _COLUMNS = 4  # of small panels
 _LOG_RANGE = 20.0
 _PLAIN = "{x:.4g}"  # of tick labels
-_CORNER = {
-    "bins": 16,
+_BINS = 16
+_QUANTILES = (0.025, 0.975)
+_PAIR = {
+    "bins": _BINS,
     "smooth": 0.8,
     "color": colours.POSTERIOR,
-    "quantiles": (0.025, 0.975),
     "levels": (0.393, 0.865, 0.95),
     "plot_datapoints": False,
     "plot_density": False,
     "fill_contours": True,
     "no_fill_contours": True,  # no white background
-    "max_n_ticks": 0,
-    "labelpad": 0.18,
-    "label_kwargs": {"fontsize": 8},
 }
+_LABELS = 0.48  # distance from a panel of pairs, of its size
 _CLIP = 8.0  # largest ratio to the truth on the axis
 
 
@@ -52,19 +52,18 @@ def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str])
     chosen = _varying(marginals, names)
     if len(chosen) < 2:
         return None
-    corner = _corner()
     matplotlib.rcParams["axes.grid"] = False
     size = max(1.15 * len(chosen), 4.0)
     figure = Figure(figsize=(size, size), dpi=look.DPI)
+    edges = {"left": 0.12, "bottom": 0.11, "right": 0.985, "top": 0.945}
+    grid = figure.add_gridspec(len(chosen), len(chosen), wspace=0.05, hspace=0.05, **edges)
     stride = -(-len(chosen[0].posterior) // CORNER_DRAWS)
-    corner(
-        np.column_stack([m.posterior[::stride] for m in chosen]),
-        labels=[label(m.name, m.unit) for m in chosen],
-        fig=figure,
-        **_CORNER,
-    )
-    _outer_ticks(figure, len(chosen))
-    figure.subplots_adjust(left=0.12, bottom=0.11, right=0.985, top=0.945)
+    draws = [marginal.posterior[::stride] for marginal in chosen]
+    for row, below in enumerate(chosen):
+        for column, beside in enumerate(chosen[: row + 1]):
+            axes = figure.add_subplot(grid[row, column])
+            _draw_pair(axes, draws[column], draws[row])
+            _outer_labels(axes, beside, below, last=row == len(chosen) - 1, first=column == 0)
     figure.suptitle(plain(title), x=0.01, ha="left", y=0.985)
     return figure
 
@@ -140,24 +139,42 @@ def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
     return figure
 
 
-def _corner() -> Callable[..., Figure]:
+@cache
+def _hist2d() -> Callable[..., None]:
     """The corner package's function, without the warnings of what it imports."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
-        from corner import corner
-    drawn: Callable[..., Figure] = corner
+        from corner import hist2d
+    drawn: Callable[..., None] = hist2d
     return drawn
 
 
-def _outer_ticks(figure: Figure, number: int) -> None:
-    """Ticks at the left and the bottom only: drawing ticks takes most of the time."""
-    for at, axes in enumerate(figure.axes):
-        row, column = divmod(at, number)
-        if row == number - 1:
-            axes.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
-        if column == 0 and row > 0:
-            axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
-        axes.tick_params(labelsize=7, labelrotation=45)
+def _draw_pair(axes: Axes, across: Array, up: Array) -> None:
+    """Contours of two quantities; the histogram of one where both are the same."""
+    if across is not up:
+        _hist2d()(across, up, ax=axes, **_PAIR)
+        return
+    heights, edges = np.histogram(across, _BINS)
+    axes.stairs(heights, edges, color=colours.POSTERIOR)
+    for quantile in np.quantile(across, _QUANTILES):
+        axes.axvline(quantile, color=colours.POSTERIOR, linestyle="dashed")
+    axes.set(xlim=(edges[0], edges[-1]), ylim=(0, 1.1 * heights.max()))
+
+
+def _outer_labels(
+    axes: Axes, beside: Marginal, below: Marginal, *, last: bool, first: bool
+) -> None:
+    """Ticks and labels at the left and the bottom only: drawing ticks takes most of the time."""
+    axes.xaxis.set_major_locator(MaxNLocator(3, prune="both") if last else NullLocator())
+    named = first and beside is not below
+    axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if named else NullLocator())
+    axes.tick_params(labelsize=7, labelrotation=45)
+    if last:
+        axes.set_xlabel(label(beside.name, beside.unit), fontsize=8)
+        axes.xaxis.set_label_coords(0.5, -_LABELS)
+    if named:
+        axes.set_ylabel(label(below.name, below.unit), fontsize=8)
+        axes.yaxis.set_label_coords(-_LABELS, 0.5)
 
 
 def _varying(marginals: Sequence[Marginal], names: Sequence[str]) -> list[Marginal]:

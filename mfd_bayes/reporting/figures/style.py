@@ -6,6 +6,7 @@ import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -28,6 +29,7 @@ _STYLE: dict[str, object] = {
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # where Matplotlib puts it too, after it has measured all labels
     "figure.titlesize": 11,
     "figure.titleweight": "bold",
     "axes.spines.top": False,
@@ -60,18 +62,16 @@ def style() -> Iterator[None]:
 
 def new_figure(width: float, height: float) -> Figure:
     """Empty figure of a size in inches, with a layout that cuts nothing off."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
 @style()
 def to_png(figure: Figure) -> bytes:
     """PNG of a figure, the same bytes each time; with few colours it has a third of the size."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="rgba", dpi=DPI)
-    width, height = figure.canvas.get_width_height()
-    drawn = Image.frombytes("RGBA", (width, height), stream.getvalue()).convert("RGB")
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()  # once: savefig would draw twice where there is a layout
+    size = canvas.get_width_height()
+    drawn = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
     few = drawn.quantize(FEW, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     packed = io.BytesIO()
     few.save(packed, "png", optimize=True)
