@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -115,7 +117,7 @@ def effective_size(draws: Array) -> float:
 
 def _import_arviz() -> Any:
     """ArviZ, imported without its announcements and also where no cache folder is writable."""
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _hidden("bokeh.plotting", "bokeh.models"):
         # 0.23 announces its refactoring on the first import of a day
         warnings.simplefilter("ignore", FutureWarning)
         try:
@@ -124,6 +126,22 @@ def _import_arviz() -> Any:
             os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="mfd_bayes-cache-")
             import arviz
     return arviz
+
+
+@contextmanager
+def _hidden(*modules: str) -> Iterator[None]:
+    """Make modules that are not loaded yet seem to be missing.
+
+    ArviZ 0.x imports bokeh for three docstrings, which takes three quarters of the time.
+    """
+    loaded: dict[str, Any] = sys.modules
+    hidden = [name for name in modules if name not in loaded]
+    loaded |= dict.fromkeys(hidden)
+    try:
+        yield
+    finally:
+        for name in hidden:
+            del loaded[name]
 
 
 def _is_classic(arviz: Any) -> bool:

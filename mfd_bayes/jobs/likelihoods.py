@@ -1,4 +1,4 @@
-"""Likelihoods of many tests, computed by several processes."""
+"""Likelihoods of many tests by several processes, and other work in a process beside this one."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.jobs.workers import end_with_parent, interrupts_blocked, one_thread
 
+T = TypeVar("T")
 Array = NDArray[np.float64]
 Likelihood = Callable[[Array], Array]
 Points = list[tuple[int, Array]]
@@ -62,6 +64,31 @@ def several_processes(likelihoods: Sequence[Likelihood], jobs: int) -> Iterator[
         pool.shutdown(cancel_futures=True)
 
 
+@contextmanager
+def beside(jobs: int, work: Callable[[], T]) -> Iterator[Callable[[], T]]:
+    """Function that waits for the result of work, which another process does meanwhile.
+
+    With one job, or where that process is lost, this process does it when the result is wanted.
+    """
+    if jobs < 2:
+        yield work
+        return
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_follow_parent)
+    try:
+        with one_thread(), interrupts_blocked():
+            future = pool.submit(work)
+
+        def result() -> T:
+            try:
+                return future.result()
+            except BrokenProcessPool:
+                return work()
+
+        yield result
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
 class _Pool:
     """The processes; once one is lost, this process computes instead."""
 
@@ -101,6 +128,10 @@ class _Pool:
 
 def _start(likelihoods: Sequence[Likelihood]) -> None:
     _LIKELIHOODS.set(likelihoods)
+    _follow_parent()
+
+
+def _follow_parent() -> None:
     threading.Thread(target=end_with_parent, daemon=True).start()
 
 

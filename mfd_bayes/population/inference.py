@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
-from mfd_bayes.jobs.likelihoods import several_processes
+from mfd_bayes.jobs.likelihoods import beside, several_processes
 from mfd_bayes.population.apart import set_apart
 from mfd_bayes.population.law_scores import (
     COVARIATES,
@@ -30,10 +31,12 @@ from mfd_bayes.population.law_scores import (
 )
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.sharing import share
+from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 
 Array = NDArray[np.float64]
@@ -132,26 +135,52 @@ def _inferred(
     pilot = fit_pilot(working, starts)
     likelihoods = pilot.tests
     layout = share(layout, likelihoods)
-    scores = compare_laws(layout, likelihoods)
+    with beside(settings.jobs, partial(_compare, layout, likelihoods)) as compared:
+        weighed = layout
+        if COMPARE in layout.laws.values():
+            weighed = replace(layout, weights=_weights(layout, compared().scores))
+        apart = set_apart(weighed, likelihoods)
+        given = some.priors, settings.actuation_unit, pilot.residual
+        draws = _sampled(JointProblem(weighed, apart, *given), settings, report)
+        draws = replace(draws, population=replace(draws.population, starts=_starts(working, draws)))
+        found = compared()
+    return Inference(draws, found.scores, found.exponents, found.dependence)
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """What is compared besides the sampling; see `Inference`."""
+
+    scores: tuple[LawScore, ...]
+    exponents: Mapping[str, tuple[float, float, float]]
+    dependence: tuple[DependenceScore, ...]
+
+
+def _compare(layout: Layout, likelihoods: Sequence[TestLikelihood]) -> _Compared:
+    """Scores of laws and dependences, and free exponents."""
+    with threadpool_limits(1, user_api="blas"):
+        scores = compare_laws(layout, likelihoods)
+        exponents = free_exponents(layout, likelihoods)
+        return _Compared(scores, exponents, compare_dependence(layout, likelihoods))
+
+
+def _weights(layout: Layout, scores: Sequence[LawScore]) -> dict[str, Mapping[str, float]]:
+    """Weights of laws; those of compared ones by their scores, where these can be trusted."""
     weights = dict(layout.weights)
     for name, law in layout.laws.items():
         if law == COMPARE and scores:
             found = {s.law: s.weight for s in scores if s.quantity == name}
             weights[name] = found if any(found.values()) else weights[name]
-    weighed = replace(layout, weights=weights)
-    problem = JointProblem(
-        weighed,
-        set_apart(weighed, likelihoods),
-        some.priors,
-        settings.actuation_unit,
-        pilot.residual,
-    )
+    return weights
+
+
+def _sampled(
+    problem: JointProblem, settings: InferenceSettings, report: Callable[[Progress], None]
+) -> JointDraws:
+    """Draws of the population and its tests."""
     effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
     with several_processes([t.log_likelihood for t in problem.tests], settings.jobs) as evaluate:
-        draws = sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
-    draws = replace(draws, population=replace(draws.population, starts=_starts(working, draws)))
-    exponents = free_exponents(layout, likelihoods)
-    return Inference(draws, scores, exponents, compare_dependence(layout, likelihoods))
+        return sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
 
 
 def _start(likelihood: WorkingLikelihood, test: TestResult) -> Array:

@@ -14,6 +14,7 @@ def funnel(q):
     return -0.5 * (wide[:, 0] / 2) ** 2 - 0.5 * np.sum(q[:, 1:] ** 2 * np.exp(-wide) + wide, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "again"), [(1300, False), (2100, True)])
 def test_the_proposal_is_learned_again_only_in_the_first_half(limit, again):
     effort = Effort(ess=1e6, limit=limit, ensembles=2, walkers=20)  # which is never reached

@@ -135,6 +135,7 @@ def test_move_samples_a_correlated_gaussian(moves):
     assert 0.1 < acceptance < 0.9
 
 
+@pytest.mark.slow
 def test_harness_rejects_a_move_that_does_not_sample_the_target():
     chains, _ = run([(Snooker(), 1.0)], steps=900)
     verdict = judge(chains)

@@ -3,12 +3,13 @@
 import multiprocessing
 import os
 import signal
+import time
 from functools import partial
 
 import numpy as np
 import pytest
 
-from mfd_bayes.jobs.likelihoods import several_processes
+from mfd_bayes.jobs.likelihoods import beside, several_processes
 
 TESTS = 9
 
@@ -76,3 +77,19 @@ def test_an_error_in_a_process_is_raised_here(likelihoods):
     with several_processes(likelihoods, 2) as evaluate, pytest.raises(ValueError, match="shapes"):
         list(evaluate([(0, np.zeros((5, 2)))]))
     assert not multiprocessing.active_children()
+
+
+def test_work_beside_is_done_in_another_process_where_there_are_two():
+    with beside(2, os.getpid) as result:
+        assert result() != os.getpid()
+    with beside(1, os.getpid) as result:
+        assert result() == os.getpid()
+
+
+def test_work_whose_process_is_lost_is_done_here():
+    with beside(2, partial(time.sleep, 0.5)) as result:
+        (child,) = multiprocessing.active_children()
+        os.kill(child.pid, signal.SIGKILL)
+        began = time.perf_counter()
+        assert result() is None  # and no error of the lost process
+        assert time.perf_counter() - began >= 0.5

@@ -112,7 +112,7 @@ def test_a_run_that_was_just_calibrated_is_not_opened_again(campaign, tmp_path, 
 
 
 def test_a_report_opens_each_posterior_once_for_each_use(tmp_path, monkeypatch):
-    """To open the run, to judge the test, for the laws' figure, and for the median offset."""
+    """To open the run, and to judge the test."""
     data = Path(__file__).parents[1] / "data" / "run_format_0"
     out = Path(shutil.copytree(data, tmp_path / "out"))
     counts = Counter()
@@ -125,4 +125,4 @@ def test_a_report_opens_each_posterior_once_for_each_use(tmp_path, monkeypatch):
     monkeypatch.setattr(result, "load_test", count)
     run = open_run(out)
     assess(run)
-    assert counts == dict.fromkeys(run.tests, 4)
+    assert counts == dict.fromkeys(run.tests, 2)

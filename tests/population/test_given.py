@@ -48,6 +48,7 @@ def p_values(tools, uniform, truths, bands):
     return {name: uniform.p_value([one[name] for one in ranks]) for name in ranks[0]}
 
 
+@pytest.mark.slow
 def test_ranks_of_the_truth_are_uniform(tools, asked, benchmark_module):
     truths, bands = asked
     uniform = benchmark_module("common.uniformity").Uniformity(TESTS, tools.DRAWS, 4000)

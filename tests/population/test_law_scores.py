@@ -204,6 +204,7 @@ def test_scores_are_the_same_with_other_points_however_many_tests_there_are(prio
         assert max(first, key=lambda score: score.elpd).law == "affine"
 
 
+@pytest.mark.slow
 def test_a_law_whose_points_miss_the_posterior_is_not_weighed(campaign, monkeypatch):
     layout, tests = campaign(levels=MANY)
     trusted = compare_laws(layout, tests)
@@ -345,6 +346,7 @@ def deviating(priors, runs, each, exponent):
     return bad / runs
 
 
+@pytest.mark.slow
 def test_levels_that_deviate_a_little_do_not_contradict_a_law(priors):
     assert deviating(priors, 240, 10, 1.0) <= 0.08  # 0.55 without the effect of the level
     assert deviating(priors, 10, 10, 0.5) == 1.0  # the control: the law is wrong

@@ -74,7 +74,7 @@ def to_png(figure: Figure) -> bytes:
     drawn = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
     few = drawn.quantize(FEW, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     packed = io.BytesIO()
-    few.save(packed, "png", optimize=True)
+    few.save(packed, "png", compress_level=6)
     return packed.getvalue()
 
 
