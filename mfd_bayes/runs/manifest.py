@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
@@ -20,9 +20,9 @@ from mfd_bayes.population.inference import InferenceSettings
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import MANIFEST
-from mfd_bayes.runs.results import CampaignCrossValidation, Comparison, Prediction
+from mfd_bayes.runs.results import CampaignCrossValidation, Comparison
 from mfd_bayes.store.files import json_text, read_json, write_json
-from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Part, Positive, Three, check
+from mfd_bayes.store.schema import Figure, Index, Part, Positive, Three, check
 
 Id = Annotated[str, AfterValidator(check_id)]
 LAWS = get_args(LawName)
@@ -230,13 +230,6 @@ def check_readable(manifest: Manifest) -> None:
         raise CampaignError("this campaign would not be the same once it is stored and read")
 
 
-class _Predictions(Part):
-    """Stored predictions of a part that was left out."""
-
-    key: dict[str, Any]
-    predictions: AtLeastOne[Prediction]
-
-
 def read_manifest(folder: Path) -> Manifest:
     """Manifest of a finished run, checked.
 
@@ -288,18 +281,3 @@ def _check_version(path: Path, manifest: Mapping[str, Any]) -> None:
         f"{path} is of format {reprlib.repr(number)}, and mfd_bayes {version('mfd_bayes')} reads "
         f"formats up to {FORMAT}: open it with {later}"
     )
-
-
-def read_predictions_of(path: Path, tests: Iterable[str]) -> tuple[Prediction, ...]:
-    """Stored predictions of the tests of a part that was left out.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, or does not hold these tests' predictions.
-    """
-    predictions = check(_Predictions, read_json(path), path).predictions
-    found = [prediction.test for prediction in predictions]
-    if found != list(tests):
-        raise StoreError(f"{path} holds predictions of {', '.join(found)[:200]}, not of its part")
-    return predictions

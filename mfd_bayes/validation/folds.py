@@ -26,8 +26,8 @@ from mfd_bayes.population.recalibration import factors_of
 from mfd_bayes.population.setting import Setting, levels_of, setting_of
 from mfd_bayes.population.whole import holds_whole
 from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
-from mfd_bayes.runs.manifest import read_predictions_of
 from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.predictions import read_predictions_of
 from mfd_bayes.runs.results import PartKind, Prediction, Score
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import read_json, write_json
