@@ -148,7 +148,7 @@ def _sentence(test: Tested, found: Deviation, cause: Cause, others: Sequence[Tes
     k = int(np.nanargmax(np.abs(found.values) / found.sds))
     value = getattr(test.readings, QUANTITIES[k])
     said, expected = _SAID[QUANTITIES[k]].format(value), value / np.exp(found.values[k])
-    shown = f"its loop has {said}, where the other tests let expect {expected:.3g}"
+    shown = f"its loop has {said}, where the other tests suggest {expected:.3g}"
     return f"{shown}: {_because(test, cause, others)}"
 
 
