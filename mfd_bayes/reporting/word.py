@@ -97,16 +97,21 @@ def _write(paragraph: Any, symbol: Symbol) -> None:
 
 def _put_value(cell: Any, row: Row | None, marks: Mapping[str, str]) -> None:
     """Median with the letter of its note, below it the interval and values of other noises."""
-    if row is None:
-        cell.text = "–"
-        return
+    first, *others = value_lines(row)
     paragraph = cell.paragraphs[0]
-    paragraph.add_run(number(row.median, 3))
-    if mark := marks.get(printable(row.note)):
+    paragraph.add_run(first)
+    if row is not None and (mark := marks.get(printable(row.note))):
         _raised(paragraph, mark)
-    interval = f"[{number(row.lower, 3)}, {number(row.upper, 3)}]"
-    for text in filter(None, (interval, others_text(row))):
+    for text in others:
         _small(cell.add_paragraph().add_run(text))
+
+
+def value_lines(row: Row | None) -> tuple[str, ...]:
+    """Median, interval and values under other noises: "1.23", "[1.10, 1.38]"."""
+    if row is None:
+        return ("–",)
+    own = number(row.median, 3), f"[{number(row.lower, 3)}, {number(row.upper, 3)}]"
+    return (*own, *filter(None, (others_text(row),)))
 
 
 def _raised(paragraph: Any, text: str) -> None:
