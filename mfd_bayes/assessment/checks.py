@@ -35,7 +35,7 @@ from mfd_bayes.store.netcdf import StoredTest
 INFORMED = 0.5
 """Least contraction of a parameter that the data inform."""
 
-NOT_INFORMED = "the data do not inform it: the posterior is about the prior"
+NOT_INFORMED = "the data do not determine this parameter: its posterior is about its prior"
 """Note of a parameter with less contraction."""
 
 EXTREME = 0.005
@@ -115,13 +115,13 @@ def coverage_check(subject: str, check: PredictiveCheck, tolerance: float) -> Ch
     if verdict == Verdict.PASS and check.size > tolerance:
         verdict = Verdict.NOTE
     seen = f"observed {check.observed:.3g}, {check.size:+.2g} from the band's probability"
-    wide = "; the band is wider than it need be" if verdict == Verdict.NOTE else ""
+    wide = "; the band is wider than necessary" if verdict == Verdict.NOTE else ""
     return Check(
         subject,
         COVERAGE,
         f"{check.name} ({seen}{wide})",
         check.observed,
-        "below the band's probability by no more than its tolerance",
+        "not below the band's probability by more than its tolerance",
         verdict,
         check.size,
         tolerance,
@@ -148,7 +148,7 @@ def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[C
         shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
         ranked = sorted(shares)[::-1]
         held = ", ".join(f"{100 * share:.0f} %" for share in ranked if share >= 0.005)
-        target = f"posterior (they hold {held} of the draws)" if held else "posterior"
+        target = f"posterior ({held} of the draws)" if held else "posterior"
         two = len(ranked) > 1 and ranked[1] >= SECOND_MODE
         verdict = Verdict.CARE if two else Verdict.NOTE
         found.append(Check(subject, MODES, target, facts["modes"], "1", verdict))

@@ -53,7 +53,7 @@ class DesignRow:
     nominal : float
         Mean of the mean property: what every factor is relative to.
     lower, upper : float
-        Each is passed with a probability of half of what the interval leaves.
+        Each is exceeded with a probability of half of what the interval leaves.
     probability : float
         Of the interval between the bounds.
     note : str
@@ -112,7 +112,7 @@ def design_warnings(run: Run) -> tuple[str, ...]:
         return ()
     return (
         f"the calibrated tests have {count} level{'' if count == 1 else 's'} of actuation, and "
-        f"fewer than {LEVELS} do not tell how far levels lie from a law: bounds at an actuation "
+        f"fewer than {LEVELS} do not show how far levels lie from a law: bounds at an actuation "
         "that was not tested are too narrow",
     )
 

@@ -50,16 +50,16 @@ def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> s
     doubt = ""
     if doubtful:
         named = " and ".join(f"{row.law} (Pareto k {row.pareto_k:.2f})" for row in doubtful)
-        doubt = f"; the score of {named} cannot be trusted, and takes no part in the weights"
+        doubt = f"; the score of {named} cannot be trusted, so it gets no weight"
     if not rows:
-        return f"the laws are not weighed{doubt}."
+        return f"the laws have no weights{doubt}."
     best, *others = rows
     text = f"the {best.law} law predicts levels that were left out best"
     near = [row.law for row in others if -row.difference <= row.difference_se]
     if near:
         text += (
-            f", but the {levels} levels do not tell it from {' or '.join(near)}: the difference "
-            "is within its standard error"
+            f", but the {levels} levels cannot separate it from {' or '.join(near)}: the "
+            "difference is within its standard error"
         )
     own = next((row for row in others if row.chosen and row.law not in near), None)
     if own:

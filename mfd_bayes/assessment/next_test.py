@@ -49,7 +49,7 @@ def advice_sentence(advice: Advice, system: System, unit: str) -> str:
     if best.reduction < LITTLE:
         return (
             f"No test on this list is expected to narrow {goal} by more than "
-            f"{100 * LITTLE:.0f} %: for this goal it is enough.{_scatter(advice)}"
+            f"{100 * LITTLE:.0f} %: the tests are enough for this goal.{_scatter(advice)}"
         )
     test = candidate_words(best.candidate, system, unit)
     text = f"One test at {test} is expected to narrow {goal} by {in_percent(best)}"
@@ -79,7 +79,7 @@ def _enough(advice: Advice) -> str:
         return ""
     after = max(100 * (steps[TOGETHER] - steps[TOGETHER - 1]), 0.0)
     return (
-        f"After {_COUNT[TOGETHER]} more tests nothing on this list gains more than "
+        f"After {_COUNT[TOGETHER]} more tests no further test on this list gains more than "
         f"{max(after, 0.5):.2g} % of today's width."
     )
 
@@ -87,7 +87,7 @@ def _enough(advice: Advice) -> str:
 def _scatter(advice: Advice) -> str:
     if advice.goal.kind != "new_test":
         return ""
-    return " Test-to-test scatter is part of this band, and no test takes it away."
+    return " This band contains test-to-test scatter, which no further test can reduce."
 
 
 def together_words(advice: Advice, system: System, unit: str) -> list[str]:

@@ -44,9 +44,9 @@ def odd_tests(run: Run) -> list[Finding]:
         others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
         sentence = (
             f"{names[j]} stands apart from the other tests: {_subject(layout, k)} "
-            f"{np.exp(places[j, k]):.3g}, where the others let expect {np.exp(others):.3g}, "
+            f"{np.exp(places[j, k]):.3g}, where the others suggest {np.exp(others):.3g}, "
             f"{away:.1f} of their standard deviations away; check its displacement, units and "
-            "actuation before you use its campaign"
+            "actuation before you use the campaign"
         )
         found.append(Finding(names[j], "stands apart", sentence, stage="results"))
     return found

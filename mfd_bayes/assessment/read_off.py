@@ -16,6 +16,10 @@ from mfd_bayes.runs.verdict import Verdict
 Array = NDArray[np.float64]
 
 
+ABOVE = 0.01
+"""Share by which static friction may lie above the largest measured force."""
+
+
 def reading_rows(
     test: str,
     posterior: Posterior,
@@ -25,7 +29,8 @@ def reading_rows(
     """Readings of a fitted test, less its median offset, each beside its parameter.
 
     A parameter misses its reading where its 95 % interval, widened by the tolerance on both sides,
-    does not hold it. Static friction misses where its median is above the largest measured force.
+    does not hold it. Static friction misses where its median is above the largest measured force by
+    more than `ABOVE`.
     """
     allowed = complete_tolerances(tolerances)
     offset = float(np.median(values["offset"]))
@@ -67,7 +72,7 @@ def _static(
     for name, largest in (("Fs_fwd", force.max()), ("Fs_bwd", -force.min())):
         if name in values:
             low, middle, high = (float(q) for q in np.quantile(values[name], [0.025, 0.5, 0.975]))
-            above = middle > largest
+            above = middle > (1.0 + ABOVE) * largest
             head = (test, name, "kip", float(largest))
             yield ReadingRow(*head, low, middle, high, tolerance, above, largest=True)
 

@@ -34,8 +34,9 @@ def verdict_sentence(
     if careful:
         parts.append(_named(f"to be used with care: {_of(careful, judged)}", careful))
     if all(j.use == Use.USABLE for j in judged):
-        parts.append(f"nothing of {_tests(len(judged))} is missed by more than its tolerance")
-    parts.append(_of_sampling(failed, manifest.effort, len(judged)))
+        parts.append(_nothing_missed(len(judged)))
+    advice = "correct what is wrong first" if wrong else "give a larger --effort"
+    parts.append(_of_sampling(failed, manifest.effort, len(judged), advice))
     if least := least_believed(judged):
         parts.append(least)
     bent = [c for c in checks if c.name == FREE_EXPONENT and c.verdict == Verdict.CARE]
@@ -50,6 +51,11 @@ def verdict_sentence(
 
 def _of(some: Sequence[Judgement], judged: Sequence[Judgement]) -> str:
     return f"{len(some)} of {_tests(len(judged))}"
+
+
+def _nothing_missed(count: int) -> str:
+    where = {1: "the one test", 2: "both tests"}.get(count, f"all {count} tests")
+    return f"in {where} the model misses nothing by more than its tolerance"
 
 
 def _tests(count: int) -> str:
@@ -68,7 +74,8 @@ def _subject_of(check: Check) -> str:
     return check.target.split(" (")[0]
 
 
-def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int) -> str:
+def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advice: str) -> str:
+    """Whether the sampling reached its targets, and what to do where it did not."""
     limits = f"R-hat <= {effort.r_hat:g}, bulk and tail ESS >= {effort.ess:g}"
     where: dict[str, list[str]] = {}
     for c in failed:
@@ -83,7 +90,7 @@ def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int) -> st
     )
     return (
         f"the sampling did not reach its targets ({limits}, and chains that are long enough) in "
-        f"{', '.join(told)}: do not use these figures, give a larger --effort or look at the test"
+        f"{', '.join(told)}: do not use these figures, but {advice}"
     )
 
 
@@ -117,7 +124,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     ]
     weak = _counted(r.name for view in tests for r in view.rows if r.contraction < INFORMED)
     if weak:
-        found.append(f"Not informed by the data (number of tests): {weak}.")
+        found.append(f"Parameters that the data do not determine (number of tests): {weak}.")
     found += _of_identifiability(tests)
     if any(r.name == "gamma1" for view in tests for r in view.rows):
         found.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
@@ -127,8 +134,8 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     found += zero_sentences(run.population.layout, run.tests)
     if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:
         found.append(
-            "All calibrated tests are at one actuation: at any other, predictions rest on the "
-            "form of the laws alone."
+            "All calibrated tests are at one actuation: at any other actuation, predictions rest "
+            "only on the form of the laws."
         )
     return tuple(found)
 
@@ -141,7 +148,7 @@ def _of_dependence(run: Run) -> list[str]:
         name, covariate, gain = score.quantity, score.covariate, score.difference
         if covariate and covariate not in asked.get(name, ()) and gain > max(score.se, 1.0):
             found.append(
-                f"Tests that are left out are predicted better if {name} follows the {covariate} "
+                f"Tests that were left out are predicted better if {name} depends on {covariate} "
                 f"(elpd {gain:+.1f} ± {score.se:.1f} over tests): try it under [dependence]."
             )
     return found
@@ -156,8 +163,8 @@ def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
     span = f"{informed[0]} to {informed[-1]}" if len(informed) > 1 else f"{informed[0]}"
     total = len(known[0].directions.names)
     found = [
-        f"Each test has {total} parameters, but tells only {span} combinations of them better "
-        "than the prior."
+        f"The model has {total} parameters for each test, but a test determines only {span} "
+        "combinations of them better than the prior does."
     ]
     pairs = [f"{pair.first} and {pair.second}" for f in known for pair in f.pairs]
     if pairs:

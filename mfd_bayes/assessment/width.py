@@ -19,7 +19,7 @@ def width_sentence(shares: Mapping[str, float]) -> str:
     name = max(shares, key=lambda source: shares[source])
     tenths = min(max(round(10 * shares[name]), 1), 10)
     verb = "comes" if tenths in (1, 5, 10) else "come"
-    text = f"Of the band's variance {_TENTHS[tenths]} {verb} from {_article(name)}."
+    text = f"{_TENTHS[tenths].capitalize()} of the band's variance {verb} from {_article(name)}."
     return f"{text} {ADVICE[name]}"
 
 

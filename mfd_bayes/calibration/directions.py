@@ -1,4 +1,4 @@
-"""Directions in parameter space about which the data of a test say something."""
+"""Combinations of parameters about which the data of a test say something."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CARRIERS = 3
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Directions in parameter space, ordered by how much the data say about them.
+    """Combinations of parameters, ordered by how much the data say about them.
 
     Attributes
     ----------

@@ -136,13 +136,9 @@ def report(
 
 def draws(
     out: arguments.Run,
-    to: Annotated[
-        Literal["csv", "parquet"], typer.Option(help="Parquet needs the extra mfd_bayes[parquet].")
-    ],
+    to: Annotated[Literal["csv", "parquet"], typer.Option(help="Parquet needs the extra parquet.")],
     units: arguments.Units = None,
-    most: Annotated[
-        int, typer.Option(min=0, help="Most draws of each test, evenly taken; 0 for all.")
-    ] = 0,
+    most: Annotated[int, typer.Option(min=0, help="Most draws kept of each test; 0 for all.")] = 0,
 ) -> None:
     """Write the posterior draws of every test as one table, for other programs.
 
@@ -163,7 +159,7 @@ def draws(
 def demo(
     out: arguments.Run,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer draws; takes about a minute.")
+        bool, typer.Option("--quick", help="Fewer draws; about half of the time.")
     ] = False,
     jobs: arguments.Jobs = 0,
     scheduler: arguments.Scheduler = "",

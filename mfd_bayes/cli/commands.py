@@ -26,7 +26,7 @@ app = typer.Typer(
     rich_markup_mode="rich",  # keeps the lines of examples apart
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Bayesian calibration, with honest uncertainty, of variable-friction dampers with a gap.",
-    epilog="New here? mfd-bayes demo out --quick takes about a minute; each command has --help.",
+    epilog="New here? mfd-bayes demo out --quick takes a few minutes; each command has --help.",
 )
 
 _LOOK, _FIT, _USE, _TRY = (

@@ -142,7 +142,9 @@ def print_design(rows: Sequence[DesignRow]) -> None:
     from mfd_bayes.assessment.design import BASES
 
     tail = 50.0 * (1.0 - rows[0].probability)
-    caption = f"Each bound is passed with a probability of {tail:g} %; λ: bound over nominal value"
+    caption = (
+        f"Each bound is exceeded with a probability of {tail:g} %; λ: bound over nominal value"
+    )
     notes = "; ".join(dict.fromkeys(f"{BASES[r.basis]}, {r.note}" for r in rows if r.note))
     heads = ("unit", "nominal", "lower", "upper", "λ min", "λ max")
     table = _table("Mean and bounding properties", ["property", "of"], heads, f"{caption}. {notes}")

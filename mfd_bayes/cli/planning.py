@@ -33,19 +33,21 @@ def next_test(
     write: Annotated[
         Path | None,
         typer.Option(
-            parser=arguments.path, metavar="FILE.toml", help="Draft the next [[test]] entries."
+            parser=arguments.path,
+            metavar="FILE.toml",
+            help="Draft the next entries of campaign.toml.",
         ),
     ] = None,
     tests: Annotated[int, typer.Option(min=1, max=3, help="How many tests --write drafts.")] = 1,
     draws: Annotated[
-        int, typer.Option(min=200, help="Draws of the posterior from which all is simulated.")
+        int, typer.Option(min=200, help="Draws of the posterior that are simulated.")
     ] = 2000,
     seed: arguments.Seed = 0,
     force: arguments.Replace = False,
     units: arguments.Units = None,
     quiet: arguments.Quiet = False,
 ) -> None:
-    """Say which test to make next, by what each is expected to tell.
+    """Say which test to make next: by how much each narrows a band or an interval.
 
     Simulates every candidate from the posterior and finds how much narrower the
     goal's band would be once it is calibrated. Writes OUT/next.csv, next.json
@@ -54,8 +56,8 @@ def next_test(
     "exponent of Fc_fwd". A test in words has an actuation, a frequency, an
     amplitude (half the stroke), and may have cycles, a waveform (sine, triangle)
     and its cost as a time; semicolons are between tests, and bars between
-    values. Goal, candidates and limits can also stand in [goal] of the campaign
-    file.
+    values. Goal, candidates and limits can also stand in the table "goal" of the
+    campaign file.
 
     Example:
       mfd-bayes next out
@@ -79,7 +81,9 @@ def next_test(
         told = pipeline.next_test(out, wish)
     if not quiet:
         heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
-        console.print_rows("What the best candidates are expected to tell", heads, told.rows)
+        console.print_rows(
+            "How much the best candidates are expected to narrow the goal", heads, told.rows
+        )
     console.say(told.sentence)
     if not quiet:
         for sentence in told.together:

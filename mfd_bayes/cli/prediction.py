@@ -41,7 +41,7 @@ def predict(
         bool, typer.Option("--whole", help="Add a band that holds the whole history.")
     ] = False,
     recalibrate: Annotated[
-        bool, typer.Option("--recalibrate", help="Widen it by tests that were left out.")
+        bool, typer.Option("--recalibrate", help="Correct its width by tests that were left out.")
     ] = False,
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what makes the band wide.")
@@ -50,14 +50,17 @@ def predict(
         bool, typer.Option("--design", help="Print mean and bounding properties with λ factors.")
     ] = False,
     extrapolate: Annotated[
-        bool, typer.Option("--extrapolate", help="Predict far outside of what was tested too.")
+        bool, typer.Option("--extrapolate", help="Predict also far outside of the tested range.")
     ] = False,
     rate: Annotated[
         str, typer.Option(metavar='"64 Hz"', help="Thin the motion; else every sample is kept.")
     ] = "",
     given: Annotated[
         str,
-        typer.Option(metavar='"0 s to 3 s"', help="The part whose force in the file is known."),
+        typer.Option(
+            metavar='"0 s to 3 s"',
+            help="The time in which the file's force is used.",
+        ),
     ] = "",
     force: arguments.Replace = False,
     units: arguments.Units = None,
@@ -68,13 +71,13 @@ def predict(
     Writes the band as CSV where -o says, a PNG of the loops beside it, one of the
     history (..._history.png), and what derives from the force, such as energy and
     peaks (..._derived.csv). It warns where stroke, speed, frequency or actuation
-    leave what was tested, or the run is not usable; far outside it
+    lie outside the tested range, or the run is not usable; far outside it
     refuses unless --extrapolate is given. --compare prints the share of the
     measured force inside the band, and keeps it in the CSV. --design prints mean
     and bounding properties (slip force, energy, peaks), for the mean property,
     this device tested again, another device and a measurement, and writes
     ..._design.csv. --recalibrate is for --kind observation and needs a run of
-    crossvalidate; --explain takes some seconds. --given learns from the force in a
+    crossvalidate; --explain takes some seconds. --given uses the force in a
     part of the motion's file, for the kinds new_test and observation: the band of
     the rest is narrower, and the tables and pictures mark the part.
 

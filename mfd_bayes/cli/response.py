@@ -23,14 +23,16 @@ def respond(
         Path, typer.Option("-o", "--out", parser=arguments.path, help="Folder to write.")
     ],
     sweep: Annotated[
-        str, typer.Option(metavar="RANGE", help='actuation="500 psi to 1500 psi [in 8 steps]".')
+        str, typer.Option(metavar="RANGE", help='actuation="500 psi to 1500 psi in 8 steps".')
     ] = "",
     minimise: Annotated[
         Literal["drift", "acceleration"], typer.Option(help="What the sweep makes small.")
     ] = "drift",
     by: Annotated[
         Literal["mean", "q90", "passing"],
-        typer.Option(help="Its mean, 90 % quantile, or the probability of passing its limit."),
+        typer.Option(
+            help="By its mean, its 90 % quantile, or the probability to exceed its limit."
+        ),
     ] = "mean",
     kind: Annotated[
         Literal["new_test", "device"],

@@ -164,7 +164,9 @@ def _write_opensees(
     about["misfit"] = {name: [float(m) for m in found.misfit] for name, found in fits.items()}
     about["best"] = best
     about["amplitude_in"] = 0.5 * stroke
-    said.append(f"the best of them: {best}; a gap and its retracing have no equal in one material")
+    said.append(
+        f"the best of them: {best}; a gap and its retracing cannot be modelled by one material"
+    )
     return said
 
 

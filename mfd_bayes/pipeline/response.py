@@ -226,7 +226,7 @@ def _verdict(response: Response, system: System) -> list[str]:
         used = response.usable(g)
         values = (response.drift_ratio if ratios else response.drift)[used, g]
         if not len(values):
-            found.append(f"{ground.name}: every draw ran away.")
+            found.append(f"{ground.name}: every draw diverged.")
             continue
         by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
         low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
@@ -238,7 +238,7 @@ def _verdict(response: Response, system: System) -> list[str]:
         )
     for one in response.limits():
         found.append(
-            f"{one.ground}: the limit of the {one.quantity} is passed with a probability of "
+            f"{one.ground}: the limit of the {one.quantity} is exceeded with a probability of "
             f"{100 * one.probability:.3g} % (standard error {100 * one.error:.2g} %)."
         )
     return found

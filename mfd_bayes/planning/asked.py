@@ -65,7 +65,7 @@ def draw_goals(
     if not goals.values.size:
         raise CampaignError(
             f"the {goal.words} is the same in all draws of this run: its law or its prior fixes "
-            "it, and no test can tell more of it"
+            "it, and no test can make it better known"
         )
     return goals
 

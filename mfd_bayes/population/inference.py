@@ -80,7 +80,7 @@ class Inference:
     scores : tuple of LawScore
         Every law's, for each quantity that follows the actuation.
     exponents : mapping of str to (float, float, float)
-        Quantiles of each proportional law's exponent, were it free.
+        Quantiles of each proportional law's exponent, estimated as in a power law.
     dependence : tuple of DependenceScore
         On speed and stroke, for each quantity that follows the actuation.
     """

@@ -94,7 +94,7 @@ class DependenceScore:
 def compare_laws(
     layout: Layout, tests: Sequence[TestLikelihood], seed: int = 0
 ) -> tuple[LawScore, ...]:
-    """Score of every law for each quantity that follows the actuation, by leave-one-level-out.
+    """Score of every law for each quantity that follows the actuation, each level left out in turn.
 
     Empty where tests are at fewer than `LEVELS` levels. A law whose score cannot be trusted has no
     weight; where none can, no law has. With tests at zero actuation, laws that have no value there

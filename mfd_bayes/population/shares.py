@@ -63,9 +63,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 _OWN = {name for group in GROUPS.values() for name in group} | {"offset"}
 _REPEATS = (
-    "Where few tests were calibrated, more tests narrow it; with many, it is how much tests of "
-    "this device differ: find out what differed (temperature, wear, bedding-in), or declare "
-    "sessions. The kind this_test is without it."
+    "If few tests were calibrated, more tests make it smaller. If many were, it is the true "
+    "difference between tests of this device: find out what differed (temperature, wear, "
+    "bedding-in), or declare sessions. The kind this_test does not contain it."
 )
 
 

@@ -141,10 +141,11 @@ def _plot(along: str, height: int, source: Any) -> Any:
 
 def _draw(plot: Any, along: str, source: Any) -> None:
     _, band, median = BANDS["observation"]
-    if along == "t":
-        plot.varea(along, "lower", "upper", source=source, fill_color=band, fill_alpha=0.7)
-    else:
+    # Along a loop the two edges go round the inside in opposite senses, so it stays empty; where
+    # opposite branches overlap they cancel too, and the edges alone show the band.
+    plot.varea(along, "lower", "upper", source=source, fill_color=band, fill_alpha=0.7)
+    if along == "x":
         for edge in ("lower", "upper"):
-            plot.line(along, edge, source=source, color=SKY, line_width=1)
+            plot.line(along, edge, source=source, color=SKY, line_width=0.5)
     plot.line(along, "median", source=source, color=median, line_width=1.6)
     plot.line(along, "force", source=source, color=DATA, line_width=1.2)

@@ -43,18 +43,21 @@ _LONGEST = 60
 
 # Prefix of a population's quantity: the words for it, and its meaning.
 _PREFIXES = {
-    "scatter": ("scatter of", "scatter from test to test, of the logarithm"),
+    "scatter": ("scatter of", "scatter from test to test, standard deviation of the logarithm"),
     "deviation_level": (
         "deviation by level,",
-        "smooth departure from the law that all tests of a level share, standard deviation",
+        "deviation from the law that all tests of a level have in common, standard deviation",
     ),
     "deviation_session": (
         "deviation by session,",
-        "departure that all tests of a session share, standard deviation",
+        "deviation from the law that all tests of a session have in common, standard deviation",
     ),
     "exponent": ("exponent of", "exponent of the power law"),
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
-    "dependence": ("dependence of", "change of the logarithm where a covariate grows e-fold"),
+    "dependence": (
+        "dependence of",
+        "change of the logarithm when speed or stroke grows by a factor e",
+    ),
 }
 # Scatter of these is not that of the quantity itself, but of another one that is pooled for it.
 _POOLED = {

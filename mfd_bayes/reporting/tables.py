@@ -172,7 +172,7 @@ def design_csv(rows: Iterable[DesignRow], actuation: str) -> str:
         for r in shown
     )
     about = (
-        f"# mean and bounding properties; each bound is passed with a probability of {tail:g} %\n"
+        f"# mean and bounding properties; each bound is exceeded with a probability of {tail:g} %\n"
         "# lambda: bound over the nominal value, which is the mean of the mean property\n"
         f"# actuation {actuation}\n"
     )

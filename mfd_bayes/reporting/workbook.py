@@ -8,10 +8,17 @@ from typing import Any
 
 from mfd_bayes.assessment.views import CampaignView, Row
 from mfd_bayes.reporting.noises import others_text
-from mfd_bayes.reporting.paper_tables import PaperTable, paper_tables
+from mfd_bayes.reporting.paper_tables import Line, PaperTable, paper_tables
 from mfd_bayes.reporting.symbols import printable
 
-_WIDE = 30
+NARROW, WIDEST = 11.0, 60.0
+"""Widths of a column of numbers, and the most of one of texts, in letters."""
+
+HEAD = 48.0
+"""Height of the row of heads, which are written in several lines, pt."""
+
+DIGITS = 4
+"""Digits of a number that a cell shows; the cell holds all of them."""
 
 
 def excel_tables(view: CampaignView) -> bytes:
@@ -37,14 +44,43 @@ def _fill(sheet: Any, table: PaperTable) -> None:
     _put(sheet, ["quantity", "meaning", "unit", *heads, "note"])
     for line in table.lines:
         numbers = [value for row in line.values for value in _numbers(row)]
-        rows = [row for row in line.values if row is not None]
-        notes = dict.fromkeys(row.note for row in rows if row.note)
-        others = (f"{row.subject} with {others_text(row)}" for row in rows if row.others)
-        text = "; ".join((*notes, *others))
+        text = _note(line)
         _put(sheet, [line.symbol.text, line.meaning, line.unit, *numbers, text])
-    sheet.freeze_panes = "B2"
-    for column in "AB":
-        sheet.column_dimensions[column].width = _WIDE
+    _lay_out(sheet)
+
+
+def _note(line: Line) -> str:
+    """Notes of a quantity's values, each with its tests, and the values under other noises."""
+    rows = [row for row in line.values if row is not None]
+    tests: dict[str, list[str]] = {}
+    for row in rows:
+        if row.note:
+            tests.setdefault(row.note, []).append(row.subject)
+    notes = (
+        note if len(found) == len(line.values) else f"{note} ({', '.join(found)})"
+        for note, found in tests.items()
+    )
+    return "; ".join((*notes, *(f"{r.subject} with {others_text(r)}" for r in rows if r.others)))
+
+
+def _lay_out(sheet: Any) -> None:
+    """Make heads and notes readable, on the screen and on paper."""
+    from openpyxl.styles import Alignment, Font
+    from openpyxl.utils import get_column_letter
+
+    texts = (1, 2, 3, sheet.max_column)
+    for column in range(1, sheet.max_column + 1):
+        letter = get_column_letter(column)
+        longest = max(len(str(cell.value or "")) for cell in sheet[letter][1:])
+        width = min(longest + 2.0, WIDEST) if column in texts else NARROW
+        sheet.column_dimensions[letter].width = max(width, NARROW)
+        head = sheet.cell(1, column)
+        head.font = Font(bold=True)
+        head.alignment = Alignment(vertical="top", wrap_text=True)
+    sheet.row_dimensions[1].height = HEAD
+    sheet.freeze_panes = "D2"
+    sheet.page_setup.orientation = "landscape"
+    sheet.print_title_rows, sheet.print_title_cols = "1:1", "A:A"
 
 
 def _put(sheet: Any, values: list[str | float | None]) -> None:
@@ -55,8 +91,17 @@ def _put(sheet: Any, values: list[str | float | None]) -> None:
         if isinstance(value, str):
             cell.value = printable(value)
             cell.data_type = "s"
-        else:
+        elif value is not None:
             cell.value = value
+            cell.number_format = _format(value)
+
+
+def _format(value: float) -> str:
+    """Format of a cell that shows some digits of a number: "0.00" of 12.3456."""
+    if not 1e-4 <= abs(value) < 1e6:
+        return "General" if value == 0.0 else f"0.{'0' * (DIGITS - 1)}E+00"
+    places = max(DIGITS - 1 - math.floor(math.log10(abs(value))), 0)
+    return f"0.{'0' * places}" if places else "0"
 
 
 def _numbers(row: Row | None) -> list[float | None]:

@@ -187,7 +187,7 @@ class Response:
         found = []
         for g, ground in enumerate(self.grounds):
             for flags, words in (
-                (self.unstable[:, g], "ran away and are left out of every figure"),
+                (self.unstable[:, g], "diverged and are left out of every figure"),
                 (self.unsettled[:, g], f"still change by more than {self.tolerance:.2g}"),
             ):
                 at = np.flatnonzero(flags)

@@ -12,9 +12,9 @@ class Verdict(StrEnum):
     NOTE = "note", "The reader must know of it, but it is no fault of the run."
     CARE = (
         "care",
-        "The model misses this by more than its tolerance: what rests on it needs care.",
+        "The model misses this by more than its tolerance; use what depends on it with care.",
     )
-    FAIL = "fail", "The value is beyond its limit, and figures that rest on it must not be used."
+    FAIL = "fail", "The value is beyond its limit; do not use figures that depend on it."
 
     def __new__(cls, value: str, message: str) -> "Verdict":
         """Member whose value is a text, with a message."""

@@ -34,7 +34,7 @@ CLEAR = 2.0
 FEW = 10
 """Number of tests, or of cycles of one test, below which a standard error is rough."""
 
-TARGET = "This is about another cycle of the same tests, not about another test."
+TARGET = "The comparison is about another cycle of the same tests, not about another test."
 
 ALL = "all"
 _DRAWS = 400  # for the median of the force
@@ -217,9 +217,9 @@ def _favour(total: Mapping[str, _Score], pair: tuple[str, str], tests: int) -> s
     if errors >= CLEAR:
         text = f"The records favour {best} over {second}: {by}"
     else:
-        text = f"The records do not tell {best} from {second}: {by}"
+        text = f"The records cannot decide between {best} and {second}: {by}"
     few = (tests if tests > 1 else one.cycles) < FEW
-    return text + (" (a rough error, of so few)." if few else ".")
+    return text + (" (a rough estimate of the error, from so few)." if few else ".")
 
 
 def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
@@ -230,10 +230,10 @@ def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
     if any(redone):
         text = (
             f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(filter(None, redone))}; "
-            "these were computed anew from the evidence with and without the cycle. "
+            "for these cycles the score was computed again without importance sampling. "
         )
     if not doubts:
-        return text + "Nothing in the check figures speaks against this result."
+        return text + "The diagnostics of this comparison are good."
     text += f"Do not rely on this result as it is: {'; '.join(doubts)}"
     one, other = (total[model].validation for model in pair)
     good = ~(one.bad | other.bad)

@@ -107,6 +107,6 @@ def test_an_ensemble_that_is_stuck_fails_the_verdict():
 def test_modes_are_noted_with_their_shares_of_the_draws():
     facts = {"modes": 2, "mode_shares": [[0.9, 0.1], [0.94, 0.06]]}
     (check,) = notes("p500", [], facts)
-    assert check.target == "posterior (they hold 92 %, 8 % of the draws)"
+    assert check.target == "posterior (92 %, 8 % of the draws)"
     assert (check.value, check.verdict) == (2, "note")
     assert notes("p500", [], {"modes": 1, "mode_shares": [[1.0]]}) == []

@@ -69,7 +69,7 @@ def test_bounds_in_metric_units_keep_their_factors():
 
 def test_the_table_says_its_probability_and_names():
     text = design_csv(bounds_of(DRAWN, 0.9), "1000 psi")
-    assert "passed with a probability of 5 %" in text
+    assert "exceeded with a probability of 5 %" in text
     for name in BASES.values():
         assert name in text
 

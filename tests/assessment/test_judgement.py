@@ -133,7 +133,7 @@ def test_the_campaign_sets_the_tolerance():
 def test_a_band_is_judged_by_too_few_inside(probability, inside, verdict):
     check = band("a", probability, inside)
     assert (check.name, check.verdict) == (COVERAGE, verdict)
-    assert ("wider than it need be" in check.target) == (verdict == Verdict.NOTE)
+    assert ("wider than necessary" in check.target) == (verdict == Verdict.NOTE)
     (judged,) = judge(["a"], [check], [])
     assert (judged.use == Use.USABLE) == (verdict in (Verdict.PASS, Verdict.NOTE))
 
@@ -145,10 +145,10 @@ def test_a_test_without_fault_is_usable_and_the_least_believed_is_named_all_the_
     ]
     judged = judge(["b", "a"], checks, [])
     assert use_of(judged, checks) == Use.USABLE
-    assert least_believed(judged) == "no test stands out; the one that the model fits least is a"
+    assert least_believed(judged) == "no test stands out; the model fits a least well"
     assert least_believed(judged[:1]) == ""
     sentence = verdict_sentence(Manifest, checks, judged)
-    assert sentence.startswith("Nothing of 2 tests is missed by more than its tolerance.")
+    assert sentence.startswith("In both tests the model misses nothing by more than its tolerance.")
 
 
 def test_a_mild_fault_of_a_record_asks_for_care():
@@ -166,8 +166,18 @@ def test_sampling_that_fell_short_is_no_fault_of_the_record():
     assert sentence.startswith("The sampling did not reach its targets")
 
 
+def test_sampling_that_a_wrong_record_spoiled_asks_to_correct_the_record_first():
+    short = Check("population", "R-hat", "K_c_fwd", 1.2, "<= 1.01", Verdict.FAIL)
+    judged = judge(TESTS, swapped_run(), [SWAPPED])
+    sentence = verdict_sentence(Manifest, [*swapped_run(), short], judged)
+    assert "but correct what is wrong first" in sentence
+    assert "--effort" not in sentence
+    alone = verdict_sentence(Manifest, [short], judge(TESTS, [], []))
+    assert "but give a larger --effort" in alone
+
+
 def test_two_modes_ask_for_care_and_a_small_one_is_a_note():
-    target = "posterior (they hold 60 %, 40 % of the draws)"
+    target = "posterior (60 %, 40 % of the draws)"
     (both,) = judge(["a"], [Check("a", "modes found", target, 2, "1", Verdict.CARE)], [])
     assert both.use == Use.WITH_CARE
     assert "2 different sets of parameters" in both.sentence
@@ -181,6 +191,7 @@ def test_a_parameter_off_its_reading_is_a_note():
     (judged,) = judge(["a"], [reading], [])
     assert judged.use == Use.USABLE
     assert (
-        judged.told == "note: off what is read off the loop: k3 (43 [33, 55] kip/in), read off 14"
+        judged.told
+        == "note: differs from what is read off the loop: k3 (43 [33, 55] kip/in), read off 14"
     )
     assert np.isfinite(judged.doubt)

@@ -24,14 +24,14 @@ def test_the_best_law_stands_first_and_others_are_measured_by_it():
     assert other.difference_se == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
     assert (best.chosen, other.chosen) == (False, True)
     assert "the campaign's own, proportional, is worse by 3.5 ± 0.5" in choice.sentence
-    assert "do not tell" not in choice.sentence
+    assert "cannot separate" not in choice.sentence
 
 
 def test_a_difference_within_its_standard_error_is_cautioned():
     found = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 1.0, 0.5], constant=[-9.0, -8.0, -9.0])
     (choice,) = law_choices(found, {"Fc_fwd": "proportional"})
     assert choice.sentence.startswith("the power law predicts levels that were left out best, but")
-    assert "the 3 levels do not tell it from proportional:" in choice.sentence
+    assert "the 3 levels cannot separate it from proportional:" in choice.sentence
     assert "constant" not in choice.sentence
     assert "is worse" not in choice.sentence
 
@@ -55,7 +55,7 @@ def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
     assert choice.sentence.startswith("the proportional law predicts")
     assert "the score of power (Pareto k 0.93) cannot be trusted" in choice.sentence
     (none,) = law_choices([replace(s, pareto_k=1.5) for s in found], {"Fc_fwd": "compare"})
-    assert none.sentence.startswith("the laws are not weighed; the score of power (Pareto k 1.50)")
+    assert none.sentence.startswith("the laws have no weights; the score of power (Pareto k 1.50)")
     (all_,) = law_choices([replace(s, pareto_k=0.6) for s in found], {"Fc_fwd": "compare"})
     assert "trusted" not in all_.sentence  # the control
 

@@ -55,6 +55,16 @@ def test_a_parameter_that_misses_its_reading_is_noted(name, value):
     assert ("largest force" if name == "Fs_bwd" else "read off") in check.target
 
 
+def test_static_friction_at_the_largest_force_is_not_noted():
+    found = {row.name: row for row in reading_rows("a", posterior_of(), draws())}
+    largest = found["Fs_bwd"].value
+    for factor, missed in ((1.005, False), (1.03, True)):
+        values = draws()
+        values["Fs_bwd"] *= factor * largest / np.median(values["Fs_bwd"])
+        rows = reading_rows("a", posterior_of(), values)
+        assert {r.name for r in rows if r.missed} == ({"Fs_bwd"} if missed else set())
+
+
 def test_the_tolerance_is_the_campaigns():
     values = draws(Fc_fwd=1.5)
     assert not any(r.missed for r in reading_rows("a", posterior_of(), values, {"slip_force": 0.3}))

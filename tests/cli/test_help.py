@@ -183,3 +183,9 @@ def test_completion_is_installed_for_a_shell(tmp_path):
     assert ran([COMMAND, "--install-completion", "bash"], **home).returncode == 0
     scripts = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert any("_MFD_BAYES_COMPLETE" in path.read_text() for path in scripts)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_word_of_a_help_is_taken_for_markup_and_lost(command):
+    told = [COMMANDS[command].help, *(getattr(p, "help", "") for p in COMMANDS[command].params)]
+    assert [text for text in told if re.search(r"\[[a-z\[/]", text or "")] == []

@@ -177,7 +177,7 @@ def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
     outcome = ask("--sine", "1 in, 0.5 Hz, 3 cycles", "--design", "--probability", 0.8)
     assert outcome.exit_code == 0, outcome.output
     assert "Mean and bounding properties" in outcome.stdout
-    assert "passed with a probability of 10 %" in outcome.stdout
+    assert "exceeded with a probability of 10 %" in outcome.stdout
     assert "too narrow" not in outcome.stderr  # three levels
     table = pd.read_csv(tmp_path / "bands_design.csv", comment="#")
     rows = table.set_index(["property", "basis"])

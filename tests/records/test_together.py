@@ -86,6 +86,14 @@ def test_the_test_that_is_wrong_is_named_with_its_cause(k, wrong, name, words):
     assert words in found[0][1].sentence
 
 
+@pytest.mark.parametrize(("wrong", "of"), [("force", "force"), ("length", "displacement")])
+def test_two_other_tests_say_which_sign_is_swapped_where_the_work_is_negative(wrong, of):
+    found = compare_tests(campaign(1, **{wrong: -1.0})[:3])
+    assert [(test, fault.name) for test, fault in found] == [("t30", "force sign")]
+    assert f"probably that of the {of}" in found[0][1].sentence
+    assert compare_tests(campaign(1, force=-1.0)[:2]) == []
+
+
 @pytest.mark.parametrize(("k", "actuation"), [(2, 10.0), (4, 10.0), (2, 0.1)])
 def test_an_actuation_that_is_wrong_by_ten_is_named(k, actuation):
     ((test, fault),) = compare_tests(campaign(k, actuation=actuation))

@@ -9,7 +9,14 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 
-from mfd_bayes.assessment.views import DIRECTIONS, IDENTIFIABILITY, Check, Judgement, ReadingRow
+from mfd_bayes.assessment.views import (
+    COVERAGE,
+    DIRECTIONS,
+    IDENTIFIABILITY,
+    Check,
+    Judgement,
+    ReadingRow,
+)
 from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
@@ -103,6 +110,21 @@ def test_every_picture_can_be_taken_with_its_data(campaign, page, tables_behind)
         assert taken[0]["download"].endswith(".png")
     linked = {a["href"] for a in page.all("a") if a["href"].endswith(".csv")}
     assert linked == tables
+
+
+def test_the_first_reading_has_no_column_that_cannot_be_identified(text, campaign):
+    assert any(row.name == "gamma1" for test in campaign.tests for row in test.rows)
+    table = text.split('aria-label="Parameters of all tests"')[1].split("</table>")[0]
+    assert "γ<sub>1" not in table
+    assert "k<sub>3</sub>" in table
+
+
+def test_each_kind_of_check_says_what_its_own_value_is(campaign):
+    inside = Check(campaign.tests[0].id, COVERAGE, "coverage", 0.5, "near", Verdict.PASS)
+    text = first(replace(campaign, checks=(*campaign.checks, inside)), {})
+    (told,) = set(re.findall(r"<span>(Share of samples inside a band: [^<]*)</span>", text))
+    assert "artificial records" not in told
+    assert "share of the measured samples inside the band" in told
 
 
 def test_every_link_has_a_target(page):

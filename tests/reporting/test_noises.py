@@ -14,7 +14,7 @@ from mfd_bayes.reporting.html import render
 from mfd_bayes.reporting.latex import parameters_tex
 from mfd_bayes.reporting.paper_tables import paper_tables
 from mfd_bayes.reporting.tables import noises_csv, parameters_csv
-from mfd_bayes.reporting.word import _value
+from mfd_bayes.reporting.word import value_lines
 from mfd_bayes.runs.systems import SI
 
 OTHER = NoiseRow(
@@ -53,18 +53,18 @@ def test_csv_json_and_latex_hold_both_values(reports):
 
 def test_the_word_table_holds_both_values(reports):
     values = [paper_tables(view)[0].lines[0].values[0] for view in reports]
-    assert [_value(row) for row in values] == [
-        "26.0 [23.9, 29.0]; staged: 42.2 [39.0, 45.6]",
-        "26.0 [23.9, 29.0]",
+    assert [value_lines(row) for row in values] == [
+        ("26.0", "[23.9, 29.0]", "staged: 42.2 [39.0, 45.6]"),
+        ("26.0", "[23.9, 29.0]"),
     ]
 
 
 def test_the_page_marks_the_value_and_says_why(reports):
     moved, plain = (render(view, {})["report.html"] for view in reports)
     assert '<small class="missed">staged' in moved
-    assert "fitted under other noise models too" in moved
+    assert "also fitted under other noise models" in moved
     assert '<small class="missed">staged' not in plain
-    assert "fitted under other noise models too" not in plain
+    assert "also fitted under other noise models" not in plain
 
 
 def test_both_values_are_in_the_same_units():

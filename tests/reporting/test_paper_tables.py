@@ -2,6 +2,9 @@
 
 import csv
 import io
+import re
+import shutil
+import subprocess
 from dataclasses import replace
 
 import pandas as pd
@@ -75,7 +78,7 @@ def test_a_word_document_holds_both_tables_in_kn_and_mm(metric):
     first, *_, last = document.tables
     cells = {row.cells[0].paragraphs[0].text: row.cells for row in first.rows}
     assert cells["k3"][1].text == "kN/mm"
-    assert cells["k3"][2].text == "0.175 [0.140, 0.210]"
+    assert cells["k3"][2].text == "0.175\n[0.140, 0.210]"
     low = [run.text for run in cells["k3"][0].paragraphs[0].runs if run.font.subscript]
     assert low == ["3"]
     assert len(last.rows) == 1 + len(metric.law_rows)
@@ -92,6 +95,63 @@ def test_many_tests_are_split_among_tables(campaign):
     heads = [cell.text for table in document.tables[:-1] for cell in table.rows[0].cells[2:]]
     assert [head.split(",")[0] for head in heads] == [test.id for test in tests]
     assert max(len(table.columns) for table in document.tables) == 5
+
+
+def noted(campaign):
+    """Two tests; the second has a note on k3."""
+    test = campaign.tests[0]
+    rows = tuple(replace(r, note="mostly the prior" * (r.name == "k3")) for r in test.rows)
+    other = replace(test, id="t2", rows=tuple(replace(row, subject="t2") for row in rows))
+    return replace(campaign, tests=(test, other))
+
+
+def test_a_note_in_word_has_the_letter_of_its_value(campaign):
+    docx = pytest.importorskip("docx", reason='needs the extra "word"')
+    from mfd_bayes.reporting.word import word_tables
+
+    document = docx.Document(io.BytesIO(word_tables(noted(campaign))))
+    cells = {row.cells[0].paragraphs[0].text: row.cells for row in document.tables[0].rows}
+    marks = [[r.text for r in c.paragraphs[0].runs if r.font.superscript] for c in cells["k3"]]
+    assert marks[3] != marks[2]
+    assert f"{marks[3][0]} Mostly the prior." in [p.text for p in document.paragraphs]
+
+
+def test_a_note_in_excel_names_its_tests(campaign):
+    table = sheets(noted(campaign))["Table I"].set_index("quantity")
+    assert "mostly the prior (t2)" in table.loc["k_3", "note"]
+
+
+def test_word_tables_fit_their_page(campaign):
+    docx = pytest.importorskip("docx", reason='needs the extra "word"')
+    from mfd_bayes.reporting.word import word_tables
+
+    tests = tuple(replace(campaign.tests[0], id=f"t{i}") for i in range(4))
+    document = docx.Document(io.BytesIO(word_tables(replace(campaign, tests=tests))))
+    section = document.sections[0]
+    room = section.page_width - section.left_margin - section.right_margin
+    for table in document.tables:
+        assert sum(cell.width for cell in table.rows[0].cells) == pytest.approx(room, abs=9525)
+        assert "w:tblHeader" in table.rows[0]._tr.xml
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("soffice") is None, reason="no LibreOffice here")
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext here")
+@pytest.mark.parametrize("suffix", ["docx", "xlsx"])
+def test_libreoffice_opens_tables_in_kn_and_mm(metric, tmp_path, suffix):
+    pytest.importorskip("docx", reason='needs the extra "word"')
+    from mfd_bayes.reporting.word import word_tables
+
+    made = word_tables if suffix == "docx" else excel_tables
+    (tmp_path / f"tables.{suffix}").write_bytes(made(metric))
+    home = f"-env:UserInstallation={(tmp_path / 'home').as_uri()}"
+    words = ["soffice", home, "--headless", "--convert-to", "pdf", f"tables.{suffix}"]
+    subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, timeout=300)
+    words = ["pdftotext", "-layout", "tables.pdf", "-"]
+    text = subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    (line,) = (found for found in text.splitlines() if re.match(r"\s*k_?3\s", found))
+    assert re.search(r"kN/mm\s+0\.175", line)
+    assert "all tests" in text
 
 
 def test_notes_stand_under_a_table_once(campaign):

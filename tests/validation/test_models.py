@@ -109,20 +109,23 @@ def test_the_best_model_is_favoured_and_stands_first(compared):
     for row in found.rows:
         assert row.rrse > 0
     assert found.sentence.startswith("The records favour three_stage over bouc_wen: elpd higher")
-    assert "over 2 tests of 12 cycles in all (a rough error, of so few)." in found.sentence
+    assert (
+        "over 2 tests of 12 cycles in all (a rough estimate of the error, from so few)."
+        in found.sentence
+    )
     assert "about another cycle of the same tests, not about another test" in found.sentence
-    assert found.sentence.endswith("Nothing in the check figures speaks against this result.")
+    assert found.sentence.endswith("The diagnostics of this comparison are good.")
 
 
 def test_models_that_the_records_do_not_tell_apart_are_called_so(compared):
     found = compared(**{model: {"scale": 0.0} for model in BETTER})
-    assert found.sentence.startswith("The records do not tell ")
+    assert found.sentence.startswith("The records cannot decide between ")
 
 
 def test_cycles_that_psis_could_not_do_are_told(compared):
     found = compared(three_stage={"psis_k": 1.2})
     assert "k of PSIS exceeds 0.7 in 12 of 12 cycles of three_stage (worst 1.20)" in found.sentence
-    assert found.sentence.endswith("Nothing in the check figures speaks against this result.")
+    assert found.sentence.endswith("The diagnostics of this comparison are good.")
     best = found.rows[-3]
     assert (best.worst_k, best.bad, best.unsettled) == (1.2, 1.0, 0.0)
 
@@ -134,7 +137,7 @@ def test_a_k_that_stays_too_large_is_not_hidden(compared):
     assert found.rows[-2].unsettled == 1.0
     # it does not concern the best two, so that the sentence does not mention it
     other = compared(lugre={"psis_k": 1.2, "k": 0.9})
-    assert other.sentence.endswith("Nothing in the check figures speaks against this result.")
+    assert other.sentence.endswith("The diagnostics of this comparison are good.")
     assert other.rows[-1].unsettled == 1.0
 
 
@@ -147,7 +150,7 @@ def test_tests_that_one_model_lacks_are_left_out_and_named(compared):
     runs = {model: run_of(model, ("a",) if model == "lugre" else ("a", "b")) for model in BETTER}
     found = compared(runs)
     assert {row.subject for row in found.rows} == {"a", ALL}
-    assert "6 cycles of 1 test (a rough error, of so few)" in found.sentence
+    assert "6 cycles of 1 test (a rough estimate of the error, from so few)" in found.sentence
     assert found.sentence.endswith("not every model could be calibrated: b.")
 
 

@@ -14,8 +14,9 @@ from mfd_bayes.records.together.tested import Tested
 from mfd_bayes.records.together.twins import find_twin
 from mfd_bayes.units import actuation_factor
 
-OTHERS = 3
-"""Fewest other tests that all begin in the same direction for one that does not to be named."""
+OTHERS, OTHERS_OF_NEGATIVE = 3, 2
+"""Fewest other tests that all begin in the same direction for one that does not to be named, and
+for saying which of two signs is swapped in one whose force does negative work."""
 
 LIKE = 0.2
 """Energies of a record and of a part of it differ by less than this share."""
@@ -81,7 +82,7 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     for one in steady:
         others = [t for t in steady if t is not one]
         ways = {t.direction for t in others}
-        if len(others) < OTHERS or len(ways) > 1:
+        if len(others) < (OTHERS_OF_NEGATIVE if one.work < 0.0 else OTHERS) or len(ways) > 1:
             continue
         turned = one.direction not in ways
         if one.work < 0.0:
@@ -147,7 +148,7 @@ def _sentence(test: Tested, found: Deviation, cause: Cause, others: Sequence[Tes
     k = int(np.nanargmax(np.abs(found.values) / found.sds))
     value = getattr(test.readings, QUANTITIES[k])
     said, expected = _SAID[QUANTITIES[k]].format(value), value / np.exp(found.values[k])
-    shown = f"its loop has {said}, where the other tests let expect {expected:.3g}"
+    shown = f"its loop has {said}, where the other tests suggest {expected:.3g}"
     return f"{shown}: {_because(test, cause, others)}"
 
 
