@@ -152,19 +152,22 @@ def turning_points(
 
 
 def smallest_turn(displacement: Array) -> float:
-    """Reversal of a displacement, (T,), in, that is no more than the noise of its sensor, in.
-
-    White noise is told from motion by fourth differences: of noise they alternate, with a
-    correlation of -0.8 from one to the next; of a smooth motion they hardly differ.
-    """
+    """Reversal of a displacement, (T,), in, that is no more than the noise of its sensor, in."""
     stroke = float(np.ptp(displacement))
-    least = HYSTERESIS * stroke
+    return min(max(HYSTERESIS * stroke, NOISY * sensor_noise(displacement)), MOST_NOISE * stroke)
+
+
+def sensor_noise(displacement: Array) -> float:
+    """Standard deviation, in, of the white noise of a displacement, (T,), in; 0 of a smooth one.
+
+    Noise is told from motion by fourth differences: of noise they alternate, with a correlation
+    of -0.8 from one to the next; of a smooth motion they hardly differ.
+    """
     differences = np.diff(displacement, 4)
     before, after = differences[:-1], differences[1:]
     if not before @ after < -0.5 * float(differences @ differences):
-        return least
-    noise = float(np.median(np.abs(differences))) / 0.6745 / np.sqrt(70.0)
-    return min(max(least, NOISY * noise), MOST_NOISE * stroke)
+        return 0.0
+    return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(70.0))
 
 
 def _corners(displacement: Array) -> NDArray[np.intp]:

@@ -283,3 +283,11 @@ def test_a_velocity_that_contradicts_the_displacement_is_a_fault(change):
 @pytest.mark.parametrize("change", [lambda v: v, lambda v: 1.1 * v, lambda v: None])
 def test_a_velocity_that_agrees_or_is_not_there_is_none(change):
     assert "velocity" not in {f.name for f in find_faults(velocity_trace(change))}
+
+
+def test_noise_of_the_displacement_beside_the_build_up_is_told():
+    time, displacement, force = signals()
+    noise = 0.004 * np.random.default_rng(1).standard_normal(time.size)
+    sentence = the_fault("noise", time, displacement + noise, force).sentence
+    assert "noise of about 0.0039 in, 7% of the travel" in sentence
+    assert names(time, displacement + 0.1 * noise, force) == []
