@@ -215,7 +215,9 @@ def test_steps_as_wide_as_the_gap_are_coarse_however_long_the_stroke():
 
 def test_a_rate_too_low_for_the_gap_is_told():
     time, displacement, force = signals(rate=20.0)
-    assert "rate" in names(time, displacement, force)
+    found = find_faults(Trace.from_arrays(time, displacement, None, force), GAP)
+    (sentence,) = [fault.sentence for fault in found if fault.name == "rate"]
+    assert "in the first 0.15 in after a reversal, where the force builds up" in sentence
     assert "rate" not in names(time, displacement, force, gap=None)
 
 
