@@ -85,7 +85,8 @@ def measure(chains: Array) -> Convergence:
     """Convergence of ensembles.
 
     R̂ compares ensembles and their halves in time, since the walkers of one ensemble are not
-    independent chains. The effective sample size follows each walker along its steps.
+    independent chains. The effective sample size follows each walker along its steps. A quantity
+    that never moves has no R̂: NaN.
 
     Parameters
     ----------
@@ -98,11 +99,12 @@ def measure(chains: Array) -> Convergence:
     if steps < FEWEST_STEPS:
         nothing = np.zeros(dim)
         return Convergence(np.full(dim, np.inf), nothing, nothing)
-    return Convergence(
-        r_hat=np.array([r_hat(by_time[..., k]) for k in range(dim)]),
-        ess_bulk=np.array([ess(by_walker[..., k], "bulk") for k in range(dim)]),
-        ess_tail=np.array([ess(by_walker[..., k], "tail") for k in range(dim)]),
-    )
+    with np.errstate(divide="ignore", invalid="ignore"):  # draws that never move have no variance
+        return Convergence(
+            r_hat=np.array([r_hat(by_time[..., k]) for k in range(dim)]),
+            ess_bulk=np.array([ess(by_walker[..., k], "bulk") for k in range(dim)]),
+            ess_tail=np.array([ess(by_walker[..., k], "tail") for k in range(dim)]),
+        )
 
 
 def measure_draws(draws: Array, walkers: int) -> Convergence:

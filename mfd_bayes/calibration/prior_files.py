@@ -20,6 +20,9 @@ from mfd_bayes.units import parse_quantity
 SCALED = "scales read off the records"
 """Beginning of the title of a prior file that was made of a campaign's own records."""
 
+WRITTEN = "priors.toml"
+"""Name of the prior file that ``mfd-bayes init`` writes beside a campaign."""
+
 _LONGEST = 1000
 """Largest length of an error message, in characters, however long the names in the file."""
 
@@ -79,7 +82,11 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     except (OSError, RuntimeError, ValueError) as error:
         raise PriorError(f"prior file {name!r} cannot be found: {error}") from error
     known = ", ".join(sorted(p.stem for p in home.glob("*.toml")))
-    raise PriorError(f"no prior file {name!r}: expected one of {known}, or the path of a TOML file")
+    hint = "; mfd-bayes init CAMPAIGN.TOML writes it once the units are there"
+    raise PriorError(
+        f"no prior file {name!r}: expected one of {known}, or the path of a TOML file"
+        f"{hint if name == WRITTEN else ''}"
+    )
 
 
 def _home() -> Path:

@@ -58,6 +58,7 @@ def init(
         say(f"{written} written: read the reason of each prior, and replace what you know better")
         if not named:
             say(f'to use it, write priors = "{written.name}" in [campaign] of {folder}')
+        say(f"look next: {shlex.join(['mfd-bayes', 'prior-check', str(folder)])}")
         return
     with mistakes():
         written, draft = pipeline.init(folder, force=force)
@@ -77,7 +78,9 @@ def init(
     say(f"{written} written: tests {len(draft.tests)}, {left_out}")
     if missing:
         say("warning: complete what is marked FIXME before you calibrate")
-    else:
+    if pipeline.lacks_priors(draft):
+        say(f"then: {shlex.join(['mfd-bayes', 'init', str(written)])}, which writes priors.toml")
+    elif not missing:
         say(f"look next: {shlex.join(['mfd-bayes', 'inspect', str(written)])}")
 
 

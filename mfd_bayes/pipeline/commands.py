@@ -10,7 +10,7 @@ from mfd_bayes.assessment import fails, is_whole
 from mfd_bayes.assessment.views import (
     CampaignView,
 )
-from mfd_bayes.campaign.draft import doubts, gaps
+from mfd_bayes.campaign.draft import doubts, gaps, lacks_priors
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.dispatch import check_workers
@@ -56,6 +56,7 @@ __all__ = [
     "init_priors",
     "inspect",
     "is_whole",
+    "lacks_priors",
     "left_out_shown",
     "needs_priors",
     "next_test",

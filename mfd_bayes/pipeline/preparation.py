@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.assessment.prior_check import MOST, most_wrong, prior_fan, share_inside
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.prior_files import WRITTEN, load_priors
 from mfd_bayes.campaign.draft import (
-    OWN_PRIORS,
     Draft,
     campaign_text,
     draft_campaign,
@@ -42,7 +41,7 @@ def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
         When the folder holds no test, or a campaign.toml and `force` is not given; nothing is
         written then.
     """
-    path, priors = folder / "campaign.toml", folder / OWN_PRIORS
+    path, priors = folder / "campaign.toml", folder / WRITTEN
     _check_new(path, force=force)
     draft = draft_campaign(folder)
     if (text := own_priors(draft)) is not None:
@@ -69,7 +68,7 @@ def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
         given; nothing is written then.
     """
     campaign = load_campaign(path)
-    written = campaign.folder / OWN_PRIORS
+    written = campaign.folder / WRITTEN
     _check_new(written, force=force)
     records = [test.read() for test in campaign.tests if test.role == "calibrate"]
     found = {
@@ -81,7 +80,7 @@ def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
         raise CampaignError(f"no test of {path} has a force, so it shows no scales of priors")
     units = Units(*(_usual(records, role) for role in ("force", "displacement")))
     write_text(written, priors_text(found, units))
-    return written, campaign.priors == OWN_PRIORS
+    return written, campaign.priors == WRITTEN
 
 
 def _check_new(path: Path, *, force: bool) -> None:
@@ -120,9 +119,9 @@ def inspect(
     places = [folder / f"{name}_inspect.png" for _, name in found]
     check_outputs([Output(place, is_picture) for place in places], [path], force=force)
     pictures = []
-    for (inspection, _), picture in zip(found, places, strict=True):
+    for (inspection, _), record, picture in zip(found, records, places, strict=True):
         title = f"{inspection.name}: as read"
-        inspection = _reworded(inspection, system)
+        inspection = _reworded(inspection, record, system)
         trace = convert_trace(inspection.trace, system)
         figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
         write_picture(picture, to_png(figure))
@@ -130,16 +129,19 @@ def inspect(
     return pictures
 
 
-def _reworded(inspection: Inspection, system: System) -> Inspection:
-    """An inspection whose sentences are in the units of a system."""
+def _reworded(inspection: Inspection, record: Record, system: System) -> Inspection:
+    """The inspection of a record, its sentences in the units of a system."""
     say = system.reworded
     kept = ("file", "columns", "columns not used")  # and what a signal is made of, are names
+    facts = {
+        name: text if name in kept or name.endswith("made of") else say(text)
+        for name, text in inspection.facts.items()
+    }
+    if record.actuation_unit is not None:  # of the value itself: a rounded one is not 7 bar
+        facts["actuation"] = system.actuation(inspection.trace, record.actuation_unit)
     return replace(
         inspection,
-        facts={
-            name: text if name in kept or name.endswith("made of") else say(text)
-            for name, text in inspection.facts.items()
-        },
+        facts=facts,
         faults=tuple(replace(fault, sentence=say(fault.sentence)) for fault in inspection.faults),
     )
 
@@ -155,10 +157,10 @@ def system_of_records(records: Iterable[Record], units: str = "") -> System:
 def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     """Inspections of the tests of a campaign, with what their comparison shows; their records."""
     campaign = load_campaign(path)
-    priors = load_priors(campaign.priors, campaign.folder)
     found: list[Inspection] = []
     tested: list[Tested] = []
     records = [test.read() for test in campaign.tests]
+    priors = load_priors(campaign.priors, campaign.folder)
     for test, record in zip(campaign.tests, records, strict=True):
         found.append(inspect_record(test.id, record, priors.gap))
         if (one := tested_of(test, record, found[-1].trace)) is not None:

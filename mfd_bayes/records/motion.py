@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 HYSTERESIS = 1e-3  # smaller reversals, by their share of the peak-to-peak, are sensor noise
+NOISY = 6.0  # and so are those smaller than so many standard deviations of the sensor's noise,
+MOST_NOISE = 1e-2  # but no larger ones, by their share of the peak-to-peak
 SMOOTH = 0.1  # share of a step by which a smooth turn may differ from constant acceleration
 
 
@@ -147,6 +149,25 @@ def turning_points(
     if last and direction != 0 and values[extreme] != values[-1]:
         turns.append(int(corners[extreme]))
     return np.array(turns, dtype=np.intp)
+
+
+def smallest_turn(displacement: Array) -> float:
+    """Reversal of a displacement, (T,), in, that is no more than the noise of its sensor, in."""
+    stroke = float(np.ptp(displacement))
+    return min(max(HYSTERESIS * stroke, NOISY * sensor_noise(displacement)), MOST_NOISE * stroke)
+
+
+def sensor_noise(displacement: Array) -> float:
+    """Standard deviation, in, of the white noise of a displacement, (T,), in; 0 of a smooth one.
+
+    Noise is told from motion by fourth differences: of noise they alternate, with a correlation
+    of -0.8 from one to the next; of a smooth motion they hardly differ.
+    """
+    differences = np.diff(displacement, 4)
+    before, after = differences[:-1], differences[1:]
+    if not before @ after < -0.5 * float(differences @ differences):
+        return 0.0
+    return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(70.0))
 
 
 def _corners(displacement: Array) -> NDArray[np.intp]:

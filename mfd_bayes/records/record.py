@@ -21,7 +21,7 @@ from mfd_bayes.records.clock import (
     clock_of,
     longest_piece,
 )
-from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
+from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.resampling import decimate, default_rate
@@ -259,4 +259,4 @@ def _slice(record: Record, window: Window | None) -> slice:
 
 
 def _turns(displacement: Array) -> NDArray[np.intp]:
-    return turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
+    return turning_points(displacement, smallest_turn(displacement))

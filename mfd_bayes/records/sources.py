@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.motion import HYSTERESIS, Array, turning_points
+from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import unit_of
 from mfd_bayes.units import (
@@ -194,7 +194,7 @@ def acceleration(time: Array, displacement: Array) -> Array:
     from scipy.signal import savgol_filter
 
     even = np.linspace(time[0], time[-1], time.size)
-    turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
+    turns = turning_points(displacement, smallest_turn(displacement))
     half = float(np.median(np.diff(turns))) if turns.size > 1 else float(time.size)
     window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), time.size - 1 + time.size % 2)
     smooth = savgol_filter(

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import (
-    HYSTERESIS,
     Array,
     MotionPath,
     first_direction,
     motion_path,
+    smallest_turn,
     turning_points,
 )
 from mfd_bayes.records.numbers import real_numbers
@@ -75,8 +75,8 @@ class Trace:
         velocity : (T,), in/s, optional
             By default central differences of the displacement.
         hysteresis : float, in, optional
-            Smallest reversal that counts as a turning point; by default `HYSTERESIS` times the
-            peak-to-peak displacement.
+            Smallest reversal that counts as a turning point; by default `smallest_turn`, a
+            thousandth of the peak-to-peak displacement or what its noise needs.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Trace:
             raise RecordError(f"a trace needs at least 3 samples, got {t.size}")
         _check_increasing(t)
         v = _differences(t, x) if velocity is None else _column("velocity", velocity, t.size)
-        span = HYSTERESIS * float(np.ptp(x)) if hysteresis is None else hysteresis
+        span = smallest_turn(x) if hysteresis is None else hysteresis
         if not 0.0 <= span <= LARGEST:
             raise RecordError(f"hysteresis must be a length in in, 0 or more, got {hysteresis}")
         turns = turning_points(x, span)

@@ -87,6 +87,7 @@ def in_tables(view: CampaignView, system: System) -> CampaignView:
             actuation=system.actuation(test.trace, unit),
             rows=tuple(convert_row(row, system) for row in test.rows),
             derived=tuple(convert_row(row, system) for row in test.derived),
+            readings=tuple(convert_row(row, system) for row in test.readings),
             noises=tuple(convert_row(row, system) for row in test.noises),
         )
         for test in view.tests

@@ -66,7 +66,7 @@ class Run:
         judged = self.manifest.verdicts
         rows = ((name, judged.get(name, "")) for name in self.tests)
         title = f"{self.manifest.title}: {counted(len(self.tests), 'calibrated test')}"
-        return grid(title, ("test", "may be used"), rows, judged.get("sentence", ""))
+        return grid(title, ("test", "may be used"), rows, self._verdict())
 
     @cached_property
     def population(self) -> Population:
@@ -295,5 +295,9 @@ class Run:
         remarks = [departure.sentence(self.system) for departure in left]
         verdicts = self.manifest.verdicts
         if verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote it
-            remarks.append(f"the run is not usable as it is: {verdicts.get('sentence', '')}")
+            remarks.append(f"the run is not usable as it is: {self._verdict()}")
         return tuple(remarks)
+
+    def _verdict(self) -> str:
+        """Sentence of the verdict in the run's own units; stored are internal ones."""
+        return self.system.reworded(self.manifest.verdicts.get("sentence", ""))

@@ -7,6 +7,7 @@ from mfd_bayes.calibration.diagnostics import (
     contraction,
     log_if_positive,
     measure,
+    measure_draws,
 )
 
 
@@ -124,3 +125,8 @@ def test_logarithms_are_taken_only_if_every_sample_is_positive():
 def test_the_way_to_the_limits_is_as_long_as_its_worst_part(r_hat, ess, share):
     found = Convergence(np.array([1.0, r_hat]), np.array([ess, 900.0]), np.array([900.0, 900.0]))
     assert found.share(1.01, 400.0) == pytest.approx(share)
+
+
+def test_draws_that_never_move_have_no_r_hat_and_no_warning():
+    measured = measure_draws(np.full((2, 40), 0.1064174), walkers=2)
+    assert np.isnan(measured.r_hat[0])

@@ -59,6 +59,23 @@ def test_init_and_inspect_read_a_device_of_any_size(devices, run, tmp_path, numb
     assert 0.1 < float(force.split()[0]) < 3000.0  # to be read, whatever the device's size
 
 
+def test_a_folder_of_a_logger_says_at_each_step_what_is_next(devices, run, tmp_path):
+    devices.write_device(tmp_path, devices.DEVICES[0])
+    for path in sorted(tmp_path.glob("*.txt"))[1:]:
+        path.rename(path.with_suffix(".kept"))
+    campaign = tmp_path / "campaign.toml"
+    words = said("init", tmp_path)
+    assert 'the unit of force is unknown; add unit = "N", "kN", "lbf" or "kip"' in words
+    assert f"then: mfd-bayes init {campaign}, which writes priors.toml" in words
+    assert "#     mfd-bayes init campaign.toml, once the units are complete" in campaign.read_text()
+    assert "give the unit of displacement" in said("inspect", campaign, code=2)
+    run.complete(campaign, devices.DEVICES[0])
+    assert "mfd-bayes init CAMPAIGN.TOML writes it" in said("inspect", campaign, code=2)
+    assert f"look next: mfd-bayes prior-check {campaign}" in said("init", campaign)
+    campaign.write_text(campaign.read_text().replace('"3 bar"', '"7 bar"'))
+    assert " 0.7 MPa\n" in said("inspect", campaign, "-o", tmp_path)
+
+
 def test_priors_of_a_device_hold_its_truth_and_its_force(devices, tmp_path):
     device = devices.DEVICES[3]
     truth = devices.write_device(tmp_path, device)

@@ -25,6 +25,7 @@ from mfd_bayes.pipeline import calibration as execution
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
+from mfd_bayes.runs.systems import SI_SMALL
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
@@ -581,6 +582,12 @@ def test_a_prediction_of_a_run_that_failed_says_so(run):
     failed = run.manifest.changed(verdicts={"campaign": "not usable", "sentence": "It is bad."})
     remarks = replace(run, manifest=failed).predict(trace, draws=20).remarks
     assert remarks == ("the run is not usable as it is: It is bad.",)
+    sentence = "energy per cycle 0.00198 kip·in where 0.000852 kip·in is expected"
+    weak = replace(run, manifest=failed.changed(verdicts={**failed.verdicts, "sentence": sentence}))
+    vars(weak)["system"] = SI_SMALL
+    told = weak.predict(trace, draws=20).remarks[-1]
+    assert told.endswith("energy per cycle 224 N·mm where 96.3 N·mm is expected")
+    assert "224 N·mm" in weak._repr_html_()
     older = run.manifest.changed(verdicts={"campaign": "fail", "sentence": "It is bad."})
     assert replace(run, manifest=older).predict(trace, draws=20).remarks == remarks
     passed = run.manifest.changed(verdicts={"campaign": "usable", "sentence": "It is good."})

@@ -215,7 +215,9 @@ def test_steps_as_wide_as_the_gap_are_coarse_however_long_the_stroke():
 
 def test_a_rate_too_low_for_the_gap_is_told():
     time, displacement, force = signals(rate=20.0)
-    assert "rate" in names(time, displacement, force)
+    found = find_faults(Trace.from_arrays(time, displacement, None, force), GAP)
+    (sentence,) = [fault.sentence for fault in found if fault.name == "rate"]
+    assert "in the first 0.15 in after a reversal, where the force builds up" in sentence
     assert "rate" not in names(time, displacement, force, gap=None)
 
 
@@ -283,3 +285,11 @@ def test_a_velocity_that_contradicts_the_displacement_is_a_fault(change):
 @pytest.mark.parametrize("change", [lambda v: v, lambda v: 1.1 * v, lambda v: None])
 def test_a_velocity_that_agrees_or_is_not_there_is_none(change):
     assert "velocity" not in {f.name for f in find_faults(velocity_trace(change))}
+
+
+def test_noise_of_the_displacement_beside_the_build_up_is_told():
+    time, displacement, force = signals()
+    noise = 0.004 * np.random.default_rng(1).standard_normal(time.size)
+    sentence = the_fault("noise", time, displacement + noise, force).sentence
+    assert "noise of about 0.0039 in, 7% of the travel" in sentence
+    assert names(time, displacement + 0.1 * noise, force) == []

@@ -77,3 +77,21 @@ def test_actuation_is_a_level_or_a_history():
 def test_bad_arrays_are_refused(arrays, expected):
     with pytest.raises(RecordError, match=expected):
         Trace.from_arrays(**arrays)
+
+
+def test_noise_of_a_sensor_makes_no_turns():
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 12.0, 0.01)
+    clean = 20.0 * np.sin(2 * np.pi * 0.25 * time)
+    noisy = clean + 0.02 * rng.standard_normal(time.size)  # 0.05 % of the stroke
+    found, wanted = (Trace.from_arrays(time, x).turning_points for x in (noisy, clean))
+    assert found.size == wanted.size == 6
+    assert np.all(np.abs(found - wanted) < 10)
+
+
+def test_a_coarse_smooth_motion_keeps_its_small_turns():
+    time = np.arange(0.0, 12.0, 0.05)
+    small = np.where(time < 6.0, 1.0, 0.004)  # turns of 0.4 % of the stroke, 10 samples apart
+    motion = Trace.from_arrays(time, small * np.sin(2 * np.pi * time))
+    assert motion.turning_points.size >= 22
+    assert motion.hysteresis == pytest.approx(1e-3 * np.ptp(motion.displacement))

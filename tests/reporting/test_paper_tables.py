@@ -10,6 +10,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from mfd_bayes.assessment.views import ReadingRow
 from mfd_bayes.errors import ReportError
 from mfd_bayes.reporting.conversion import in_tables
 from mfd_bayes.reporting.exports import export_tables
@@ -58,6 +59,17 @@ def test_an_excel_workbook_holds_numbers_in_kn_and_mm(metric, campaign):
         assert table.loc["k_3", f"{head}: {what}"] == pytest.approx(figure * STIFFNESS)
     laws = found["Table II"]
     assert laws["all tests: median"].tolist() == pytest.approx([1.2 * 25.4**2])
+
+
+def test_no_table_of_a_metric_report_is_in_kip(campaign):
+    read = ReadingRow(campaign.tests[0].id, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True)
+    tests = (replace(campaign.tests[0], readings=(read,)), *campaign.tests[1:])
+    shown = in_tables(replace(campaign, metric=True, tests=tests), SI)
+    found = report_tables(shown, SI)
+    row = row_of(found["readings.csv"], quantity="k3")
+    assert row["unit"] == "kN/mm"
+    assert float(row["read_off"]) == pytest.approx(14.25 * STIFFNESS, rel=1e-5)
+    assert not [name for name, text in found.items() if ",kip" in text or "_kip" in text]
 
 
 def test_no_name_is_a_formula_in_excel(campaign):

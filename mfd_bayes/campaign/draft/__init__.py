@@ -2,19 +2,19 @@
 
 from mfd_bayes.campaign.draft.draft import Draft, draft_campaign
 from mfd_bayes.campaign.draft.writing import (
-    OWN_PRIORS,
     campaign_text,
     doubts,
     gaps,
+    lacks_priors,
     own_priors,
 )
 
 __all__ = [
-    "OWN_PRIORS",
     "Draft",
     "campaign_text",
     "doubts",
     "draft_campaign",
     "gaps",
+    "lacks_priors",
     "own_priors",
 ]

@@ -5,24 +5,30 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
+from mfd_bayes.calibration.prior_files import WRITTEN
 from mfd_bayes.campaign.draft.columns import Guess
 from mfd_bayes.campaign.draft.draft import Draft, TestDraft
 from mfd_bayes.campaign.draft.priors import Units, knows, priors_text
 from mfd_bayes.campaign.draft.toml import column, commented, quoted
 
-OWN_PRIORS = "priors.toml"
-"""Name of the prior file that is written beside a campaign."""
-
 ROLES = ("time", "displacement", "force", "velocity")
 
-_UNITS = {"time": '"s" or "ms"', "displacement": '"in" or "mm"', "force": '"kip" or "kN"'}
+_UNITS = {
+    "time": '"s" or "ms"',
+    "displacement": '"mm", "m" or "in"',
+    "force": '"N", "kN", "lbf" or "kip"',
+}
 
 _HEAD = """\
 # Written by mfd-bayes init from the files of this folder. Guesses that are not certain are marked
 # "unsure", missing values "FIXME". Next:
+"""
+_NEXT = """\
 #     mfd-bayes inspect campaign.toml
 #     mfd-bayes calibrate campaign.toml -o out --dry-run
 """
+_FIRST = "#     mfd-bayes init campaign.toml, once the units are complete: it writes priors.toml\n"
+_MODELS = 'or "lugre", friction without a gap; "backlash", "bouc_wen"'
 
 _PRIORS = {
     "ksi": ("mfd", "for drum brakes: actuations here are pressures"),
@@ -40,7 +46,8 @@ def campaign_text(draft: Draft) -> str:
     title = draft.folder.resolve().name.encode("utf-8", "replace").decode()
     lines = [
         *("[campaign]", f"title = {quoted(title)}"),
-        *(f"priors = {quoted(name)}  {commented(why)}", "", "[columns]"),
+        f"priors = {quoted(name)}  {commented(why)}",
+        *(f'model = "three_stage"  {commented(_MODELS)}', "", "[columns]"),
         *(_column_line(role, shared[role]) for role in ROLES if role in shared),
     ]
     for test in draft.tests:
@@ -48,7 +55,8 @@ def campaign_text(draft: Draft) -> str:
     if draft.left_out:
         lines += ["", "# Left out:"]
         lines += [commented(f"{file}: {reason}") for file, reason in draft.left_out]
-    return _HEAD + "\n" + "\n".join(lines) + "\n"
+    steps = _FIRST + _NEXT if lacks_priors(draft) else _NEXT
+    return _HEAD + steps + "\n" + "\n".join(lines) + "\n"
 
 
 def priors_of(draft: Draft) -> tuple[str, str]:
@@ -60,18 +68,23 @@ def priors_of(draft: Draft) -> tuple[str, str]:
     if not draft.scales:
         lacking = any(guess.unit is None for test in draft.tests for guess in test.columns.values())
         if lacking:
-            return OWN_PRIORS, (
+            return WRITTEN, (
                 "FIXME: once the units are complete, write it by: mfd-bayes init campaign.toml"
             )
         return name, why
     if knows(name, draft.scales):
         return name, why
-    return OWN_PRIORS, "scales read off the records: no shipped file knows such a device"
+    return WRITTEN, "scales read off the records: no shipped file knows such a device"
+
+
+def lacks_priors(draft: Draft) -> bool:
+    """Whether priors are to be read off the records, and cannot yet for want of units."""
+    return not draft.scales and priors_of(draft)[0] == WRITTEN
 
 
 def own_priors(draft: Draft) -> str | None:
     """Text of the prior file of a draft that needs one of its own, and whose units are known."""
-    if priors_of(draft)[0] != OWN_PRIORS or not draft.scales:
+    if priors_of(draft)[0] != WRITTEN or not draft.scales:
         return None
     columns = [test.columns for test in draft.tests]
     units = Units(*(_usual(c[role].unit for c in columns) for role in ("force", "displacement")))
@@ -86,7 +99,7 @@ def doubts(draft: Draft) -> list[str]:
     """Sentences on what is not certain, each with the columns or tests that it is about."""
     shared = shared_columns(draft.tests)
     found = [("columns", doubt) for guess in shared.values() for doubt in guess.doubts]
-    if draft.unit is None and priors_of(draft)[0] != OWN_PRIORS:
+    if draft.unit is None and priors_of(draft)[0] != WRITTEN:
         found.append(("priors", _PRIORS[None][1].removeprefix("unsure: ")))
     for test in draft.tests:
         own = [doubt for _, guess in _own_columns(test, shared) for doubt in guess.doubts]

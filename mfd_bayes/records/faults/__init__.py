@@ -20,7 +20,7 @@ NAMES = (
         "clipping",
         "lag",
     ),
-    *("spikes", "dropped samples", "repeated samples", "resolution", "rate", "drift"),
+    *("spikes", "dropped samples", "repeated samples", "resolution", "noise", "rate", "drift"),
 )
 """Names of the faults, the most serious first."""
 
@@ -32,6 +32,7 @@ _OF_RECORD = (
         signals.clipping,
         signals.lag,
         signals.spikes,
+        signals.noise,
     ),
     *(signals.drift, clock.time_unit, clock.short_record, clock.dropped, clock.repeated),
 )

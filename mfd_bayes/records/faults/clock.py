@@ -74,8 +74,8 @@ def rate(trace: Trace, gap: float) -> Iterator[Fault]:
     if crossing < CROSSING:
         yield Fault(
             "rate",
-            f"{rate_of(trace):.4g} Hz leave {crossing:.2g} samples on the way across a gap of "
-            f"about {gap:.2g} in after a reversal; {CROSSING} are needed to resolve it",
+            f"{rate_of(trace):.4g} Hz leave {crossing:.2g} samples in the first {gap:.2g} in after "
+            f"a reversal, where the force builds up; {CROSSING} are needed to resolve it",
         )
 
 

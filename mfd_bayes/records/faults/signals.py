@@ -10,7 +10,8 @@ from mfd_bayes.records.faults.clock import CROSSING
 from mfd_bayes.records.faults.fault import Fault, Samples, count, runs, spread
 from mfd_bayes.records.faults.lag import estimate_lag
 from mfd_bayes.records.loops import FEWEST, find_loops
-from mfd_bayes.records.motion import Array
+from mfd_bayes.records.motion import Array, sensor_noise
+from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.trace import Trace
 
 CLIPPED = 5  # fewest samples in a row at the extreme of the force that show a load cell's limit
@@ -22,6 +23,7 @@ ALIKE, SCALE = 0.9, 1.25
 
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
 SPIKE = 0.10  # an isolated sample that stands out by this share of the signal's range is a spike
+NOISE = 0.05  # most noise of a displacement, by its share of the travel of the build-up
 DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero
 
 
@@ -94,7 +96,8 @@ def clipping(trace: Trace) -> Iterator[Fault]:
 
 def lag(trace: Trace) -> Iterator[Fault]:
     """A force that comes too late or too early."""
-    coarse = any(resolution(trace, None))  # then the sample of a reversal is not known
+    # the sample of a reversal must be known
+    coarse = any(resolution(trace, None)) or any(noise(trace))
     found = None if coarse else estimate_lag(trace)
     if found is None:
         return
@@ -152,6 +155,25 @@ def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
             "resolution",
             f"the displacement moves in steps of {quantum:.3g} in, {stroke / quantum:.0f} in the "
             f"stroke{across}: the sensor or the file is too coarse",
+        )
+
+
+def noise(trace: Trace) -> Iterator[Fault]:
+    """A displacement whose noise is no longer small beside the travel of the build-up.
+
+    Errors in what a force follows weaken the relation: a fit takes the force for smaller and
+    softer than it is (regression dilution).
+    """
+    coarse = any(resolution(trace, None))  # which says it better
+    size = 0.0 if coarse else sensor_noise(trace.displacement)
+    read = read_off(trace)
+    rise = read.plateau / read.slope  # NaN where it cannot be read
+    if size > NOISE * rise > 0.0:
+        yield Fault(
+            "noise",
+            f"the displacement has noise of about {size:.2g} in, {size / rise:.0%} of the travel "
+            f"over which the force builds up, {rise:.2g} in: stiffness and slip force would come "
+            "out too small; take a smoother channel, or filter it before",
         )
 
 
