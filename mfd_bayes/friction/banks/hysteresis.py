@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales
+from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
 from mfd_bayes.friction.banks.turns import turns_within
 from mfd_bayes.friction.bouc_wen import FLOOR, BoucWen, State
 from mfd_bayes.friction.hysteresis import Curve
@@ -105,6 +105,12 @@ class HystereticBank:
             self.velocity[rows],
             {name: column[rows] for name, column in self.scales.items()},
         )
+
+    def replaced(self, rows: NDArray[np.intp], part: HystereticBank) -> HystereticBank:
+        """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
+        names = ("z", "displacement", "velocity")
+        new = {name: with_rows(getattr(self, name), rows, getattr(part, name)) for name in names}
+        return replace(self, **new)
 
 
 def chosen_curve(curve: Curve, rows: NDArray[np.intp]) -> Curve:

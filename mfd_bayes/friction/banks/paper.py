@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales
+from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
 from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
 from mfd_bayes.friction.banks.turns import turns_within
 from mfd_bayes.friction.bristles import FLOOR, NO_STEP
@@ -126,7 +127,7 @@ class PaperBank:
                 middle = _either(turns.share < 0.5, middle, after.chosen(rows))
             zero = np.zeros(rows.size)
             part = part._moved(turns.vertex, zero, turns.share * dt, middle)
-            bank = self._with(rows, part)
+            bank = self.replaced(rows, part)
             left[rows] = (1.0 - turns.share) * dt
         return bank._moved(displacement, velocity, left, after)
 
@@ -172,22 +173,22 @@ class PaperBank:
             places = places.replaced(rows, Places.begun(self.gaps.chosen(rows), *at))
         return places
 
-    def _with(self, rows: Rows, part: PaperBank) -> PaperBank:
-        """The bank with the state of some of its dampers replaced."""
-        new = {}
-        for name in ("displacement", "velocity", "z", "slip", "direction", "moved"):
-            column = getattr(self, name).copy()
-            column[rows] = getattr(part, name)
-            new[name] = column
+    def replaced(self, rows: Rows, part: PaperBank) -> PaperBank:
+        """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
+        new: dict[str, Any] = {
+            name: with_rows(getattr(self, name), rows, getattr(part, name))
+            for name in ("displacement", "velocity", "z", "slip", "direction", "moved")
+        }
         places = self.places
         if places is not None and part.places is not None:
             places = places.replaced(rows, part.places)
         bristles = self.bristles
         if bristles is not self.base or part.bristles is not part.base:
-            columns = {f.name: getattr(bristles, f.name).copy() for f in fields(bristles)}
-            for name, column in columns.items():
-                column[rows] = getattr(part.bristles, name)
-            bristles = Bristles(**columns)
+            pairs = {
+                f.name: (getattr(bristles, f.name), getattr(part.bristles, f.name))
+                for f in fields(bristles)
+            }
+            bristles = Bristles(**{k: with_rows(a, rows, b) for k, (a, b) in pairs.items()})
         return replace(self, **new, places=places, bristles=bristles)
 
     def chosen(self, rows: Rows) -> PaperBank:
