@@ -44,7 +44,7 @@ class Bank(Protocol):
         """
 
 
-def with_rows(whole: Array, rows: NDArray[np.intp], part: Array) -> Array:
+def with_rows(whole: Array, rows: NDArray[np.intp], part: Array | float) -> Array:
     """A copy with some of its values replaced, (n,)."""
     whole = whole.copy()
     whole[rows] = part

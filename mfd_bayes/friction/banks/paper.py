@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
 from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
-from mfd_bayes.friction.banks.turns import turns_within
+from mfd_bayes.friction.banks.turns import Turns, turns_within
 from mfd_bayes.friction.bristles import FLOOR, NO_STEP
 from mfd_bayes.friction.paper import PaperModel, check_theta
 
@@ -32,7 +32,7 @@ class Bristles:
 
     def chosen(self, rows: Rows) -> Bristles:
         """Those of some dampers."""
-        return Bristles(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return Bristles(*(column[rows] for column in vars(self).values()))
 
     def scaled(self, scales: Scales) -> Bristles:
         """Those under a changed actuation."""
@@ -120,16 +120,39 @@ class PaperBank:
         turns = turns_within(self.displacement, self.velocity, displacement, velocity, dt)
         bank, left = self, np.full(displacement.size, dt)
         if turns.rows.size:
-            rows = turns.rows
-            part = self.chosen(rows)
-            middle = part.bristles
-            if after is not self.bristles:
-                middle = _either(turns.share < 0.5, middle, after.chosen(rows))
-            zero = np.zeros(rows.size)
-            part = part._moved(turns.vertex, zero, turns.share * dt, middle)
-            bank = self.replaced(rows, part)
-            left[rows] = (1.0 - turns.share) * dt
+            bank = self._to_turns(turns, dt, after)
+            left[turns.rows] *= 1.0 - turns.share
         return bank._moved(displacement, velocity, left, after)
+
+    def _to_turns(self, turns: Turns, dt: float, after: Bristles) -> PaperBank:
+        """The bank with those that turn within a step at their vertices, at rest."""
+        rows = turns.rows
+        before = middle = self.bristles.chosen(rows)
+        if after is not self.bristles:
+            middle = _either(turns.share < 0.5, middle, after.chosen(rows))
+        way = turns.vertex - self.displacement[rows]
+        back = way * self.direction[rows] < 0
+        bank = self
+        if back.any():
+            direction = self.direction.copy()
+            direction[rows] = np.where(back, -direction[rows], direction[rows])
+            turned_back = np.zeros(direction.size, dtype=bool)
+            turned_back[rows] = back
+            bank = replace(self, direction=direction, places=self._places(turned_back, direction))
+        slip, z = _relaxed(before, middle, way, turns.share * dt, np.zeros(rows.size), self.z[rows])
+        bristles = self.bristles
+        if middle is not before or bristles is not self.base:
+            pairs = zip(vars(bristles).values(), vars(middle).values(), strict=True)
+            bristles = Bristles(*(with_rows(a, rows, b) for a, b in pairs))
+        return replace(
+            bank,
+            bristles=bristles,
+            displacement=with_rows(self.displacement, rows, turns.vertex),
+            velocity=with_rows(self.velocity, rows, 0.0),
+            z=with_rows(self.z, rows, z),
+            slip=with_rows(self.slip, rows, slip),
+            moved=with_rows(self.moved, rows, self.moved[rows] | (way != 0.0)),
+        )
 
     def _moved(self, displacement: Array, velocity: Array, dt: Array, after: Bristles) -> PaperBank:
         """State after a straight way of each damper, each in its own time, (n,) s."""
