@@ -102,9 +102,11 @@ def balanced(free: Free, guess: Array, slope: Array) -> Balance:
     guess, slope : (n, m), kip, kip/in
         Forces to begin with, and changes of the answers by the travel.
     """
-    rows, force, found = np.arange(len(guess)), guess, None
+    rows, force, number = np.arange(len(guess)), guess, 0
+    found: Balance | None = None
     search = Search.of(free.pull, slope)
-    for number in range(1, ITERATIONS + 1):
+    while True:
+        number += 1
         devices, travel = free.answer(force)
         answer = devices.force
         far = search.far(force, answer, free.tolerance)
@@ -114,17 +116,12 @@ def balanced(free: Free, guess: Array, slope: Array) -> Balance:
         if last or done:
             part = _balance(free, search, (devices, force, answer), number)
             found = part if found is None else found.replaced(rows, part)
-        if last:
-            break
+            if last:
+                return found
         force = search.next(force, travel, answer, free.tolerance)
         if done:
-            rows, force, free, search = (
-                rows[going],
-                force[going],
-                free.chosen(going),
-                search.chosen(going),
-            )
-    return found
+            rows, force = rows[going], force[going]
+            free, search = free.chosen(going), search.chosen(going)
 
 
 def _balance(
