@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,7 @@ class Free:
     def chosen(self, rows: Rows) -> Free:
         """Those of some draws."""
         columns = ("force", "travel", "velocity", "rest", "tolerance", "live")
-        some = {name: getattr(self, name)[rows] for name in columns}
+        some: dict[str, Any] = {name: getattr(self, name)[rows] for name in columns}
         return replace(self, devices=self.devices.chosen(rows), **some)
 
 
@@ -132,4 +133,4 @@ def _balance(
     # where it jumps, the force between is in equilibrium
     kept = np.where(off > free.tolerance, force, answer)
     wide = search.far(force, answer, free.tolerance) & (off > ROUGH * free.tolerance)
-    return Balance(devices, kept, search.slope, wide.any(axis=1), number)
+    return Balance(devices, kept, search.slope, np.asarray(wide.any(axis=1)), number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,7 @@ class LeftoverState:
 
     def replaced(self, rows: NDArray[np.intp], part: LeftoverState) -> LeftoverState:
         """The same with that of some buildings replaced."""
-        new = {}
+        new: dict[str, Any] = {}
         for name in ("place", "direction", "turn", "stroke", "held", "force"):
             new[name] = getattr(self, name).copy()
             new[name][rows] = getattr(part, name)

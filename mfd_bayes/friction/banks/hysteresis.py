@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,7 +110,9 @@ class HystereticBank:
     def replaced(self, rows: NDArray[np.intp], part: HystereticBank) -> HystereticBank:
         """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
         names = ("z", "displacement", "velocity")
-        new = {name: with_rows(getattr(self, name), rows, getattr(part, name)) for name in names}
+        new: dict[str, Any] = {
+            name: with_rows(getattr(self, name), rows, getattr(part, name)) for name in names
+        }
         return replace(self, **new)
 
 
