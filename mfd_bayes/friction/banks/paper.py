@@ -144,6 +144,8 @@ class PaperBank:
         if middle is not before or bristles is not self.base:
             pairs = zip(vars(bristles).values(), vars(middle).values(), strict=True)
             bristles = Bristles(*(with_rows(a, rows, b) for a, b in pairs))
+        moved = self.moved.copy()
+        moved[rows] |= way != 0.0
         return replace(
             bank,
             bristles=bristles,
@@ -151,7 +153,7 @@ class PaperBank:
             velocity=with_rows(self.velocity, rows, 0.0),
             z=with_rows(self.z, rows, z),
             slip=with_rows(self.slip, rows, slip),
-            moved=with_rows(self.moved, rows, self.moved[rows] | (way != 0.0)),
+            moved=moved,
         )
 
     def _moved(self, displacement: Array, velocity: Array, dt: Array, after: Bristles) -> PaperBank:
