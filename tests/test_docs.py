@@ -21,6 +21,7 @@ from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.population.laws import complete_laws
+from mfd_bayes.response.building import read_building
 
 ROOT = Path(__file__).parents[1]
 PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages").glob("*.md"))}
@@ -220,6 +221,19 @@ def test_campaign_files_that_are_shown_are_accepted(page, tmp_path):
     for name in re.findall(r'^file = "(.+?)"', block.code, re.MULTILINE):
         (tmp_path / name).touch()
     assert load_campaign(path).tests
+
+
+@pytest.mark.parametrize(
+    ("name", "periods"), [("bench.toml", (0.184, 0.063, 0.042)), ("hybrid.toml", (0.39, 0.12))]
+)
+def test_buildings_that_are_shown_have_the_periods_that_are_stated(name, periods, tmp_path):
+    text = PAGES["building.md"].read_text(encoding="utf-8")
+    (block,) = (b for b in blocks_of("building.md", text) if f'"{name}"' in b.title)
+    path = tmp_path / name
+    path.write_text(block.code)
+    building = read_building(path)
+    assert building.modes.periods == pytest.approx(periods, abs=6e-4)
+    assert building.devices
 
 
 @pytest.mark.parametrize("target", ["r_hat", "ess", "length"])

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,10 @@ Array = NDArray[np.float64]
 
 ROWS = 1500
 """Dampers of a block of draws: enough for numpy to be quick, few enough for the cache."""
+
+PLAIN_HALVINGS = 2
+"""Most halvings of the step with plain friction: floors jump whenever it sticks, so that their
+peak acceleration goes on to change by a percent or two long after drifts have settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +103,12 @@ def respond(
         for number, ground in enumerate(grounds)
         for part, rows in enumerate(_parts(dampers), start=1)
     ]
-    found = _solved(blocks, jobs, observe)
-    each = len(blocks) // len(grounds)
-    settled = [_joined(found[i * each : (i + 1) * each]) for i in range(len(grounds))]
-    slip = np.median(dampers.slip, axis=0) if dampers.count else np.zeros(0)
-    bare = [_reference(building.bare(), ground, no_dampers(), accuracy) for ground in grounds]
-    plain = [_reference(building, ground, plain_friction(slip), accuracy) for ground in grounds]
+    others = _references(building, grounds, dampers, accuracy)
+    processes = min(jobs or os.cpu_count() or 1, len(blocks))
+    found = _solved([*others, *blocks], processes, observe)
+    size, each = len(grounds), len(blocks) // len(grounds)
+    bare, plain = [[_reference(f) for f in found[i * size :][:size]] for i in range(2)]
+    settled = [_joined(found[(2 * size + i * each) :][:each]) for i in range(size)]
     return Response.of(building, grounds, dampers, settled, bare, plain, accuracy.tolerance)
 
 
@@ -115,9 +119,23 @@ def _parts(dampers: Dampers) -> Iterator[NDArray[np.intp]]:
         yield np.arange(begin, min(begin + size, dampers.draws))
 
 
+def _references(
+    building: Building, grounds: Sequence[Ground], dampers: Dampers, accuracy: Accuracy
+) -> Iterator[Block]:
+    """The building without dampers, then with plain friction, under each ground motion."""
+    slip = np.median(dampers.slip, axis=0) if dampers.count else np.zeros(0)
+    once = replace(accuracy, halvings=min(accuracy.halvings, PLAIN_HALVINGS))
+    for number, ground in enumerate(grounds, start=1):
+        name = f"{ground.name} {number} without dampers"
+        yield Block(name, building.bare(), ground, no_dampers(), accuracy)
+    for number, ground in enumerate(grounds, start=1):
+        name = f"{ground.name} {number} with plain friction"
+        yield Block(name, building, ground, plain_friction(slip), once)
+
+
 def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None]) -> list[Settled]:
     """Histories of the blocks in their order."""
-    if min(jobs or os.cpu_count() or 1, len(blocks)) == 1:
+    if jobs == 1:
         found = []
         for block in blocks:
             observe(Step(block.id, "in the earthquake"))
@@ -166,11 +184,8 @@ def _joined(parts: Sequence[Settled]) -> Settled:
     return _of_arrays({name: np.concatenate([p[name] for p in packed]) for name in packed[0]})
 
 
-def _reference(
-    building: Building, ground: Ground, dampers: Dampers, accuracy: Accuracy
-) -> Reference:
+def _reference(found: Settled) -> Reference:
     """Peaks of one building without uncertainty."""
-    found = settle(building, ground, dampers, accuracy)
     return Reference(
         found.peaks.drift[0],
         found.peaks.acceleration[0],

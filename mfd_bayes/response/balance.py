@@ -1,4 +1,4 @@
-"""Roots of many monotone functions at once: secants, then halving of brackets."""
+"""Roots of the forces of many devices at once: Newton's method with secants, then brackets."""
 
 from __future__ import annotations
 
@@ -9,8 +9,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+PLAIN = 3
+"""Iterations by Newton's method alone; nearly all steps need two or three."""
+
 SECANTS = 8
-"""Iterations by secants alone; nearly all steps need three or four."""
+"""Iterations after which brackets are halved."""
+
+JUMP = 30.0
+"""Width, in tolerances, at which a bracket has closed on a jump."""
+
+FEW = 64
+"""Draws up to which the equations of their devices are solved exactly."""
+
+SWEEPS = 3
+"""Sweeps over the equations of more draws."""
 
 
 @dataclass(eq=False)
@@ -23,12 +35,16 @@ class Search:
 
     Attributes
     ----------
-    slope : (n, m)
-        Change of the answers by the force.
+    pull : (m, m), in/kip
+        Loss of travel of each device by the force of each.
+    slope : (n, m), kip/in
+        Change of the answers by the travel: of the last step at first, then secants.
     low, high : (n, m), kip
         Bracket of each force.
+    last : (travel, answer), (n, m) each, optional
     """
 
+    pull: Array
     slope: Array
     low: Array
     high: Array
@@ -36,29 +52,71 @@ class Search:
     number: int = 0
 
     @classmethod
-    def of(cls, shape: tuple[int, ...]) -> Search:
+    def of(cls, pull: Array, slope: Array) -> Search:
         """Search without brackets."""
-        return cls(np.zeros(shape), np.full(shape, -np.inf), np.full(shape, np.inf))
+        shape = slope.shape
+        return cls(pull, slope, np.full(shape, -np.inf), np.full(shape, np.inf))
 
-    def next(self, force: Array, answer: Array, tolerance: Array) -> Array:
-        """Forces to try next, after the answers to the last ones; (n, m), kip."""
+    def chosen(self, rows: NDArray[np.intp]) -> Search:
+        """The search of some draws."""
+        columns = (self.slope[rows], self.low[rows], self.high[rows])
+        last = None if self.last is None else (self.last[0][rows], self.last[1][rows])
+        return Search(self.pull, *columns, last, self.number)
+
+    def far(self, force: Array, answer: Array, tolerance: Array) -> NDArray[np.bool_]:
+        """Devices that are not in equilibrium, nor at a jump, (n, m)."""
+        far = ~(np.abs(answer - force) <= tolerance)
+        if self.number > PLAIN:
+            far &= ~(self.high - self.low <= JUMP * tolerance)
+        return np.asarray(far)
+
+    def next(self, force: Array, travel: Array, answer: Array, tolerance: Array) -> Array:
+        """Forces to try next, after travels and answers to the last ones; (n, m), kip."""
         off = answer - force
+        self._learn(travel, answer, tolerance)
+        self.last = travel, answer
+        self.number += 1
+        new = force + self._newton(off)
+        if self.number > PLAIN:
+            self._bracket(force, off)
+            middle = 0.5 * (self.low + self.high)
+            halved = np.isfinite(middle) & (np.abs(off) > tolerance)
+            if self.number <= SECANTS:
+                halved &= ~((new > self.low) & (new < self.high))
+            new = np.where(halved, middle, new)
+        return np.asarray(new)
+
+    def _learn(self, travel: Array, answer: Array, tolerance: Array) -> None:
+        """Slopes by secants where the travel changed enough."""
+        if self.last is None:
+            return
+        moved, own = travel - self.last[0], np.diag(self.pull)
+        usable = np.abs(moved) > 0.1 * tolerance * own
+        secant = (answer - self.last[1]) / np.where(usable, moved, 1.0)
+        usable &= np.isfinite(secant)
+        self.slope = np.where(usable, np.clip(secant, -0.5 / own, 1e4 / own), self.slope)
+
+    def _newton(self, off: Array) -> Array:
+        """Solution d of (I + K A) d = off, with the slopes K and the pull A, (n, m)."""
+        own = np.diag(self.pull)
+        scale = 1.0 / (1.0 + self.slope * own)
+        change = off * scale
+        if len(own) == 1:
+            return np.asarray(change)
+        if len(off) <= FEW:
+            matrix = np.eye(len(own)) + self.slope[:, :, None] * self.pull
+            finite = np.isfinite(off).all(axis=1)
+            change[finite] = np.linalg.solve(matrix[finite], off[finite][..., None])[..., 0]
+            return np.asarray(change)
+        others, weight = (self.pull - np.diag(own)).T, self.slope * scale
+        first = change
+        for _ in range(SWEEPS):
+            change = first - weight * (change @ others)
+        return np.asarray(change)
+
+    def _bracket(self, force: Array, off: Array) -> None:
+        """Narrow the brackets; one that was crossed as other devices moved is opened again."""
+        np.copyto(self.high, np.inf, where=(off > 0) & (force >= self.high))
+        np.copyto(self.low, -np.inf, where=(off < 0) & (force <= self.low))
         np.copyto(self.low, force, where=(off > 0) & (force > self.low))
         np.copyto(self.high, force, where=(off < 0) & (force < self.high))
-        if self.last is not None:
-            moved = force - self.last[0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                secant = (answer - self.last[1]) / moved
-            usable = np.isfinite(secant) & (np.abs(moved) > 0.1 * tolerance)
-            self.slope = np.where(usable, np.clip(secant, -1e4, 0.5), self.slope)
-        self.last = force, answer
-        self.number += 1
-        new = force + off / (1.0 - self.slope)
-        if self.number <= SECANTS:
-            return np.asarray(new)
-        middle = 0.5 * (self.low + self.high)
-        return np.asarray(np.where(np.isfinite(middle), middle, new))
-
-    def closed(self, tolerance: Array) -> NDArray[np.bool_]:
-        """Whether each bracket has closed, or crossed as other devices moved."""
-        return np.asarray(self.high - self.low <= tolerance)

@@ -144,6 +144,17 @@ class Devices:
             None if left is None else left.chosen(rows),
         )
 
+    def replaced(self, rows: NDArray[np.intp], part: Devices) -> Devices:
+        """The devices with the state of those of some buildings replaced."""
+        storeys, left = self.storeys, self.leftover
+        if storeys is not None and part.storeys is not None:
+            count = storeys.stiffness.size // self.dampers.draws
+            storeys = storeys.replaced(self._flat(rows, count), part.storeys)
+        if left is not None and part.leftover is not None:
+            left = left.replaced(rows, part.leftover)
+        flat = self._flat(rows, self.dampers.count)
+        return Devices(self.dampers, self.bank.replaced(flat, part.bank), storeys, left)
+
     @staticmethod
     def _flat(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
         """Places in a bank of the devices of some buildings that have `count` each."""

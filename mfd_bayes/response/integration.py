@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.response.balance import Search
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.devices import Dampers, Devices
+from mfd_bayes.response.equilibrium import Free, balanced
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.ledger import Ledger, Moment
 from mfd_bayes.response.stepping import Frame, Step
@@ -18,17 +18,8 @@ from mfd_bayes.response.tally import Energies, Peaks
 
 Array = NDArray[np.float64]
 
-TOGETHER = 5
-"""Equilibrium iterations of all draws together."""
-
-ITERATIONS = 24
-"""Most iterations of the draws that need more."""
-
 CLOSE = 1e-6
 """A force is in equilibrium when it changes by less than this share of the slip force."""
-
-ROUGH = 0.01
-"""A step is open when a force is still off by more than this share after all iterations."""
 
 RUNAWAY = 1e5
 """Travel, in, beyond which a draw is unstable."""
@@ -57,7 +48,7 @@ class History:
     travels, forces : (k, T, m), in, kip
         Of the dampers of the first k draws.
     iterations : float
-        Mean number of equilibrium iterations of a step.
+        Mean over the steps of the most equilibrium iterations of a draw.
     """
 
     step: float
@@ -85,8 +76,8 @@ def integrate(
     """History of every draw, with steps of the ground's step over `parts`.
 
     The structure's linear part is stepped exactly, with the ground's acceleration and the devices'
-    forces linear in time within a step. The forces at its end are found by iteration, each by a
-    secant of its own.
+    forces linear in time within a step. The forces at its end are found by Newton's method, with a
+    secant of each device.
 
     Parameters
     ----------
@@ -105,7 +96,7 @@ def integrate(
     begin = dampers.towards(way * (building.travels @ building.influence))
     devices = Devices.at_rest(begin, building.storeys[strong], building.yields[strong])
     mover = _Mover.of(building, frame, step, devices)
-    ledger = Ledger.of(building, frame, ground, devices, kept)
+    ledger = Ledger.of(frame, ground, parts, devices, kept)
     state = np.zeros((dampers.draws, 2 * building.freedoms))
     moment = Moment(0.0, ground.acceleration[0], state, devices, devices.force)
     ledger.begin(moment)
@@ -116,9 +107,9 @@ def integrate(
                 at = low + (high - low) * i / parts
                 moment = mover.move(moment, at)
                 ledger.include(moment)
-            ledger.keep(k, moment)
             if k % 64 == 0:
                 tick(k / ground.acceleration.size)
+        ledger.close()
     return _history(step.size, ledger, mover)
 
 
@@ -148,6 +139,7 @@ class _Mover:
     rest: Array
     brace: Array
     tolerance: Array
+    slope: Array
     unstable: NDArray[np.bool_]
     open: Array
     earlier: Array | None = None
@@ -162,8 +154,8 @@ class _Mover:
         scale = np.empty((n, len(frame.places)))
         scale[:, :m] = devices.dampers.slip
         scale[:, m:] = building.yields[np.isfinite(building.yields)]
-        no = np.zeros(n, dtype=bool)
-        return cls(frame, step, devices.force, soft, CLOSE * scale, no, np.zeros(n))
+        no, slope = np.zeros(n, dtype=bool), np.zeros(scale.shape)
+        return cls(frame, step, devices.force, soft, CLOSE * scale, slope, no, np.zeros(n))
 
     def move(self, before: Moment, ground: float) -> Moment:
         """The moment a step later."""
@@ -188,68 +180,13 @@ class _Mover:
     def _balance(
         self, before: Moment, travel: Array, velocity: Array, time: float
     ) -> tuple[Devices, Array]:
-        """Devices and their forces at the end of a step, by a secant of each device.
-
-        Nearly all draws are in equilibrium after a few iterations; the others go on alone.
-        """
-        free = _Free(before.devices, before.force, travel, velocity, self.rest, self.tolerance)
-        live = ~self.unstable[:, None]
+        """Devices and their forces at the end of a step."""
+        ends = travel, velocity, self.rest, self.tolerance, ~self.unstable
+        free = Free(before.devices, before.force, *ends, self.step, self.brace, time)
         guess = before.force if self.earlier is None else 2.0 * before.force - self.earlier
-        devices, found, force, far = self._search(free, guess, time, TOGETHER)
-        rows = np.flatnonzero((far & live).any(axis=1))
-        if rows.size:
-            some = free.chosen(rows)
-            _, _, force[rows], still = self._search(some, force[rows], time, ITERATIONS)
-            x, v = self._pulled(free, force)
-            devices = before.devices.step(x, v, self.step.size, time)
-            found = devices.force
-            found[rows] = force[rows]  # where it jumps, the force between is in equilibrium
-            self.open[rows] += still.any(axis=1)
+        found = balanced(free, guess, self.slope)
+        self.slope, self.earlier = found.slope, before.force
+        self.open += found.open
+        self.iterations += found.iterations
         self.steps += 1
-        self.earlier = before.force
-        return devices, found
-
-    def _pulled(self, free: _Free, force: Array) -> tuple[Array, Array]:
-        """Travels and velocities of devices that hold these forces."""
-        pulled, size = force - free.rest, self.step.size
-        x = free.travel - pulled @ self.step.flexibility.T - pulled * self.brace
-        rate = (force - free.force) * (self.brace / size)
-        return x, free.velocity - pulled @ self.step.mobility.T - rate
-
-    def _search(
-        self, free: _Free, force: Array, time: float, most: int
-    ) -> tuple[Devices, Array, Array, NDArray[np.bool_]]:
-        """Devices, their forces, what was tried last, and what is not in equilibrium."""
-        search = Search.of(force.shape)
-        for number in range(most):
-            x, v = self._pulled(free, force)
-            devices = free.devices.step(x, v, self.step.size, time)
-            found = devices.force
-            off = np.abs(found - force)
-            far = ~(off <= free.tolerance)
-            if number:
-                far &= ~search.closed(free.tolerance)
-            self.iterations += 1
-            if not far.any() or number == most - 1:
-                break
-            force = search.next(force, found, free.tolerance)
-        if most == ITERATIONS:
-            far &= off > ROUGH / CLOSE * free.tolerance
-        return devices, found, force, far
-
-
-@dataclass(frozen=True, eq=False)
-class _Free:
-    """Devices before a step, and where they would be after it without force; (n, m) each."""
-
-    devices: Devices
-    force: Array
-    travel: Array
-    velocity: Array
-    rest: Array
-    tolerance: Array
-
-    def chosen(self, rows: NDArray[np.intp]) -> _Free:
-        """Those of some draws."""
-        columns = (self.force, self.travel, self.velocity, self.rest, self.tolerance)
-        return _Free(self.devices.chosen(rows), *(column[rows] for column in columns))
+        return found.devices, found.force

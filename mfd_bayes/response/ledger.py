@@ -15,6 +15,9 @@ from mfd_bayes.response.tally import Energies, Peaks, work
 
 Array = NDArray[np.float64]
 
+CHUNK = 16
+"""Steps that are taken in together; the balance of energy is looked at after each of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Moment:
@@ -38,7 +41,7 @@ class Moment:
 
 @dataclass(eq=False)
 class Ledger:
-    """Running figures of all draws; those of the last moment are kept for the next.
+    """Running figures of all draws, taken in some steps at a time.
 
     The devices' forces do work against the forces that they hold at rest, in which the building is
     in equilibrium.
@@ -49,21 +52,19 @@ class Ledger:
     rest: Array
     brace: Array
     dampers: int
+    step: float
+    parts: int
+    late: float
     peaks: Peaks
     drifts: Array
     travels: Array
     forces: Array
-    late: float
-    past: Moment | None = None
-    powers: tuple[Array, ...] = ()
 
     @classmethod
-    def of(
-        cls, building: Building, frame: Frame, ground: Ground, devices: Devices, kept: int
-    ) -> Ledger:
-        """Ledger before the first moment."""
+    def of(cls, frame: Frame, ground: Ground, parts: int, devices: Devices, kept: int) -> Ledger:
+        """Ledger before the first moment, of steps of the ground's over `parts`."""
         n, m, samples = devices.dampers.draws, devices.dampers.count, ground.acceleration.size
-        kept = min(kept, n)
+        building, kept = frame.building, min(kept, n)
         storeys = len(building.drifts)
         period = float(building.modes.periods[0])
         return cls(
@@ -72,11 +73,13 @@ class Ledger:
             devices.force,
             np.array([1.0 / device.brace for device in building.devices]),
             m,
+            ground.step / parts,
+            parts,
+            float(ground.time[-1]) - min(2.0 * period, 0.5 * float(ground.time[-1])),
             Peaks.zero(n, storeys, building.freedoms, m),
             np.zeros((n, samples, storeys), dtype=np.float32),
             np.zeros((kept, samples, m), dtype=np.float32),
             np.zeros((kept, samples, m), dtype=np.float32),
-            float(ground.time[-1]) - min(2.0 * period, 0.5 * float(ground.time[-1])),
         )
 
     def begin(self, moment: Moment) -> None:
@@ -85,88 +88,50 @@ class Ledger:
         self._input, self._damping, self._most = np.zeros(n), np.zeros(n), np.zeros(n)
         self._devices, self._lost = np.zeros((n, m)), np.zeros(n)
         self._sum, self._count = np.zeros(self.peaks.drift.shape), 0
-        self.powers = self._powers(moment, moment.force, 1.0)
-        self.past = moment
+        self._moments, self._steps = [moment], 0
 
     def include(self, moment: Moment) -> None:
         """Take in a moment at the end of a step."""
-        past = self.past or moment
-        step = moment.time - past.time
-        rate = (moment.force - past.force) / step
-        before = self._with_slopes(past, self.powers, rate)
-        self.powers = self._powers(moment, past.force, step)
-        after = self._with_slopes(moment, self.powers, rate)
-        slope = (moment.ground - past.ground) / step
-        self._add(before, after, slope, step)
-        self._record(moment)
-        self.past = moment
+        self._moments.append(moment)
+        if len(self._moments) > CHUNK:
+            self.close()
 
-    def _powers(self, moment: Moment, force: Array, step: float) -> tuple[Array, ...]:
-        """Acceleration, velocity, travel rate and its rate of the devices, at a moment."""
-        n = self.building.freedoms
-        pulled = moment.force - self.rest
-        acceleration = self.frame.acceleration(moment.state, pulled, moment.ground)
-        velocity = moment.state[:, n:]
-        places = self.frame.places.T
-        return acceleration, velocity, velocity @ places, acceleration @ places
-
-    def _with_slopes(
-        self, moment: Moment, powers: tuple[Array, ...], rate: Array
-    ) -> tuple[Array, ...]:
-        """Powers of ground, damping and devices at one end of a step, and their slopes."""
-        acceleration, velocity, way, bend = powers
-        weights = self.building.mass @ self.building.influence
-        push, lean = -velocity @ weights, -acceleration @ weights
-        drag = velocity @ self.building.damping
-        damping = np.einsum("ni,ni->n", drag, velocity)
-        slope = 2.0 * np.einsum("ni,ni->n", drag, acceleration)
-        pulled = moment.force - self.rest
-        return push, lean, damping, slope, pulled * way, rate * way + pulled * bend
-
-    def _add(
-        self, before: tuple[Array, ...], after: tuple[Array, ...], slope: float, step: float
-    ) -> None:
-        past = self.past
-        a = past.ground if past is not None else 0.0
-        b = a + slope * step
-        self._input += work(
-            a * before[0],
-            b * after[0],
-            slope * before[0] + a * before[1],
-            slope * after[0] + b * after[1],
-            step,
-        )
-        self._damping += work(before[2], after[2], before[3], after[3], step)
-        self._devices += work(before[4], after[4], before[5], after[5], step)
-
-    def _record(self, moment: Moment) -> None:
-        """Peaks, residual drift and energy balance at a moment."""
-        n, m = self.building.freedoms, self.dampers
-        acceleration = self.powers[0] + moment.ground * self.building.influence
-        drift = moment.state[:, :n] @ self.building.drifts.T
-        shear = acceleration @ (self.building.mass @ self.building.influence)
-        force = moment.force[:, :m]
-        self.peaks.include(Peaks(drift, acceleration, shear, force, self._travel(moment)))
-        if moment.time >= self.late:
-            self._sum += drift
-            self._count += 1
-        energies = self.energies_at(moment)
+    def close(self) -> None:
+        """Take in all moments that wait; after the last one."""
+        if len(self._moments) < 2:
+            return
+        some = Stretch.of(self._moments, self.frame, self.rest, self.step)
+        self._input += some.input
+        self._damping += some.damping
+        self._devices += some.devices
+        self._record(some)
+        self._steps += len(self._moments) - 1
+        self._moments = self._moments[-1:]
+        energies = self.energies
         np.maximum(self._most, np.abs(energies.input), out=self._most)
         np.maximum(self._lost, np.abs(energies.lost), out=self._lost)
 
-    def _travel(self, moment: Moment) -> Array:
-        """Travel of the dampers without their braces, (n, m), in."""
-        n, m = self.building.freedoms, self.dampers
-        whole = moment.state[:, :n] @ self.frame.places[:m].T
-        return np.asarray(whole - (moment.force - self.rest)[:, :m] * self.brace)
-
-    def keep(self, sample: int, moment: Moment) -> None:
-        """Keep drifts, and travels and forces of some draws, at a sample of the ground motion."""
-        n, kept = self.building.freedoms, len(self.travels)
-        self.drifts[:, sample] = moment.state[:, :n] @ self.building.drifts.T
-        if kept:
-            self.travels[:, sample] = self._travel(moment)[:kept]
-            self.forces[:, sample] = moment.force[:kept, : self.dampers]
+    def _record(self, some: Stretch) -> None:
+        """Peaks, residual drift and histories of some moments."""
+        m, building = self.dampers, self.building
+        acceleration = np.concatenate([some.absolute(self.frame), some.between(self.frame)])
+        drift = some.displacement[1:] @ building.drifts.T
+        shear = acceleration @ (building.mass @ building.influence)
+        travel = some.displacement[1:] @ self.frame.places[:m].T
+        travel -= some.pulled[1:, :, :m] * self.brace
+        force = some.pulled[1:, :, :m] + self.rest[:, :m]
+        columns = (drift, acceleration, shear, force, travel)
+        self.peaks.include(Peaks(*(np.abs(column).max(axis=0) for column in columns)))
+        late = np.array([moment.time >= self.late for moment in self._moments[1:]])
+        if late.any():
+            self._sum += drift[late].sum(axis=0)
+            self._count += int(late.sum())
+        number = self._steps + 1 + np.arange(len(drift))
+        at = np.flatnonzero(number % self.parts == 0)
+        samples, kept = number[at] // self.parts, len(self.travels)
+        self.drifts[:, samples] = drift[at].swapaxes(0, 1)
+        self.travels[:, samples] = travel[at, :kept].swapaxes(0, 1)
+        self.forces[:, samples] = force[at, :kept].swapaxes(0, 1)
 
     def energies_at(self, moment: Moment) -> Energies:
         """Energies up to a moment."""
@@ -200,9 +165,7 @@ class Ledger:
     @property
     def energies(self) -> Energies:
         """Energies at the last moment."""
-        if self.past is None:
-            raise ValueError("nothing was included yet")
-        return self.energies_at(self.past)
+        return self.energies_at(self._moments[-1])
 
     @property
     def residual(self) -> Array:
@@ -218,3 +181,73 @@ class Ledger:
     def loops(self) -> tuple[Array, Array]:
         """Travels and forces of the dampers that are kept, (k, T, m) each."""
         return self.travels, self.forces
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Some moments, one after another, and the work done between them.
+
+    Attributes
+    ----------
+    step : float, s
+    ground : (K + 1,), in/s²
+    displacement, velocity, acceleration : (K + 1, n, N), in, in/s, in/s²
+        Relative to the ground.
+    pulled : (K + 1, n, m), kip
+        Forces of the devices less those at rest.
+    input, damping : (n,), kip in
+    devices : (n, m), kip in
+    """
+
+    step: float
+    ground: Array
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    pulled: Array
+    input: Array
+    damping: Array
+    devices: Array
+
+    def absolute(self, frame: Frame) -> Array:
+        """Absolute accelerations of the floors at the ends of the steps, (K, n, N), in/s²."""
+        ground = self.ground[1:, None, None]
+        return np.asarray(self.acceleration[1:] + ground * frame.building.influence)
+
+    def between(self, frame: Frame) -> Array:
+        """Absolute accelerations half-way, where all loads are the mean of those at the ends."""
+        x, v, h = self.displacement, self.velocity, self.step
+        # cubic between displacements and velocities
+        place = 0.5 * (x[:-1] + x[1:]) + 0.125 * h * (v[:-1] - v[1:])
+        rate = 1.5 / h * (x[1:] - x[:-1]) - 0.25 * (v[:-1] + v[1:])
+        pulled = 0.5 * (self.pulled[:-1] + self.pulled[1:])
+        return frame.acceleration(place, rate, pulled, 0.0)
+
+    @classmethod
+    def of(cls, moments: list[Moment], frame: Frame, rest: Array, step: float) -> Stretch:
+        """The stretch of moments that are a `step` apart, with all loads linear between them."""
+        building = frame.building
+        ground = np.array([moment.ground for moment in moments])
+        state = np.stack([moment.state for moment in moments])
+        pulled = np.stack([moment.force for moment in moments]) - rest
+        x, v = state[..., : building.freedoms], state[..., building.freedoms :]
+        a = frame.acceleration(x, v, pulled, ground[:, None, None])
+        weights = building.mass @ building.influence
+        push, lean, drag = -v @ weights, -a @ weights, v @ building.damping
+        at = ground[:, None]
+        given = _work(at * push, push, at * lean, np.diff(at, axis=0) / step, step)
+        damping = np.einsum("kni,kni->kn", drag, v)
+        slope = 2.0 * np.einsum("kni,kni->kn", drag, a)
+        damped = _work(damping, damping, slope, np.zeros((len(at) - 1, 1)), step)
+        way, bend = v @ frame.places.T, a @ frame.places.T
+        taken = _work(pulled * way, way, pulled * bend, np.diff(pulled, axis=0) / step, step)
+        return cls(step, ground, x, v, a, pulled, given, damped, taken)
+
+
+def _work(power: Array, rate: Array, slope: Array, change: Array, step: float) -> Array:
+    """Work of a load over some steps, from its power, p = load × rate, at their ends.
+
+    `slope` is load × the rate's slope; `change` that of the load within each step.
+    """
+    before, after = change * rate[:-1] + slope[:-1], change * rate[1:] + slope[1:]
+    return np.asarray(work(power[:-1], power[1:], before, after, step).sum(axis=0))

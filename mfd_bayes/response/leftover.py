@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +74,14 @@ class LeftoverState:
         """That of some buildings."""
         columns = (self.place, self.direction, self.turn, self.stroke, self.held, self.force)
         return LeftoverState(self.leftover.chosen(rows), *(column[rows] for column in columns))
+
+    def replaced(self, rows: NDArray[np.intp], part: LeftoverState) -> LeftoverState:
+        """The same with that of some buildings replaced."""
+        new: dict[str, Any] = {}
+        for name in ("place", "direction", "turn", "stroke", "held", "force"):
+            new[name] = getattr(self, name).copy()
+            new[name][rows] = getattr(part, name)
+        return replace(self, **new)
 
     def step(self, place: Array) -> LeftoverState:
         """State at the next displacements, (n, m), in."""

@@ -35,11 +35,9 @@ class Frame:
         """Frame of a building with devices at these places, (m, N)."""
         return cls(building, places, np.asarray(linalg.inv(building.mass)))
 
-    def acceleration(self, state: Array, force: Array, ground: float) -> Array:
-        """Relative acceleration, (n, N), in/s², of states (n, 2N) and forces (n, m)."""
-        n = self.building.freedoms
-        pull = state[:, :n] @ self.building.stiffness + state[:, n:] @ self.building.damping
-        pull += force @ self.places
+    def acceleration(self, x: Array, v: Array, force: Array, ground: Array | float) -> Array:
+        """Relative acceleration, (…, N), in/s², of motions (…, N) and forces (…, m)."""
+        pull = x @ self.building.stiffness + v @ self.building.damping + force @ self.places
         return np.asarray(-pull @ self.inverse - ground * self.building.influence)
 
 

@@ -112,3 +112,20 @@ def test_a_model_without_steps_is_refused():
 
     with pytest.raises(FitError, match="no step in time"):
         bank_of(Still(), np.ones((1, 1)))
+
+
+@pytest.mark.parametrize("made", [three_stage, lugre, bouc_wen, backlash])
+def test_some_dampers_stepped_again_are_put_back_in_their_places(made):
+    rng = np.random.default_rng(4)
+    model, theta = made(rng)
+    at, dt, rows = motion(rng), 0.01, np.array([1, 4])
+    bank = bank_of(model, theta, np.full(N, 0.5) if model.has_gap else None).step(*at(dt), dt)
+    x, v = at(2 * dt)
+    wrong = x.copy()
+    wrong[rows] += 0.1
+    again = bank.chosen(rows).step(x[rows], v[rows], dt)
+    mended = bank.step(wrong, v, dt).replaced(rows, again)
+    assert np.allclose(mended.force, bank.step(x, v, dt).force, rtol=1e-12)
+    after = at(3 * dt)
+    expected = bank.step(x, v, dt).step(*after, dt).force
+    assert np.allclose(mended.step(*after, dt).force, expected, rtol=1e-12)

@@ -131,6 +131,16 @@ def test_draws_do_not_meet_each_other():
     assert alone.peaks.drift[0] == pytest.approx(together.peaks.drift[4], rel=1e-6)
 
 
+def test_a_draw_that_is_left_out_when_it_is_in_equilibrium_stays_right():
+    building, ground = shear_building(2, devices(2)), shaking(40)
+    dampers = bouc_wen(120, 2)  # enough that draws are left out of iterations
+    together = integrate(building, ground, dampers, 2, kept=120)
+    rows = np.array([0, 57, 119])
+    alone = integrate(building, ground, dampers.chosen(rows), 2, kept=3)
+    assert np.allclose(together.forces[rows], alone.forces, atol=1e-4)
+    assert np.allclose(together.travels[rows], alone.travels, atol=1e-5)
+
+
 def test_a_draw_that_runs_away_is_named():
     building = shear_building(1, devices(1))
     drive = bouc_wen(3, 1)

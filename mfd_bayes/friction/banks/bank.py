@@ -36,3 +36,16 @@ class Bank(Protocol):
 
     def chosen(self, rows: NDArray[np.intp]) -> Self:
         """The bank of some of its dampers."""
+
+    def replaced(self, rows: NDArray[np.intp], part: Self) -> Self:
+        """The bank with the state of some of its dampers replaced, after the same samples.
+
+        That is how only those are stepped again that are not in equilibrium yet.
+        """
+
+
+def with_rows(whole: Array, rows: NDArray[np.intp], part: Array | float) -> Array:
+    """A copy with some of its values replaced, (n,)."""
+    whole = whole.copy()
+    whole[rows] = part
+    return whole

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.banks.bank import Array, Scales
+from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
 from mfd_bayes.friction.model import Model
 
 
@@ -72,3 +72,10 @@ class OneByOne:
     def chosen(self, rows: NDArray[np.intp]) -> OneByOne:
         """The bank of some of its dampers."""
         return OneByOne(self.model, tuple(self.states[i] for i in rows), self.force[rows])
+
+    def replaced(self, rows: NDArray[np.intp], part: OneByOne) -> OneByOne:
+        """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
+        states = list(self.states)
+        for place, state in zip(rows, part.states, strict=True):
+            states[place] = state
+        return OneByOne(self.model, tuple(states), with_rows(self.force, rows, part.force))

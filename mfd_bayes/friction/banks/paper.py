@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales
+from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
 from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
-from mfd_bayes.friction.banks.turns import turns_within
+from mfd_bayes.friction.banks.turns import Turns, turns_within
 from mfd_bayes.friction.bristles import FLOOR, NO_STEP
 from mfd_bayes.friction.paper import PaperModel, check_theta
 
@@ -31,7 +32,7 @@ class Bristles:
 
     def chosen(self, rows: Rows) -> Bristles:
         """Those of some dampers."""
-        return Bristles(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return Bristles(*(column[rows] for column in vars(self).values()))
 
     def scaled(self, scales: Scales) -> Bristles:
         """Those under a changed actuation."""
@@ -119,16 +120,41 @@ class PaperBank:
         turns = turns_within(self.displacement, self.velocity, displacement, velocity, dt)
         bank, left = self, np.full(displacement.size, dt)
         if turns.rows.size:
-            rows = turns.rows
-            part = self.chosen(rows)
-            middle = part.bristles
-            if after is not self.bristles:
-                middle = _either(turns.share < 0.5, middle, after.chosen(rows))
-            zero = np.zeros(rows.size)
-            part = part._moved(turns.vertex, zero, turns.share * dt, middle)
-            bank = self._with(rows, part)
-            left[rows] = (1.0 - turns.share) * dt
+            bank = self._to_turns(turns, dt, after)
+            left[turns.rows] *= 1.0 - turns.share
         return bank._moved(displacement, velocity, left, after)
+
+    def _to_turns(self, turns: Turns, dt: float, after: Bristles) -> PaperBank:
+        """The bank with those that turn within a step at their vertices, at rest."""
+        rows = turns.rows
+        before = middle = self.bristles.chosen(rows)
+        if after is not self.bristles:
+            middle = _either(turns.share < 0.5, middle, after.chosen(rows))
+        way = turns.vertex - self.displacement[rows]
+        back = way * self.direction[rows] < 0
+        bank = self
+        if back.any():
+            direction = self.direction.copy()
+            direction[rows] = np.where(back, -direction[rows], direction[rows])
+            turned_back = np.zeros(direction.size, dtype=bool)
+            turned_back[rows] = back
+            bank = replace(self, direction=direction, places=self._places(turned_back, direction))
+        slip, z = _relaxed(before, middle, way, turns.share * dt, np.zeros(rows.size), self.z[rows])
+        bristles = self.bristles
+        if middle is not before or bristles is not self.base:
+            pairs = zip(vars(bristles).values(), vars(middle).values(), strict=True)
+            bristles = Bristles(*(with_rows(a, rows, b) for a, b in pairs))
+        moved = self.moved.copy()
+        moved[rows] |= way != 0.0
+        return replace(
+            bank,
+            bristles=bristles,
+            displacement=with_rows(self.displacement, rows, turns.vertex),
+            velocity=with_rows(self.velocity, rows, 0.0),
+            z=with_rows(self.z, rows, z),
+            slip=with_rows(self.slip, rows, slip),
+            moved=moved,
+        )
 
     def _moved(self, displacement: Array, velocity: Array, dt: Array, after: Bristles) -> PaperBank:
         """State after a straight way of each damper, each in its own time, (n,) s."""
@@ -172,22 +198,22 @@ class PaperBank:
             places = places.replaced(rows, Places.begun(self.gaps.chosen(rows), *at))
         return places
 
-    def _with(self, rows: Rows, part: PaperBank) -> PaperBank:
-        """The bank with the state of some of its dampers replaced."""
-        new = {}
-        for name in ("displacement", "velocity", "z", "slip", "direction", "moved"):
-            column = getattr(self, name).copy()
-            column[rows] = getattr(part, name)
-            new[name] = column
+    def replaced(self, rows: Rows, part: PaperBank) -> PaperBank:
+        """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
+        new: dict[str, Any] = {
+            name: with_rows(getattr(self, name), rows, getattr(part, name))
+            for name in ("displacement", "velocity", "z", "slip", "direction", "moved")
+        }
         places = self.places
         if places is not None and part.places is not None:
             places = places.replaced(rows, part.places)
         bristles = self.bristles
         if bristles is not self.base or part.bristles is not part.base:
-            columns = {f.name: getattr(bristles, f.name).copy() for f in fields(bristles)}
-            for name, column in columns.items():
-                column[rows] = getattr(part.bristles, name)
-            bristles = Bristles(**columns)
+            pairs = {
+                f.name: (getattr(bristles, f.name), getattr(part.bristles, f.name))
+                for f in fields(bristles)
+            }
+            bristles = Bristles(**{k: with_rows(a, rows, b) for k, (a, b) in pairs.items()})
         return replace(self, **new, places=places, bristles=bristles)
 
     def chosen(self, rows: Rows) -> PaperBank:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales
+from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +55,10 @@ class PlasticBank:
         """The bank of some of its springs."""
         columns = (self.stiffness, self.strength, self.elastic, self.spring, self.displacement)
         return PlasticBank(*(column[rows] for column in columns))
+
+    def replaced(self, rows: NDArray[np.intp], part: PlasticBank) -> PlasticBank:
+        """The bank with the state of some of its springs replaced; see `Bank.replaced`."""
+        spring = with_rows(self.spring, rows, part.spring)
+        return replace(
+            self, spring=spring, displacement=with_rows(self.displacement, rows, part.displacement)
+        )
