@@ -528,7 +528,7 @@ def test_inspect_tells_what_a_file_holds(folder, tmp_path):
 def test_inspect_tells_what_a_campaign_holds(folder, tmp_path):
     outcome = here("inspect", folder / "campaign.toml", "-o", tmp_path / "look")
     assert outcome.exit_code == 0, outcome.output
-    for fact in ("p500", "force_kip [kip]", "50 Hz", "turning points", "0.5 ksi"):
+    for fact in ("p500", "force_kip [kip]", "50 Hz", "turning points", "500 psi"):
         assert fact in outcome.stdout
     (picture,) = (tmp_path / "look").glob("*.png")
     assert "p500" in picture.name

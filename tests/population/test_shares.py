@@ -58,7 +58,7 @@ def test_scatter_of_one_quantity_is_found_under_its_name(make_population):
     assert found["test-to-test scatter of forward slip force"] < 0.02
     said = width_sentence(found)
     assert "backward slip force" in said
-    assert "how much tests of this device differ" in said
+    assert "difference between tests of this device" in said
 
 
 def test_shares_are_those_of_the_variances_where_sources_only_add(make_population):
@@ -146,10 +146,10 @@ def test_nothing_that_varies_has_no_shares():
 @pytest.mark.parametrize(
     ("share", "words"),
     [
-        (0.71, "seven tenths come from noise."),
-        (0.52, "half comes from noise."),
-        (0.97, "nearly all comes from noise."),
-        (0.12, "a tenth comes from noise."),
+        (0.71, "Seven tenths of the band's variance come from noise."),
+        (0.52, "Half of the band's variance comes from noise."),
+        (0.97, "Nearly all of the band's variance comes from noise."),
+        (0.12, "A tenth of the band's variance comes from noise."),
     ],
 )
 def test_a_sentence_counts_in_tenths(share, words):
