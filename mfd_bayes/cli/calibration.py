@@ -159,7 +159,7 @@ def draws(
 def demo(
     out: arguments.Run,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer draws; about half of the time.")
+        bool, typer.Option("--quick", help="Fewer draws, in a little less time.")
     ] = False,
     jobs: arguments.Jobs = 0,
     scheduler: arguments.Scheduler = "",
