@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mfd_bayes.calibration.extras import Extras, needed
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.shown import HEAD, interval_rows, intervals_of
+from mfd_bayes.calibration.shown import HEAD, Interval, interval_rows, intervals_of
 from mfd_bayes.calibration.stored import check_draws, check_facts
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.records.regular import hash_file
@@ -44,7 +44,7 @@ class TestResult:
     posterior: Posterior
     path: Path
     sha256: str = ""
-    intervals: Mapping[str, tuple[float, float, float]] = field(default_factory=dict, repr=False)
+    intervals: Mapping[str, Interval] = field(default_factory=dict, repr=False)
     extras: Extras | None = field(default=None, repr=False)
 
     def plot_loops(self, axes: Any = None) -> Any:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import string
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import count, product
 from typing import Any
 
 from mfd_bayes.assessment.views import CampaignView, Row
@@ -44,7 +45,7 @@ def word_tables(view: CampaignView) -> bytes:
 
 def _add_table(document: Any, table: PaperTable, *, at_the_top: bool) -> None:
     """Add a table in parts of some columns, each with its title and the notes."""
-    marks = dict(zip(table.notes, string.ascii_lowercase, strict=False))
+    marks = dict(zip(table.notes, _marks(), strict=False))
     begins = range(0, len(table.heads), COLUMNS)
     for part, begin in enumerate(begins, start=1):
         which = f" ({part} of {len(begins)})" if len(begins) > 1 else ""
@@ -57,6 +58,12 @@ def _add_table(document: Any, table: PaperTable, *, at_the_top: bool) -> None:
             paragraph.paragraph_format.space_after = 0
             _raised(paragraph, mark)
             _small(paragraph.add_run(f" {note[:1].upper()}{note[1:]}."))
+
+
+def _marks() -> Iterator[str]:
+    """Letters for notes: a to z, then aa, ab, and so on."""
+    for length in count(1):
+        yield from map("".join, product(string.ascii_lowercase, repeat=length))
 
 
 def _add_part(document: Any, table: PaperTable, columns: slice, marks: Mapping[str, str]) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.friction.banks.bank import with_state
 from mfd_bayes.population.travel import FINE, KNOTS, TravelBasis
 
 Array = NDArray[np.float64]
@@ -77,11 +77,8 @@ class LeftoverState:
 
     def replaced(self, rows: NDArray[np.intp], part: LeftoverState) -> LeftoverState:
         """The same with that of some buildings replaced."""
-        new: dict[str, Any] = {}
-        for name in ("place", "direction", "turn", "stroke", "held", "force"):
-            new[name] = getattr(self, name).copy()
-            new[name][rows] = getattr(part, name)
-        return replace(self, **new)
+        names = ("place", "direction", "turn", "stroke", "held", "force")
+        return with_state(self, names, rows, part)
 
     def step(self, place: Array) -> LeftoverState:
         """State at the next displacements, (n, m), in."""

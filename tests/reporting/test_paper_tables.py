@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import re
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 
 from mfd_bayes.assessment.views import ReadingRow
 from mfd_bayes.errors import ReportError
+from mfd_bayes.reporting import word
 from mfd_bayes.reporting.conversion import in_tables
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
@@ -126,6 +128,12 @@ def test_a_note_in_word_has_the_letter_of_its_value(campaign):
     marks = [[r.text for r in c.paragraphs[0].runs if r.font.superscript] for c in cells["k3"]]
     assert marks[3] != marks[2]
     assert f"{marks[3][0]} Mostly the prior." in [p.text for p in document.paragraphs]
+
+
+def test_no_note_in_word_is_without_a_mark():
+    marks = list(itertools.islice(word._marks(), 60))
+    assert marks[:2] + marks[25:28] == ["a", "b", "z", "aa", "ab"]
+    assert len(set(marks)) == 60
 
 
 def test_a_note_in_excel_names_its_tests(campaign):

@@ -56,11 +56,7 @@ def test_labels_carry_units():
     [
         ("scatter_Fc_fwd", "scatter of slip force fwd", "slip force at a common speed"),
         ("scatter_d3", "scatter of d3/d2", "ratio d3/d2"),
-        (
-            "scatter_sigma0",
-            "scatter of σ<sub>0</sub>",
-            "of the logarithm: aggregate bristle",
-        ),
+        ("scatter_sigma0", "scatter of σ<sub>0</sub>", "of the logarithm: aggregate bristle"),
         ("scatter_offset", "scatter of F<sub>0</sub>", "test to test: offset"),
         ("deviation_level_friction", "deviation by level, friction", "deviation from the law"),
         ("exponent_Fc_bwd", "exponent of F<sub>c,bwd</sub>", "exponent of the power law"),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.backlash import BacklashLuGre
-from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
+from mfd_bayes.friction.banks.bank import Array, Scales, with_state
 from mfd_bayes.friction.banks.turns import turns_within
 from mfd_bayes.friction.damper import FLOOR, Damper
 
@@ -129,11 +128,7 @@ class BacklashBank:
 
     def replaced(self, rows: Rows, part: BacklashBank) -> BacklashBank:
         """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
-        names = ("z", "displacement", "velocity", "spring")
-        new: dict[str, Any] = {
-            name: with_rows(getattr(self, name), rows, getattr(part, name)) for name in names
-        }
-        return replace(self, **new)
+        return with_state(self, ("z", "displacement", "velocity", "spring"), rows, part)
 
 
 @dataclass(frozen=True, eq=False)

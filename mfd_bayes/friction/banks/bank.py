@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol, Self
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Scales = Mapping[str, Array]
+S = TypeVar("S", bound=Any)
 
 
 class Bank(Protocol):
@@ -49,3 +51,10 @@ def with_rows(whole: Array, rows: NDArray[np.intp], part: Array | float) -> Arra
     whole = whole.copy()
     whole[rows] = part
     return whole
+
+
+def with_state(whole: S, names: Iterable[str], rows: NDArray[np.intp], part: S) -> S:
+    """A state with some rows of the named arrays replaced by those of another state."""
+    new = {name: with_rows(getattr(whole, name), rows, getattr(part, name)) for name in names}
+    changed: S = replace(whole, **new)
+    return changed

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from mfd_bayes.friction.banks.bank import with_rows
 from mfd_bayes.friction.gap import SATURATED, SHARP
 
 Array = NDArray[np.float64]
@@ -67,10 +68,8 @@ class Places(NamedTuple):
 
     def replaced(self, rows: Rows, new: Places) -> Places:
         """The same with other places of some dampers."""
-        columns = [column.copy() for column in self]
-        for column, values in zip(columns, new, strict=True):
-            column[rows] = values
-        return Places(*columns)
+        pairs = zip(self, new, strict=True)
+        return Places(*(with_rows(column, rows, values) for column, values in pairs))
 
     def travel(self, gaps: Gaps, displacement: Array) -> Array:
         """Travel u since the last slip, (n,), in."""

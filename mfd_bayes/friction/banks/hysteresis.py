@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
+from mfd_bayes.friction.banks.bank import Array, Scales, with_state
 from mfd_bayes.friction.banks.turns import turns_within
 from mfd_bayes.friction.bouc_wen import FLOOR, BoucWen, State
 from mfd_bayes.friction.hysteresis import Curve
@@ -109,11 +108,7 @@ class HystereticBank:
 
     def replaced(self, rows: NDArray[np.intp], part: HystereticBank) -> HystereticBank:
         """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
-        names = ("z", "displacement", "velocity")
-        new: dict[str, Any] = {
-            name: with_rows(getattr(self, name), rows, getattr(part, name)) for name in names
-        }
-        return replace(self, **new)
+        return with_state(self, ("z", "displacement", "velocity"), rows, part)
 
 
 def chosen_curve(curve: Curve, rows: NDArray[np.intp]) -> Curve:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
+from mfd_bayes.friction.banks.bank import Array, Scales, with_rows, with_state
 from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
 from mfd_bayes.friction.banks.turns import Turns, turns_within
 from mfd_bayes.friction.bristles import FLOOR, NO_STEP
@@ -142,8 +141,7 @@ class PaperBank:
         slip, z = _relaxed(before, middle, way, turns.share * dt, np.zeros(rows.size), self.z[rows])
         bristles = self.bristles
         if middle is not before or bristles is not self.base:
-            pairs = zip(vars(bristles).values(), vars(middle).values(), strict=True)
-            bristles = Bristles(*(with_rows(a, rows, b) for a, b in pairs))
+            bristles = with_state(bristles, vars(bristles), rows, middle)
         moved = self.moved.copy()
         moved[rows] |= way != 0.0
         return replace(
@@ -200,21 +198,15 @@ class PaperBank:
 
     def replaced(self, rows: Rows, part: PaperBank) -> PaperBank:
         """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
-        new: dict[str, Any] = {
-            name: with_rows(getattr(self, name), rows, getattr(part, name))
-            for name in ("displacement", "velocity", "z", "slip", "direction", "moved")
-        }
+        names = ("displacement", "velocity", "z", "slip", "direction", "moved")
         places = self.places
         if places is not None and part.places is not None:
             places = places.replaced(rows, part.places)
         bristles = self.bristles
         if bristles is not self.base or part.bristles is not part.base:
-            pairs = {
-                f.name: (getattr(bristles, f.name), getattr(part.bristles, f.name))
-                for f in fields(bristles)
-            }
-            bristles = Bristles(**{k: with_rows(a, rows, b) for k, (a, b) in pairs.items()})
-        return replace(self, **new, places=places, bristles=bristles)
+            bristles = with_state(bristles, vars(bristles), rows, part.bristles)
+        moved = with_state(self, names, rows, part)
+        return replace(moved, places=places, bristles=bristles)
 
     def chosen(self, rows: Rows) -> PaperBank:
         """The bank of some of its dampers."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales, with_rows
+from mfd_bayes.friction.banks.bank import Array, Scales, with_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,4 @@ class PlasticBank:
 
     def replaced(self, rows: NDArray[np.intp], part: PlasticBank) -> PlasticBank:
         """The bank with the state of some of its springs replaced; see `Bank.replaced`."""
-        spring = with_rows(self.spring, rows, part.spring)
-        return replace(
-            self, spring=spring, displacement=with_rows(self.displacement, rows, part.displacement)
-        )
+        return with_state(self, ("spring", "displacement"), rows, part)
