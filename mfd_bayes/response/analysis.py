@@ -105,10 +105,13 @@ def respond(
     ]
     others = _references(building, grounds, dampers, accuracy)
     processes = min(jobs or os.cpu_count() or 1, len(blocks))
-    found = _solved([*others, *blocks], processes, observe)
+    # the longest work first, so that no process waits for another at the end
+    found = _solved([*blocks, *others], processes, observe)
     size, each = len(grounds), len(blocks) // len(grounds)
-    bare, plain = [[_reference(f) for f in found[i * size :][:size]] for i in range(2)]
-    settled = [_joined(found[(2 * size + i * each) :][:each]) for i in range(size)]
+    settled = [_joined(found[i * each :][:each]) for i in range(size)]
+    bare, plain = [
+        [_reference(f) for f in found[len(blocks) + i * size :][:size]] for i in range(2)
+    ]
     return Response.of(building, grounds, dampers, settled, bare, plain, accuracy.tolerance)
 
 

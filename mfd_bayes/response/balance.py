@@ -19,10 +19,34 @@ JUMP = 30.0
 """Width, in tolerances, at which a bracket has closed on a jump."""
 
 FEW = 64
-"""Draws up to which the equations of their devices are solved exactly."""
+"""Draws up to which the equations of their devices are solved exactly from the second time on."""
 
 SWEEPS = 3
-"""Sweeps over the equations of more draws."""
+"""Sweeps over the equations otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """Loss of travel of each device by the force of each, in/kip.
+
+    Attributes
+    ----------
+    whole : (m, m)
+    own : (m,)
+        By its own force.
+    others : (m, m)
+        Of each (column) by the forces of the others (rows).
+    """
+
+    whole: Array
+    own: Array
+    others: Array
+
+    @classmethod
+    def of(cls, whole: Array) -> Pull:
+        """Pull of a matrix, (m, m)."""
+        own = np.diag(whole).copy()
+        return cls(whole, own, np.ascontiguousarray((whole - np.diag(own)).T))
 
 
 @dataclass(eq=False)
@@ -35,8 +59,7 @@ class Search:
 
     Attributes
     ----------
-    pull : (m, m), in/kip
-        Loss of travel of each device by the force of each.
+    pull : Pull
     slope : (n, m), kip/in
         Change of the answers by the travel: of the last step at first, then secants.
     low, high : (n, m), kip
@@ -44,7 +67,7 @@ class Search:
     last : (travel, answer), (n, m) each, optional
     """
 
-    pull: Array
+    pull: Pull
     slope: Array
     low: Array
     high: Array
@@ -52,7 +75,7 @@ class Search:
     number: int = 0
 
     @classmethod
-    def of(cls, pull: Array, slope: Array) -> Search:
+    def of(cls, pull: Pull, slope: Array) -> Search:
         """Search without brackets."""
         shape = slope.shape
         return cls(pull, slope, np.full(shape, -np.inf), np.full(shape, np.inf))
@@ -63,9 +86,15 @@ class Search:
         last = None if self.last is None else (self.last[0][rows], self.last[1][rows])
         return Search(self.pull, *columns, last, self.number)
 
-    def far(self, force: Array, answer: Array, tolerance: Array) -> NDArray[np.bool_]:
-        """Devices that are not in equilibrium, nor at a jump, (n, m)."""
-        far = ~(np.abs(answer - force) <= tolerance)
+    def far(self, off: Array, tolerance: Array) -> NDArray[np.bool_]:
+        """Devices that are not in equilibrium, nor at a jump, (n, m).
+
+        Parameters
+        ----------
+        off : (n, m), kip
+            Answers less forces.
+        """
+        far = ~(np.abs(off) <= tolerance)
         if self.number > PLAIN:
             far &= ~(self.high - self.low <= JUMP * tolerance)
         return np.asarray(far)
@@ -90,28 +119,28 @@ class Search:
         """Slopes by secants where the travel changed enough."""
         if self.last is None:
             return
-        moved, own = travel - self.last[0], np.diag(self.pull)
+        moved, own = travel - self.last[0], self.pull.own
         usable = np.abs(moved) > 0.1 * tolerance * own
         secant = (answer - self.last[1]) / np.where(usable, moved, 1.0)
         usable &= np.isfinite(secant)
-        self.slope = np.where(usable, np.clip(secant, -0.5 / own, 1e4 / own), self.slope)
+        limited = np.minimum(np.maximum(secant, -0.5 / own), 1e4 / own)
+        self.slope = np.where(usable, limited, self.slope)
 
     def _newton(self, off: Array) -> Array:
         """Solution d of (I + K A) d = off, with the slopes K and the pull A, (n, m)."""
-        own = np.diag(self.pull)
+        own = self.pull.own
         scale = 1.0 / (1.0 + self.slope * own)
         change = off * scale
         if len(own) == 1:
             return np.asarray(change)
-        if len(off) <= FEW:
-            matrix = np.eye(len(own)) + self.slope[:, :, None] * self.pull
+        if self.number > 1 and len(off) <= FEW:
+            matrix = np.eye(len(own)) + self.slope[:, :, None] * self.pull.whole
             finite = np.isfinite(off).all(axis=1)
             change[finite] = np.linalg.solve(matrix[finite], off[finite][..., None])[..., 0]
             return np.asarray(change)
-        others, weight = (self.pull - np.diag(own)).T, self.slope * scale
-        first = change
+        first, weight = change, self.slope * scale
         for _ in range(SWEEPS):
-            change = first - weight * (change @ others)
+            change = first - weight * (change @ self.pull.others)
         return np.asarray(change)
 
     def _bracket(self, force: Array, off: Array) -> None:

@@ -21,7 +21,7 @@ ITERATIONS = 24
 ROUGH = 1e4
 """A step is open when a force is still off by more tolerances than this after all iterations."""
 
-WORTH = 150
+WORTH = 300
 """Devices in equilibrium that are worth leaving out of further iterations."""
 
 
@@ -39,7 +39,6 @@ class Free:
     live : (n,) bool
         Draws that did not run away.
     step : Step
-    brace : (m,), in/kip
     time : float, s
     """
 
@@ -51,22 +50,16 @@ class Free:
     tolerance: Array
     live: NDArray[np.bool_]
     step: Step
-    brace: Array
     time: float
-
-    @property
-    def pull(self) -> Array:
-        """Loss of travel of each device by the force of each, (m, m), in/kip."""
-        return np.asarray(self.step.flexibility + np.diag(self.brace))
 
     def answer(self, force: Array) -> tuple[Devices, Array]:
         """Devices that are pulled by these forces, and their travels."""
         pulled, size = force - self.rest, self.step.size
         x = self.travel - pulled @ self.step.flexibility.T
         v = self.velocity - pulled @ self.step.mobility.T
-        if self.brace.any():
-            x -= pulled * self.brace
-            v -= (force - self.force) * (self.brace / size)
+        if self.step.braced:
+            x -= pulled * self.step.brace
+            v -= (force - self.force) * (self.step.brace / size)
         return self.devices.step(x, v, size, self.time), x
 
     def chosen(self, rows: Rows) -> Free:
@@ -105,13 +98,13 @@ def balanced(free: Free, guess: Array, slope: Array) -> Balance:
     """
     rows, force, number = np.arange(len(guess)), guess, 0
     found: Balance | None = None
-    search = Search.of(free.pull, slope)
+    search = Search.of(free.step.pull, slope)
     while True:
         number += 1
         devices, travel = free.answer(force)
         answer = devices.force
-        far = search.far(force, answer, free.tolerance)
-        going = np.flatnonzero(far.any(axis=1) & free.live)
+        far = search.far(answer - force, free.tolerance)
+        (going,) = (far.any(axis=1) & free.live).nonzero()
         last = not going.size or number == ITERATIONS
         done = (rows.size - going.size) * guess.shape[1] >= WORTH
         if last or done:
@@ -129,8 +122,11 @@ def _balance(
     free: Free, search: Search, tried: tuple[Devices, Array, Array], number: int
 ) -> Balance:
     devices, force, answer = tried
-    off = np.abs(answer - force)
+    off = answer - force
+    beyond = np.abs(off) > free.tolerance
+    if not beyond.any():
+        return Balance(devices, answer, search.slope, np.zeros(len(off), dtype=bool), number)
     # where it jumps, the force between is in equilibrium
-    kept = np.where(off > free.tolerance, force, answer)
-    wide = search.far(force, answer, free.tolerance) & (off > ROUGH * free.tolerance)
+    kept = np.where(beyond, force, answer)
+    wide = search.far(off, free.tolerance) & (np.abs(off) > ROUGH * free.tolerance)
     return Balance(devices, kept, search.slope, np.asarray(wide.any(axis=1)), number)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +12,12 @@ from mfd_bayes.response.devices import Dampers, Devices
 from mfd_bayes.response.equilibrium import Free, balanced
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.ledger import Ledger, Moment
-from mfd_bayes.response.stepping import Frame, Step
+from mfd_bayes.response.stepping import Frame, Step, halfway
 from mfd_bayes.response.tally import Energies, Peaks
 
 Array = NDArray[np.float64]
 
-CLOSE = 1e-6
+CLOSE = 1e-5
 """A force is in equilibrium when it changes by less than this share of the slip force."""
 
 RUNAWAY = 1e5
@@ -32,6 +31,7 @@ class History:
     Attributes
     ----------
     step : float, s
+        The shortest one.
     peaks : Peaks
     residual : (n, S), in
         Mean drift over the last two fundamental periods.
@@ -68,12 +68,11 @@ def integrate(
     building: Building,
     ground: Ground,
     dampers: Dampers,
-    parts: int,
+    parts: int | NDArray[np.intp],
     *,
     kept: int = 0,
-    tick: Callable[[float], object] = lambda share: None,
 ) -> History:
-    """History of every draw, with steps of the ground's step over `parts`.
+    """History of every draw, with each interval of the ground motion cut into `parts` steps.
 
     The structure's linear part is stepped exactly, with the ground's acceleration and the devices'
     forces linear in time within a step. The forces at its end are found by Newton's method, with a
@@ -83,34 +82,34 @@ def integrate(
     ----------
     dampers : Dampers
         Of n draws.
+    parts : int or (T - 1,)
+        Of all intervals, or of each.
     kept : int
         Number of first draws whose dampers' histories are kept.
-    tick : callable
-        Is told the share that is done, now and then.
     """
     strong = np.flatnonzero(np.isfinite(building.yields))
     places = np.concatenate([building.travels, building.drifts[strong]])
     frame = Frame.of(building, places)
-    step = Step.of(frame, ground.step / parts)
+    counts = np.broadcast_to(parts, ground.acceleration.size - 1)
+    steps = {count: Step.of(frame, ground.step / count) for count in np.unique(counts).tolist()}
     way = -np.sign(ground.acceleration[np.flatnonzero(ground.acceleration)[0]])
     begin = dampers.towards(way * (building.travels @ building.influence))
     devices = Devices.at_rest(begin, building.storeys[strong], building.yields[strong])
-    mover = _Mover.of(building, frame, step, devices)
-    ledger = Ledger.of(frame, ground, parts, devices, kept)
+    mover = _Mover.of(building, frame, devices)
+    ledger = Ledger.of(frame, ground, devices, kept)
     state = np.zeros((dampers.draws, 2 * building.freedoms))
-    moment = Moment(0.0, ground.acceleration[0], state, devices, devices.force)
+    moment = Moment(0.0, ground.acceleration[0], state, devices, devices.force, devices.force)
     ledger.begin(moment)
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(1, ground.acceleration.size):
-            low, high = ground.acceleration[k - 1], ground.acceleration[k]
-            for i in range(1, parts + 1):
-                at = low + (high - low) * i / parts
-                moment = mover.move(moment, at)
-                ledger.include(moment)
-            if k % 64 == 0:
-                tick(k / ground.acceleration.size)
+        for k, count in enumerate(counts.tolist()):
+            low, high = ground.acceleration[k : k + 2]
+            step = steps[count]
+            ledger.pace(step.size)
+            for i in range(1, count + 1):
+                moment = mover.move(moment, low + (high - low) * i / count, step)
+                ledger.include(moment, k + 1 if i == count else None)
         ledger.close()
-    return _history(step.size, ledger, mover)
+    return _history(ground.step / int(counts.max()), ledger, mover)
 
 
 def _history(size: float, ledger: Ledger, mover: _Mover) -> History:
@@ -135,57 +134,71 @@ class _Mover:
     """Moves all draws by a step; counts what went wrong."""
 
     frame: Frame
-    step: Step
     rest: Array
-    brace: Array
     tolerance: Array
     slope: Array
     unstable: NDArray[np.bool_]
     open: Array
-    earlier: Array | None = None
+    earlier: tuple[Array, float] | None = None
     iterations: int = 0
     steps: int = 0
 
     @classmethod
-    def of(cls, building: Building, frame: Frame, step: Step, devices: Devices) -> _Mover:
+    def of(cls, building: Building, frame: Frame, devices: Devices) -> _Mover:
         n, m = devices.dampers.draws, devices.dampers.count
-        soft = np.zeros(len(frame.places))
-        soft[:m] = [1.0 / device.brace for device in building.devices]
         scale = np.empty((n, len(frame.places)))
         scale[:, :m] = devices.dampers.slip
         scale[:, m:] = building.yields[np.isfinite(building.yields)]
         no, slope = np.zeros(n, dtype=bool), np.zeros(scale.shape)
-        return cls(frame, step, devices.force, soft, CLOSE * scale, slope, no, np.zeros(n))
+        return cls(frame, devices.force, CLOSE * scale, slope, no, np.zeros(n))
 
-    def move(self, before: Moment, ground: float) -> Moment:
+    def move(self, before: Moment, ground: float, step: Step) -> Moment:
         """The moment a step later."""
-        n, size = self.frame.building.freedoms, self.step.size
-        time = before.time + size
-        count = len(before.state)
-        ends = np.broadcast_to([before.ground, ground], (count, 2))
-        pulled = before.force - self.rest
-        free = np.concatenate([before.state, ends, pulled], axis=1) @ self.step.carried
+        n, time = self.frame.building.freedoms, before.time + step.size
+        free = step.free(before.state, before.force - self.rest, before.ground, ground)
         if not len(self.frame.places):
-            return Moment(time, ground, free, before.devices, before.force)
+            return Moment(time, ground, free, before.devices, before.force, before.force)
         travel, velocity = free[:, :n] @ self.frame.places.T, free[:, n:] @ self.frame.places.T
-        devices, force = self._balance(before, travel, velocity, time)
-        state = free + (force - self.rest) @ self.step.response
+        devices, force = self._balance(before, travel, velocity, step)
+        state = free + (force - self.rest) @ step.response
         gone = ~np.all(np.abs(state[:, :n]) < RUNAWAY, axis=1) | ~np.all(np.isfinite(force), axis=1)
         if gone.any():
             self.unstable |= gone
             state[self.unstable] = 0.0
             force = np.where(self.unstable[:, None], self.rest, force)
-        return Moment(time, ground, state, devices, force)
+        middle = self._middle(before, state, force, step)
+        return Moment(time, ground, state, devices, force, middle)
+
+    def _middle(self, before: Moment, state: Array, force: Array, step: Step) -> Array:
+        """Forces half-way: they bend within a step, most at the end of a gap and at a turn.
+
+        They are looked at for peaks, and do not change the motion. Behind a brace, whose share of
+        the travel would have to be found too, they are the mean of those at the ends.
+        """
+        n = self.frame.building.freedoms
+        if step.braced:
+            return 0.5 * (before.force + force)
+        ends = np.stack([before.state, state])
+        place, velocity = (
+            each[0] @ self.frame.places.T
+            for each in halfway(ends[..., :n], ends[..., n:], step.size)
+        )
+        half = 0.5 * step.size
+        found = before.devices.step(place, velocity, half, before.time + half).force
+        return np.where(self.unstable[:, None], self.rest, found)
 
     def _balance(
-        self, before: Moment, travel: Array, velocity: Array, time: float
+        self, before: Moment, travel: Array, velocity: Array, step: Step
     ) -> tuple[Devices, Array]:
         """Devices and their forces at the end of a step."""
         ends = travel, velocity, self.rest, self.tolerance, ~self.unstable
-        free = Free(before.devices, before.force, *ends, self.step, self.brace, time)
-        guess = before.force if self.earlier is None else 2.0 * before.force - self.earlier
+        free = Free(before.devices, before.force, *ends, step, before.time + step.size)
+        guess = before.force
+        if self.earlier is not None:
+            force, size = self.earlier
+            guess = guess + (step.size / size) * (guess - force)
         found = balanced(free, guess, self.slope)
-        self.slope, self.earlier = found.slope, before.force
+        self.slope, self.earlier = found.slope, (before.force, step.size)
         self.open += found.open
         self.iterations += found.iterations
         self.steps += 1

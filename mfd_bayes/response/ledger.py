@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.devices import Devices
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.stepping import Frame
+from mfd_bayes.response.stepping import Frame, halfway
 from mfd_bayes.response.tally import Energies, Peaks, work
 
 Array = NDArray[np.float64]
@@ -30,6 +30,8 @@ class Moment:
         Displacements and velocities relative to the ground, in and in/s.
     devices : Devices
     force : (n, m + s), kip
+    middle : (n, m + s), kip
+        Half-way in the step that ends here, with the motion that was found.
     """
 
     time: float
@@ -37,6 +39,7 @@ class Moment:
     state: Array
     devices: Devices
     force: Array
+    middle: Array
 
 
 @dataclass(eq=False)
@@ -52,8 +55,6 @@ class Ledger:
     rest: Array
     brace: Array
     dampers: int
-    step: float
-    parts: int
     late: float
     peaks: Peaks
     drifts: Array
@@ -61,8 +62,8 @@ class Ledger:
     forces: Array
 
     @classmethod
-    def of(cls, frame: Frame, ground: Ground, parts: int, devices: Devices, kept: int) -> Ledger:
-        """Ledger before the first moment, of steps of the ground's over `parts`."""
+    def of(cls, frame: Frame, ground: Ground, devices: Devices, kept: int) -> Ledger:
+        """Ledger before the first moment."""
         n, m, samples = devices.dampers.draws, devices.dampers.count, ground.acceleration.size
         building, kept = frame.building, min(kept, n)
         storeys = len(building.drifts)
@@ -71,10 +72,8 @@ class Ledger:
             building,
             frame,
             devices.force,
-            np.array([1.0 / device.brace for device in building.devices]),
+            frame.brace[:m],
             m,
-            ground.step / parts,
-            parts,
             float(ground.time[-1]) - min(2.0 * period, 0.5 * float(ground.time[-1])),
             Peaks.zero(n, storeys, building.freedoms, m),
             np.zeros((n, samples, storeys), dtype=np.float32),
@@ -87,12 +86,20 @@ class Ledger:
         n, m = len(moment.state), moment.force.shape[1]
         self._input, self._damping, self._most = np.zeros(n), np.zeros(n), np.zeros(n)
         self._devices, self._lost = np.zeros((n, m)), np.zeros(n)
-        self._sum, self._count = np.zeros(self.peaks.drift.shape), 0
-        self._moments, self._steps = [moment], 0
+        self._sum, self._time = np.zeros(self.peaks.drift.shape), 0.0
+        self._moments, self._step = [moment], np.nan
+        self._samples: list[int | None] = []
 
-    def include(self, moment: Moment) -> None:
-        """Take in a moment at the end of a step."""
+    def pace(self, step: float) -> None:
+        """Take in what waits, where the next steps have another length, s."""
+        if step != self._step:
+            self.close()
+            self._step = step
+
+    def include(self, moment: Moment, sample: int | None = None) -> None:
+        """Take in a moment at the end of a step; `sample` of the ground motion, where it is one."""
         self._moments.append(moment)
+        self._samples.append(sample)
         if len(self._moments) > CHUNK:
             self.close()
 
@@ -100,13 +107,12 @@ class Ledger:
         """Take in all moments that wait; after the last one."""
         if len(self._moments) < 2:
             return
-        some = Stretch.of(self._moments, self.frame, self.rest, self.step)
+        some = Stretch.of(self._moments, self.frame, self.rest, self._step)
         self._input += some.input
         self._damping += some.damping
         self._devices += some.devices
         self._record(some)
-        self._steps += len(self._moments) - 1
-        self._moments = self._moments[-1:]
+        self._moments, self._samples = self._moments[-1:], []
         energies = self.energies
         np.maximum(self._most, np.abs(energies.input), out=self._most)
         np.maximum(self._lost, np.abs(energies.lost), out=self._lost)
@@ -119,16 +125,17 @@ class Ledger:
         shear = acceleration @ (building.mass @ building.influence)
         travel = some.displacement[1:] @ self.frame.places[:m].T
         travel -= some.pulled[1:, :, :m] * self.brace
-        force = some.pulled[1:, :, :m] + self.rest[:, :m]
+        pulled = np.concatenate([some.pulled[1:, :, :m], some.middle[..., :m]])
+        force = pulled + self.rest[:, :m]
         columns = (drift, acceleration, shear, force, travel)
         self.peaks.include(Peaks(*(np.abs(column).max(axis=0) for column in columns)))
         late = np.array([moment.time >= self.late for moment in self._moments[1:]])
         if late.any():
-            self._sum += drift[late].sum(axis=0)
-            self._count += int(late.sum())
-        number = self._steps + 1 + np.arange(len(drift))
-        at = np.flatnonzero(number % self.parts == 0)
-        samples, kept = number[at] // self.parts, len(self.travels)
+            self._sum += self._step * drift[late].sum(axis=0)
+            self._time += self._step * float(late.sum())
+        at = [i for i, sample in enumerate(self._samples) if sample is not None]
+        samples = [sample for sample in self._samples if sample is not None]
+        kept = len(self.travels)
         self.drifts[:, samples] = drift[at].swapaxes(0, 1)
         self.travels[:, samples] = travel[at, :kept].swapaxes(0, 1)
         self.forces[:, samples] = force[at, :kept].swapaxes(0, 1)
@@ -170,7 +177,7 @@ class Ledger:
     @property
     def residual(self) -> Array:
         """Mean drift near the end, (n, S), in."""
-        return np.asarray(self._sum / max(self._count, 1))
+        return np.asarray(self._sum / max(self._time, 1e-300))
 
     @property
     def imbalance(self) -> Array:
@@ -195,6 +202,8 @@ class Stretch:
         Relative to the ground.
     pulled : (K + 1, n, m), kip
         Forces of the devices less those at rest.
+    middle : (K, n, m), kip
+        The same half-way between.
     input, damping : (n,), kip in
     devices : (n, m), kip in
     """
@@ -205,6 +214,7 @@ class Stretch:
     velocity: Array
     acceleration: Array
     pulled: Array
+    middle: Array
     input: Array
     damping: Array
     devices: Array
@@ -215,13 +225,9 @@ class Stretch:
         return np.asarray(self.acceleration[1:] + ground * frame.building.influence)
 
     def between(self, frame: Frame) -> Array:
-        """Absolute accelerations half-way, where all loads are the mean of those at the ends."""
-        x, v, h = self.displacement, self.velocity, self.step
-        # cubic between displacements and velocities
-        place = 0.5 * (x[:-1] + x[1:]) + 0.125 * h * (v[:-1] - v[1:])
-        rate = 1.5 / h * (x[1:] - x[:-1]) - 0.25 * (v[:-1] + v[1:])
-        pulled = 0.5 * (self.pulled[:-1] + self.pulled[1:])
-        return frame.acceleration(place, rate, pulled, 0.0)
+        """Absolute accelerations half-way."""
+        place, velocity = halfway(self.displacement, self.velocity, self.step)
+        return frame.acceleration(place, velocity, self.middle, 0.0)
 
     @classmethod
     def of(cls, moments: list[Moment], frame: Frame, rest: Array, step: float) -> Stretch:
@@ -230,6 +236,7 @@ class Stretch:
         ground = np.array([moment.ground for moment in moments])
         state = np.stack([moment.state for moment in moments])
         pulled = np.stack([moment.force for moment in moments]) - rest
+        middle = np.stack([moment.middle for moment in moments[1:]]) - rest
         x, v = state[..., : building.freedoms], state[..., building.freedoms :]
         a = frame.acceleration(x, v, pulled, ground[:, None, None])
         weights = building.mass @ building.influence
@@ -241,7 +248,7 @@ class Stretch:
         damped = _work(damping, damping, slope, np.zeros((len(at) - 1, 1)), step)
         way, bend = v @ frame.places.T, a @ frame.places.T
         taken = _work(pulled * way, way, pulled * bend, np.diff(pulled, axis=0) / step, step)
-        return cls(step, ground, x, v, a, pulled, given, damped, taken)
+        return cls(step, ground, x, v, a, pulled, middle, given, damped, taken)
 
 
 def _work(power: Array, rate: Array, slope: Array, change: Array, step: float) -> Array:

@@ -12,6 +12,7 @@ from mfd_bayes.response.building import Building
 from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.integration import History, integrate
+from mfd_bayes.response.pace import spare_halvings
 from mfd_bayes.response.tally import Energies, Peaks
 
 Array = NDArray[np.float64]
@@ -27,9 +28,10 @@ class Accuracy:
         Peaks have settled when none changes by more than this share of the largest of its kind
         when the step is halved.
     longest : float, s
-        Longest first step.
+        Longest first step where the dampers' forces bend most. Where they bend little it may be up
+        to four times as long, but no longer than the ground motion's own; see `pace`.
     halvings : int
-        Most times that the first step is halved.
+        Most times that all steps are halved.
     kept : int
         Draws of each block whose dampers' histories are kept.
     """
@@ -49,7 +51,7 @@ class Settled:
     change : (n,)
         Change of the peaks at the last halving.
     steps : (n,), s
-        Last step of each.
+        Shortest step of each at the last halving.
     """
 
     peaks: Peaks
@@ -75,14 +77,16 @@ def settle(
     """Histories of every draw, each with a step at which its peaks have settled."""
     n, kept = dampers.draws, min(accuracy.kept, dampers.draws)
     parts = max(1, int(np.ceil(ground.step / accuracy.longest - 1e-9)))
-    first = integrate(building, ground, dampers, parts, kept=kept)
+    spare = spare_halvings(building, ground, dampers)
+    first = integrate(building, ground, dampers, np.maximum(parts >> spare, 1), kept=kept)
     found = _settled(first, np.full(n, np.inf))
     rows = np.arange(n)
     for number in range(accuracy.halvings):
         parts *= 2
         old = found.peaks.chosen(rows)
         keep = int(np.searchsorted(rows, kept))
-        fine = integrate(building, ground, dampers.chosen(rows), parts, kept=keep)
+        grid = np.maximum(parts >> spare, 1)
+        fine = integrate(building, ground, dampers.chosen(rows), grid, kept=keep)
         change = np.where(fine.unstable, np.inf, fine.peaks.change_from(old))
         _replace(found, rows, _settled(fine, change), keep)
         rows = rows[(change > accuracy.tolerance) & ~fine.unstable]

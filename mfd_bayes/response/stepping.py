@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from mfd_bayes.response.balance import Pull
 from mfd_bayes.response.building import Building
 
 Array = NDArray[np.float64]
@@ -24,16 +25,21 @@ class Frame:
         Travels B of the devices, with that of their braces, of displacements.
     inverse : (N, N)
         M⁻¹.
+    brace : (m,), in/kip
+        Travel that each device loses to its brace.
     """
 
     building: Building
     places: Array
     inverse: Array
+    brace: Array
 
     @classmethod
     def of(cls, building: Building, places: Array) -> Frame:
         """Frame of a building with devices at these places, (m, N)."""
-        return cls(building, places, np.asarray(linalg.inv(building.mass)))
+        brace = np.zeros(len(places))
+        brace[: len(building.devices)] = [1.0 / device.brace for device in building.devices]
+        return cls(building, places, np.asarray(linalg.inv(building.mass)), brace)
 
     def acceleration(self, x: Array, v: Array, force: Array, ground: Array | float) -> Array:
         """Relative acceleration, (…, N), in/s², of motions (…, N) and forces (…, m)."""
@@ -52,19 +58,31 @@ class Step:
     Attributes
     ----------
     size : float, s
-    carried : (2N + 2 + m, 2N)
-        Rows of [x v], a_g at both ends and f at the start.
+    carried : (2N + m, 2N)
+        Rows of [x v] and of f at the start.
+    shaken : (2, 2N)
+        γ₀ and γ₁, of a_g at both ends.
     response : (m, 2N)
         Γ₁, of the force at the end.
     flexibility, mobility : (m, m), in/kip, in/(s kip)
         Loss of travel and of velocity of each device by the force of each at the end.
+    brace : (m,), in/kip
+        See `Frame`.
+    pull : Pull
+        Loss of travel, braces included.
+    braced : bool
+        Whether any brace gives.
     """
 
     size: float
     carried: Array
+    shaken: Array
     response: Array
     flexibility: Array
     mobility: Array
+    brace: Array
+    pull: Pull
+    braced: bool
 
     @classmethod
     def of(cls, frame: Frame, size: float) -> Step:
@@ -85,14 +103,41 @@ class Step:
         constant = found[: 2 * n, 2 * n : 2 * n + 1 + m]
         late = found[: 2 * n, 2 * n + 1 + m :]
         early = constant - late
-        carried = np.concatenate(
-            [found[: 2 * n, : 2 * n].T, early[:, :1].T, late[:, :1].T, early[:, 1:].T]
-        )
         response = late[:, 1:].T
+        flexibility = -response[:, :n] @ frame.places.T
         return cls(
             size,
-            np.ascontiguousarray(carried),
+            np.concatenate([found[: 2 * n, : 2 * n].T, early[:, 1:].T]),
+            np.array([early[:, 0], late[:, 0]]),
             np.ascontiguousarray(response),
-            -response[:, :n] @ frame.places.T,
+            flexibility,
             -response[:, n:] @ frame.places.T,
+            frame.brace,
+            Pull.of(flexibility + np.diag(frame.brace)),
+            bool(frame.brace.any()),
         )
+
+    def free(self, state: Array, pulled: Array, before: float, after: float) -> Array:
+        """States (n, 2N) after the step without the devices' forces at its end.
+
+        Parameters
+        ----------
+        state, pulled : (n, 2N), (n, m)
+            States and forces at its start.
+        before, after : float, in/s²
+            Ground's acceleration at its start and end.
+        """
+        shaken = before * self.shaken[0] + after * self.shaken[1]
+        return np.asarray(np.concatenate([state, pulled], axis=1) @ self.carried + shaken)
+
+
+def halfway(x: Array, v: Array, step: float) -> tuple[Array, Array]:
+    """Motion half-way between samples, (K, ...) of (K + 1, ...): cubic, from places and velocities.
+
+    Returns
+    -------
+    place, velocity : (K, ...), in, in/s
+    """
+    place = 0.5 * (x[:-1] + x[1:]) + 0.125 * step * (v[:-1] - v[1:])
+    velocity = 1.5 / step * (x[1:] - x[:-1]) - 0.25 * (v[:-1] + v[1:])
+    return place, velocity

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.response.building import Building, Device
 from mfd_bayes.response.damping import damping_matrix
 from mfd_bayes.response.devices import Dampers
@@ -13,6 +14,7 @@ from mfd_bayes.response.draws import no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.integration import integrate
 from mfd_bayes.response.modes import modes_of
+from mfd_bayes.response.pace import spare_halvings
 from mfd_bayes.response.schema import Damping, Limits
 from mfd_bayes.response.settling import Accuracy, settle
 from mfd_bayes.response.structures import Skeleton
@@ -149,3 +151,50 @@ def test_a_draw_that_runs_away_is_named():
     found = settle(building, shaking(peak=1e9), pushing, Accuracy(halvings=1))
     assert found.unstable[0]
     assert np.all(np.isfinite(found.peaks.drift[~found.unstable]))
+
+
+def quiet_after(samples=200, loud=100):
+    """Shaking that falls to a fiftieth."""
+    ground = shaking(samples, peak=300.0)
+    fade = np.where(np.arange(samples) < loud, 1.0, 0.02)
+    return replace(ground, acceleration=ground.acceleration * fade)
+
+
+def test_steps_are_longer_where_forces_bend_little():
+    building, ground = shear_building(2, devices(2)), quiet_after()
+    spare = spare_halvings(building, ground, bouc_wen(4, 2))
+    assert spare[:95].mean() < 0.5 < 1.0 < spare[150:].mean()
+    assert set(spare) <= {0, 1, 2}
+    yielding = shear_building(2, devices(2), yields=25.0)
+    assert not spare_halvings(yielding, ground, bouc_wen(4, 2)).any()
+
+
+def test_uneven_steps_give_the_history_of_even_ones():
+    building, ground, dampers = shear_building(2, devices(2)), quiet_after(), bouc_wen(4, 2)
+    parts = np.maximum(8 >> spare_halvings(building, ground, dampers), 1)
+    uneven = integrate(building, ground, dampers, parts)
+    even = integrate(building, ground, dampers, 8)
+    assert np.unique(parts).size > 1
+    assert np.all(uneven.peaks.change_from(even.peaks) < 2e-3)
+    assert np.allclose(uneven.residual, even.residual, atol=2e-3 * np.abs(even.drifts).max())
+    assert np.allclose(uneven.drifts, even.drifts, atol=4e-3 * np.abs(even.drifts).max())
+    assert uneven.imbalance.max() < 1e-3
+    assert uneven.step == pytest.approx(ground.step / 8)
+
+
+def test_peaks_of_force_are_looked_for_within_steps_too(monkeypatch, benchmark_module):
+    row_of = benchmark_module("response.cases").three_stage_row
+    rng, shape = np.random.default_rng(5), (6, 1)
+    theta = np.array([[row_of(rng, 8.0)] for _ in range(6)])
+    dampers = Dampers(ThreeStage(), theta, np.full(shape, 0.5), np.full(shape, 8.0))
+    building, ground = shear_building(1, devices(1)), shaking(peak=300.0)
+    fine = integrate(building, ground, dampers, 32).peaks.force
+
+    def error():
+        force = integrate(building, ground, dampers, 2).peaks.force
+        return np.abs(force / fine - 1.0).mean()
+
+    within = error()
+    at_ends = "mfd_bayes.response.integration._Mover._middle"
+    monkeypatch.setattr(at_ends, lambda mover, before, state, force, step: force)
+    assert within < 0.7 * error()

@@ -16,6 +16,10 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
+MANY = 500
+"""Dampers from which those that slip are left out of the blend; of fewer, choosing takes longer."""
+
+
 @dataclass(frozen=True, eq=False)
 class Gaps:
     """Parameters of the gaps, (n,) each; `early` and `late` are d2/ℓ and D/ℓ.
@@ -49,18 +53,23 @@ class Gaps:
 
 
 class Places(NamedTuple):
-    """State of each gap, (n,) each; see `friction.gap.Crossing`."""
+    """State of each gap, (n,) each; see `friction.gap.Crossing`.
+
+    `origin` is where the travel since the last slip is 0, in.
+    """
 
     side: Array
     edge: Array
     carry: Array
+    origin: Array
 
     @classmethod
     def begun(cls, gaps: Gaps, displacement: Array, direction: Array, start: Array) -> Places:
         """State before the first turning point; `start` is the place in the gap."""
         behind = np.where(direction > 0, start, 1.0 - start)
         edge = displacement - behind * gaps.width
-        return cls(direction.astype(np.float64), edge, np.zeros(edge.size))
+        side = direction.astype(np.float64)
+        return cls(side, edge, np.zeros(edge.size), _origin(gaps, side, edge))
 
     def chosen(self, rows: Rows) -> Places:
         """Those of some dampers."""
@@ -71,10 +80,13 @@ class Places(NamedTuple):
         pairs = zip(self, new, strict=True)
         return Places(*(with_rows(column, rows, values) for column, values in pairs))
 
-    def travel(self, gaps: Gaps, displacement: Array) -> Array:
+    def travel(self, displacement: Array) -> Array:
         """Travel u since the last slip, (n,), in."""
-        origin = np.where(self.side > 0, self.edge, self.edge + gaps.width)
-        return np.asarray(self.side * (displacement - origin))
+        return np.asarray(self.side * (displacement - self.origin))
+
+
+def _origin(gaps: Gaps, side: Array, edge: Array) -> Array:
+    return np.where(side > 0, edge, edge + gaps.width)
 
 
 def turned(gaps: Gaps, before: Places, at: Array, direction: Array, slip: Array) -> Places:
@@ -85,7 +97,7 @@ def turned(gaps: Gaps, before: Places, at: Array, direction: Array, slip: Array)
     """
     edge = np.minimum(np.maximum(before.edge, at - gaps.width), at)
     slipped = (edge == at) | (edge == at - gaps.width)
-    u = before.travel(gaps, at)
+    u = before.travel(at)
     left = gaps.build_up * (slip - direction * gaps.jump)
     soon = slipped & (u < gaps.width + SATURATED * gaps.transition)
     if soon.any():
@@ -93,21 +105,23 @@ def turned(gaps: Gaps, before: Places, at: Array, direction: Array, slip: Array)
         left = np.where(soon, left + blended(gaps, clean, at, slip) - slip, left)
     faded = 1.0 - np.tanh(np.abs(u) * (0.5 / gaps.transition))
     carry = np.where(slipped, faded * before.carry + left, before.carry)
-    return Places(np.where(slipped, direction, before.side), edge, carry)
+    side = np.where(slipped, direction, before.side)
+    return Places(side, edge, carry, _origin(gaps, side, edge))
 
 
 def blended(gaps: Gaps, places: Places, displacement: Array, slip: Array) -> Array:
     """Force of the three stages, (n,), kip, of the force F1 in slip; see `friction.gap.blend`."""
-    u = places.travel(gaps, displacement)
+    u = places.travel(displacement)
     reach = SATURATED * gaps.transition
-    rows = np.flatnonzero((u <= gaps.width + reach) & (u >= -reach))
-    if not rows.size:
-        return slip
-    if rows.size < 0.7 * u.size:
-        force = slip.copy()
-        force[rows] = _blend(gaps.chosen(rows), places.chosen(rows), u[rows], slip[rows])
-        return force
-    return _blend(gaps, places, np.clip(u, -reach, None), slip)
+    if u.size > MANY:
+        (rows,) = ((u <= gaps.width + reach) & (u >= -reach)).nonzero()
+        if not rows.size:
+            return slip
+        if rows.size < 0.7 * u.size:
+            force = slip.copy()
+            force[rows] = _blend(gaps.chosen(rows), places.chosen(rows), u[rows], slip[rows])
+            return force
+    return _blend(gaps, places, np.maximum(u, -reach), slip)
 
 
 def _blend(gaps: Gaps, places: Places, u: Array, slip: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,9 +30,29 @@ class Bristles:
     Fc_bwd: Array
     v_s: Array
 
+    @cached_property
+    def drag(self) -> Array:
+        """Viscous force over the velocity, σ1 + σ2."""
+        return self.sigma1 + self.sigma2
+
+    @cached_property
+    def steady(self) -> tuple[Array, Array, Array, Array]:
+        """Bristles' deflection in slow motion is `a` less than at rest by `b`: a, b of each way.
+
+        The order is a forward, b forward, a backward, b backward; in.
+        """
+        stiff = np.maximum(self.sigma0, FLOOR)
+        pairs = (self.Fs_fwd, self.Fc_fwd), (self.Fs_bwd, self.Fc_bwd)
+        kinetic = [np.maximum(kinetic, FLOOR) for _, kinetic in pairs]
+        excess = [np.maximum(s - k, 0.0) for (s, _), k in zip(pairs, kinetic, strict=True)]
+        forward, backward = ((k / stiff, e / stiff) for k, e in zip(kinetic, excess, strict=True))
+        return *forward, *backward
+
     def chosen(self, rows: Rows) -> Bristles:
         """Those of some dampers."""
-        return Bristles(*(column[rows] for column in vars(self).values()))
+        some = Bristles(*(getattr(self, name)[rows] for name in NAMES))
+        some.__dict__["steady"] = tuple(column[rows] for column in self.steady)
+        return some
 
     def scaled(self, scales: Scales) -> Bristles:
         """Those under a changed actuation."""
@@ -43,6 +64,9 @@ class Bristles:
             return self
         pairs = {f.name: (getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
         return Bristles(**{name: 0.5 * (a + b) for name, (a, b) in pairs.items()})
+
+
+NAMES = tuple(field.name for field in fields(Bristles))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +165,7 @@ class PaperBank:
         slip, z = _relaxed(before, middle, way, turns.share * dt, np.zeros(rows.size), self.z[rows])
         bristles = self.bristles
         if middle is not before or bristles is not self.base:
-            bristles = with_state(bristles, vars(bristles), rows, middle)
+            bristles = with_state(bristles, NAMES, rows, middle)
         moved = self.moved.copy()
         moved[rows] |= way != 0.0
         return replace(
@@ -180,7 +204,7 @@ class PaperBank:
         if self.gaps is None or self.places is None or not back.any():
             return self.places
         places = self.places
-        rows = np.flatnonzero(back & self.moved)
+        (rows,) = (back & self.moved).nonzero()
         if rows.size:
             new = turned(
                 self.gaps.chosen(rows),
@@ -190,7 +214,7 @@ class PaperBank:
                 self.slip[rows],
             )
             places = places.replaced(rows, new)
-        rows = np.flatnonzero(back & ~self.moved)
+        (rows,) = (back & ~self.moved).nonzero()
         if rows.size:
             at = self.displacement[rows], direction[rows], self.start[rows]
             places = places.replaced(rows, Places.begun(self.gaps.chosen(rows), *at))
@@ -204,7 +228,7 @@ class PaperBank:
             places = places.replaced(rows, part.places)
         bristles = self.bristles
         if bristles is not self.base or part.bristles is not part.base:
-            bristles = with_state(bristles, vars(bristles), rows, part.bristles)
+            bristles = with_state(bristles, NAMES, rows, part.bristles)
         moved = with_state(self, names, rows, part)
         return replace(moved, places=places, bristles=bristles)
 
@@ -239,19 +263,18 @@ def _relaxed(
     """Force F1 and deflection z after a step, (n,) kip and in; see `bristles.slip_force`."""
     middle = before.midway(after)
     backward = way < 0.0
-    static = np.where(backward, middle.Fs_bwd, middle.Fs_fwd)
-    kinetic = np.maximum(np.where(backward, middle.Fc_bwd, middle.Fc_fwd), FLOOR)
+    kinetic_fwd, excess_fwd, kinetic_bwd, excess_bwd = middle.steady
     # the deflection that the bristles approach: sgn(v) g(v)/σ0
-    excess = np.maximum(static - kinetic, 0.0)
-    steady = kinetic + excess * np.exp(-((way / (dt * middle.v_s)) ** 2))
-    steady /= np.maximum(middle.sigma0, FLOOR)
+    steady = np.where(backward, excess_bwd, excess_fwd)
+    steady *= np.exp(-np.square(way / (dt * middle.v_s)))
+    steady += np.where(backward, kinetic_bwd, kinetic_fwd)
     step = np.where(way == 0.0, NO_STEP, way)
-    target = np.where(backward, -steady, steady)
+    target = np.copysign(steady, step)
     z = target + np.exp(-np.abs(step) / steady) * (z - target)
     rate = np.abs(velocity) / steady * after.sigma1
     if before is not after:  # where the actuation fell while at rest, σ0 |z|/g is limited
         most = np.maximum(np.maximum(after.Fs_fwd, after.Fs_bwd), FLOOR)
         most = most / np.maximum(np.minimum(after.Fc_fwd, after.Fc_bwd), FLOOR)
         rate *= np.minimum(1.0, most / np.maximum(np.abs(z) / steady, 1e-300))
-    slip = (after.sigma0 - rate) * z + (after.sigma1 + after.sigma2) * velocity
+    slip = (after.sigma0 - rate) * z + after.drag * velocity
     return slip, z

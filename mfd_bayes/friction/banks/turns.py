@@ -26,7 +26,7 @@ def turns_within(x: Array, v: Array, x_next: Array, v_next: Array, dt: float) ->
     As `records.motion.vertices`: where the velocity changes its sign it is taken as linear in time;
     steps that do not fit such a motion have no vertex.
     """
-    rows = np.flatnonzero(v * v_next < 0)
+    (rows,) = (v * v_next < 0).nonzero()
     if not rows.size:
         return Turns(rows, np.empty(0), np.empty(0))
     x, v, x_next, v_next = x[rows], v[rows], x_next[rows], v_next[rows]
