@@ -18,11 +18,8 @@ from mfd_bayes.errors import MfdError
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float]
 
-CHECKED = 2
-"""Number of other noises that a test is fitted under."""
-
-ORDER = ("ou", "staged", "iid")
-"""Other noises are taken in this order."""
+FIRST = ("ou", "staged", "iid")
+"""Other noises are taken in this order, then the rest."""
 
 HALF = 0.5
 """Share of its 95 % interval by which a quantity may move."""
@@ -75,7 +72,8 @@ def moves(own: Sequence[float], other: Sequence[float]) -> bool:
 
 def other_noises(noise: str) -> tuple[str, ...]:
     """Noises under which a test with this noise is fitted again."""
-    return tuple(name for name in ORDER if name != noise and name in NOISES)[:CHECKED]
+    ordered = dict.fromkeys((*FIRST, *NOISES))
+    return tuple(name for name in ordered if name != noise and name in NOISES)
 
 
 def fit_other(

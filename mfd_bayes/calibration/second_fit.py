@@ -20,6 +20,7 @@ from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.map_fit import (
     Mode,
     ascend,
+    find_modes,
     is_same,
     laplace_covariance,
     prior_scale,
@@ -52,6 +53,9 @@ PARTS = 4
 
 STARTS = 3
 """Draws of the first fit from which modes are climbed to."""
+
+SEARCHED = 6
+"""Points from which modes are searched before walkers are sent: the first fit's may be minor."""
 
 TRIED = 64
 """Prior draws of what the first fit does not have, of which each start takes the best."""
@@ -119,9 +123,14 @@ def fit_again(
 
 
 def _walked(
-    posterior: Posterior, modes: Sequence[Mode], k: float, rng: np.random.Generator
+    posterior: Posterior, near: Sequence[Mode], k: float, rng: np.random.Generator
 ) -> SecondFit:
-    """Draws of walkers, all with the same weight."""
+    """Draws of walkers, all with the same weight; from modes anywhere, not only near the draws."""
+    modes = list(near)
+    for mode in find_modes(posterior, rng, starts=SEARCHED):
+        if not any(is_same(mode, other) for other in modes):
+            modes.append(mode)
+    modes.sort(key=lambda mode: -mode.log_prob)
     chains = sample_density(posterior.log_prob, modes, WALK, rng)
     if not chains.convergence.worst_r_hat <= APART:
         raise FitError("neither weighted draws nor walkers settled")

@@ -56,8 +56,9 @@ def test_a_quantity_moves_by_more_than_half_its_interval_or_leaves_it(own, other
     assert moves(own, other) is expected
 
 
-def test_ou_is_the_first_of_the_others_and_is_checked_by_two():
-    assert other_noises("ou") == ("staged", "iid")
+def test_a_test_is_fitted_under_every_other_noise_ou_first():
+    assert other_noises("ou") == ("staged", "iid", "student_t")
+    assert all(set(other_noises(noise)) == set(NOISES) - {noise} for noise in NOISES)
     for noise in set(NOISES) - {"ou"}:
         assert other_noises(noise)[0] == "ou"
         assert noise not in other_noises(noise)
@@ -103,7 +104,7 @@ def test_a_noise_without_priors_is_an_error_of_its_fit_alone(tmp_path):
     parameters = {k: v for k, v in file.parameters.items() if k != "noise_build"}
     task = task_of(priors=replace(file, parameters=parameters))
     assert calibrate_test(task, tmp_path, lambda _: None).error == ""
-    staged, iid = load_test(tmp_path / "a.nc").facts["other_noises"]
+    staged, iid, _ = load_test(tmp_path / "a.nc").facts["other_noises"]
     assert "no prior for noise_build" in staged["error"]
     assert staged["quantities"] == {}
     assert iid["quantities"]

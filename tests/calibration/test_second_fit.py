@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration import second_fit
+from mfd_bayes.calibration.map_fit import Mode
 from mfd_bayes.calibration.second_fit import AT_ONCE, BY_WALKERS, fit_again
 from mfd_bayes.errors import FitError
 
@@ -85,9 +86,31 @@ def test_the_same_seed_gives_the_same_bits():
     assert not np.array_equal(fit(3).q, fit(4).q)
 
 
-def test_walkers_are_sent_where_the_weights_fail(monkeypatch):
+@pytest.fixture
+def weights_fail(monkeypatch):
+    """Fits whose weights are never trusted; a search of modes finds those of the list."""
+    modes = []
     monkeypatch.setattr(second_fit, "LARGEST_K", -np.inf)
     monkeypatch.setattr(second_fit, "ROUNDS", 1)
+    monkeypatch.setattr(second_fit, "find_modes", lambda posterior, rng, starts: tuple(modes))
+    return modes
+
+
+@pytest.mark.parametrize("searched", [True, False])
+def test_walkers_start_at_better_modes_than_those_near_the_first_fit(weights_fail, searched):
+    near, far = Normal(0.0, 0.2), Normal(-6.0, 0.2)
+
+    class Both(Normal):
+        def log_prob(self, q):
+            return np.logaddexp(near.log_prob(q) - 12.0, far.log_prob(q))
+
+    if searched:
+        weights_fail.append(Mode(far.mean, 0.0, far.covariance))
+    found = fit_again(Both(0, 1), named(0.2 * first_draws()), np.random.default_rng(1))
+    assert np.median(found.q[:, 0]) == pytest.approx(-6.0 if searched else 0.0, abs=0.2)
+
+
+def test_walkers_are_sent_where_the_weights_fail(weights_fail):
     rng = np.random.default_rng(1)
     found = fit_again(Normal(3.0, 0.2), named(first_draws()), rng)
     assert found.how == BY_WALKERS
