@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 ActuationUnit = Literal["ksi", "kip"]
 
-SMALLEST, LARGEST = 1e-20, 1e10
-"""Range of the sizes of a force or a pressure, kip or ksi, other than 0."""
+SMALLEST, LARGEST = 1e-20, 1e10  # sizes of a force or a pressure, kip or ksi, other than 0
 
 GRAVITY = 386.0886
 """Standard acceleration of gravity, in/s²."""
@@ -59,13 +58,12 @@ _SPELLINGS = {
     **dict.fromkeys(("msec", "msecs"), "ms"),
     **dict.fromkeys(("IN", "In", "inch"), "in"),
     **dict.fromkeys(("FT", "Ft", "foot", "feet"), "ft"),
-    "MM": "mm",
-    "CM": "cm",
+    **{word.upper(): word for word in ("mm", "cm")},
     **dict.fromkeys(("lb", "Lb", "LB", "lbs", "lbf", "pound", "pounds"), "lbf"),
     **dict.fromkeys(("kip", "kips"), "kip"),
     **dict.fromkeys(("KN", "Kn", "kn"), "kN"),
-    **dict.fromkeys(("KPA", "Kpa", "kpa"), "kPa"),
     **dict.fromkeys(("MPA", "Mpa"), "MPa"),
+    **dict.fromkeys(("KPA", "Kpa", "kpa"), "kPa"),
     **dict.fromkeys(("psi", "psig"), "psi"),
     **{word: word for word in ("klbf", "ksi", "psf", "bar", "deg")},
 }
@@ -190,19 +188,8 @@ def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
     UnitError
         When it is not a number and a unit of that dimension.
     """
-    value, unit = _split(text, of)
+    value, unit = split_quantity(text, of=of)
     return value * factor(unit, dimension, of=of or f"{text!r}")
-
-
-def split_quantity(text: str, *, of: str = "") -> tuple[float, str]:
-    """Number and unit of ``"518.7 mm^2"``, whatever the unit measures.
-
-    Raises
-    ------
-    UnitError
-        When it is not a number and a unit.
-    """
-    return _split(text, of)
 
 
 def parse_mass(text: str, *, of: str = "") -> float:
@@ -213,8 +200,7 @@ def parse_mass(text: str, *, of: str = "") -> float:
     UnitError
         When it is neither.
     """
-    unit = _split(text, of)[1]
-    if measure(unit) == "force":
+    if measure(split_quantity(text, of=of)[1]) == "force":
         return parse_quantity(text, "force", of=of) / GRAVITY
     return parse_quantity(text, "mass", of=of)
 
@@ -227,7 +213,7 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     UnitError
         When it is not a number and a unit of pressure or force, or is negative.
     """
-    value, unit = _split(text, of)
+    value, unit = split_quantity(text, of=of)
     if value < 0:
         raise UnitError(f"actuation must not be negative, got {text!r}")
     scale, internal = actuation_factor(unit, of=of or f"{text!r}")
@@ -240,25 +226,14 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     return level, internal
 
 
-def parse_window(text: str, *, of: str = "") -> tuple[float, float]:
-    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages.
+def split_quantity(text: str, *, of: str = "") -> tuple[float, str]:
+    """Number and unit of ``"518.7 mm^2"``, whatever the unit measures.
 
     Raises
     ------
     UnitError
-        When it is not two times, the first before the second.
+        When it is not a number and a unit.
     """
-    parts = text.split(" to ")
-    if len(parts) != 2:
-        raise UnitError(f"{of or 'a window'} reads '0 s to 60 s', got {text!r}")
-    start, end = (parse_quantity(part, "time", of=of) for part in parts)
-    if not start < end:
-        raise UnitError(f"{of or 'a window'} must end after it starts, got {text!r}")
-    return start, end
-
-
-def _split(text: str, of: str) -> tuple[float, str]:
-    """Split a quantity into its number and its unit."""
     # The time of matching grows with the square of the number of blanks.
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     text = text if len(text) <= _LONGEST else f"{text[:40]}…"
@@ -311,9 +286,8 @@ def _spelled(word: str) -> str:
 
 def _measure(parsed: Any) -> str:
     """Name of the dimension of pint's unit."""
-    registry = _registry()
     for dimension in DIMENSIONS.values():
-        if parsed.dimensionality == registry.get_dimensionality(dimension.unit):
+        if parsed.dimensionality == _registry().get_dimensionality(dimension.unit):
             return dimension.measure
     return str(parsed.dimensionality).replace("[", "").replace("]", "")
 

@@ -4,13 +4,13 @@ import sys
 import pytest
 
 from mfd_bayes.errors import UnitError
+from mfd_bayes.records.clock import parse_window
 from mfd_bayes.units import (
     DIMENSIONS,
     factor,
     measure,
     parse_actuation,
     parse_quantity,
-    parse_window,
     same_unit,
 )
 

@@ -19,18 +19,13 @@ from mfd_bayes.campaign.schema import (
 )
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.population.laws import complete_laws
+from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.roles import header_unit
 from mfd_bayes.records.sources import Source, Subtracted
-from mfd_bayes.units import (
-    ActuationUnit,
-    actuation_factor,
-    measure,
-    parse_actuation,
-    parse_window,
-)
+from mfd_bayes.units import ActuationUnit, actuation_factor, measure, parse_actuation
 
 _PARTS = ("minus_mass", "tare", "arm", "measured_at")  # of a source, with these keys
 

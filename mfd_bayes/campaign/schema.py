@@ -23,8 +23,9 @@ from mfd_bayes.campaign.tolerances import DEFAULTS
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws
+from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers.bounds import COLUMNS, NAME
-from mfd_bayes.units import parse_actuation, parse_quantity, parse_window
+from mfd_bayes.units import parse_actuation, parse_quantity
 
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]
 Role = Literal["calibrate", "validate"]

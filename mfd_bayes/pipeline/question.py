@@ -14,11 +14,12 @@ from mfd_bayes.pipeline.outputs import (
     known,
     table_with,
 )
+from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.harmonic import parse_sine
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SMALL_SYSTEMS, SYSTEMS
-from mfd_bayes.units import parse_quantity, parse_window
+from mfd_bayes.units import parse_quantity
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""

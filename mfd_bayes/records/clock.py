@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.errors import RecordError
+from mfd_bayes.errors import RecordError, UnitError
 from mfd_bayes.records.motion import Array
+from mfd_bayes.units import parse_quantity
 
 SAMPLES = 20  # fewest samples that a record, or a window of it, may have
 GAP = 10.0  # a step longer than this many median steps is a gap in time
@@ -121,3 +122,20 @@ def clock_of(time: Array) -> Clock:
     jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
     pauses = int(np.count_nonzero(steps > PAUSE * median))
     return Clock(1 / (median if jitter > JITTER else step), jitter, pauses, float(steps.max()))
+
+
+def parse_window(text: str, *, of: str = "") -> tuple[float, float]:
+    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages.
+
+    Raises
+    ------
+    UnitError
+        When it is not two times, the first before the second.
+    """
+    parts = text.split(" to ")
+    if len(parts) != 2:
+        raise UnitError(f"{of or 'a window'} reads '0 s to 60 s', got {text!r}")
+    start, end = (parse_quantity(part, "time", of=of) for part in parts)
+    if not start < end:
+        raise UnitError(f"{of or 'a window'} must end after it starts, got {text!r}")
+    return start, end

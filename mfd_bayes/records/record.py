@@ -20,6 +20,7 @@ from mfd_bayes.records.clock import (
     check_increasing,
     clock_of,
     longest_piece,
+    parse_window,
 )
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import read_table
@@ -29,7 +30,7 @@ from mfd_bayes.records.roles import ROLES
 from mfd_bayes.records.signals import in_words, signals_of, sources_of, unused_of
 from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import ActuationUnit, parse_actuation, parse_window
+from mfd_bayes.units import ActuationUnit, parse_actuation
 
 Window = tuple[float, float]
 

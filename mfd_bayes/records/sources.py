@@ -12,17 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.errors import RecordError, UnitError
+from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import unit_of
-from mfd_bayes.units import (
-    factor,
-    measure,
-    parse_mass,
-    parse_quantity,
-    parse_window,
-    split_quantity,
-)
+from mfd_bayes.units import factor, measure, parse_mass, parse_quantity, split_quantity
 
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
 _ORDER = 3  # of the polynomial of the differentiator
