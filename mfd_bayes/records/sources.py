@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.clock import parse_window
+from mfd_bayes.records.clock import check_increasing, parse_window
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import unit_of
@@ -167,6 +167,7 @@ def take_off(
         signal = signal - _subtracted(table, role, source.minus, raw)
     if source.minus_mass:
         mass = parse_mass(source.minus_mass, of=f"minus_mass of {of}")
+        check_increasing(table.path, signals["time"], table.place)
         signal = signal - mass * acceleration(signals["time"], signals["displacement"])
     if " to " in source.tare:
         start, end = parse_window(source.tare)

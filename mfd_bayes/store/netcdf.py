@@ -251,7 +251,8 @@ def _read_group(group: h5py.Group) -> xr.Dataset:
             dims = [scale.rpartition("/")[2] for scale in scales]
             about = {key: data.attrs[key] for key in data.attrs.keys() - _OF_FORMAT}
             variables[name] = (dims, data[()], about)
-    return xr.decode_cf(xr.Dataset(variables, attrs=dict(group.attrs)), decode_times=False)
+    raw = xr.Dataset(variables, attrs=dict(group.attrs))
+    return xr.decode_cf(raw, decode_times=False).load()  # damaged scales fail here, not later
 
 
 @contextmanager

@@ -63,6 +63,14 @@ def test_inertia_is_taken_off(tmp_path, mass):
     assert np.max(np.abs(force_of(path) - FRICTION)) > 2.0
 
 
+@pytest.mark.parametrize("factor", [0.0, 5e-324])
+def test_inertia_needs_times_that_increase(tmp_path, factor):
+    time = TIME * factor
+    path = written(tmp_path, time_s=time, stroke_mm=TRAVEL, load_N=FRICTION + INERTIA)
+    with pytest.raises(RecordError, match=r"time in .*a\.csv"):
+        force_of(path, minus_mass="3 kg")
+
+
 def test_the_acceleration_is_that_of_the_motion_in_spite_of_noise_and_uneven_times():
     rng = np.random.default_rng(2)
     time = np.sort(TIME + rng.uniform(-0.2, 0.2, TIME.size) / 200.0)

@@ -3,6 +3,7 @@ import json
 import warnings
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -310,3 +311,11 @@ def test_json_of_some_depth_and_any_script_is_read(tmp_path):
     content = {"a": [[[[{"Größe": "\U0001f600"}]]]]}
     (tmp_path / "manifest.json").write_text(json.dumps(content))
     assert read_json(tmp_path / "manifest.json") == content
+
+
+def test_a_scale_that_is_a_text_is_damage_of_the_file(tmp_path):
+    path = save(tmp_path / "a.nc")
+    with h5py.File(path, "r+") as file:
+        next(iter(file["posterior"].values())).attrs["scale_factor"] = "kip"
+    with pytest.raises(StoreError, match=r"a\.nc"):
+        load_test(path)
