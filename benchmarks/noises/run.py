@@ -8,7 +8,7 @@ their 95 % intervals must overlap between noises, or the run must note that they
 read off the loop must lie inside the interval, or there is a note. A second fit must agree with the
 calibration under its noise: no median off by half an interval or more without the same verdict.
 Exit status 1: a limit was missed. Posteriors are kept in FOLDER, so that a second call goes on; the
-records come from --data (MFD_BAYES_DATA, ../shared/data). It takes about ten minutes.
+records come from --data (MFD_BAYES_DATA, ../shared/data). It takes about half an hour.
 """
 
 from __future__ import annotations
