@@ -71,6 +71,12 @@ def test_inertia_needs_times_that_increase(tmp_path, factor):
         force_of(path, minus_mass="3 kg")
 
 
+def test_inertia_needs_as_many_samples_as_any_record(tmp_path):
+    some = {"time_s": TIME[:3], "stroke_mm": TRAVEL[:3], "load_N": FRICTION[:3]}
+    with pytest.raises(RecordError, match="3 samples; at least"):
+        force_of(written(tmp_path, **some), minus_mass="3 kg")
+
+
 def test_the_acceleration_is_that_of_the_motion_in_spite_of_noise_and_uneven_times():
     rng = np.random.default_rng(2)
     time = np.sort(TIME + rng.uniform(-0.2, 0.2, TIME.size) / 200.0)
