@@ -95,7 +95,7 @@ def integrate(
     way = -np.sign(ground.acceleration[np.flatnonzero(ground.acceleration)[0]])
     begin = dampers.towards(way * (building.travels @ building.influence))
     devices = Devices.at_rest(begin, building.storeys[strong], building.yields[strong])
-    mover = _Mover.of(building, frame, devices)
+    mover = _Mover.of(building, frame, devices, ground.step / int(counts.max()))
     ledger = Ledger.of(frame, ground, devices, kept)
     state = np.zeros((dampers.draws, 2 * building.freedoms))
     moment = Moment(0.0, ground.acceleration[0], state, devices, devices.force, devices.force)
@@ -134,6 +134,7 @@ class _Mover:
     """Moves all draws by a step; counts what went wrong."""
 
     frame: Frame
+    shortest: float
     rest: Array
     tolerance: Array
     slope: Array
@@ -144,13 +145,13 @@ class _Mover:
     steps: int = 0
 
     @classmethod
-    def of(cls, building: Building, frame: Frame, devices: Devices) -> _Mover:
+    def of(cls, building: Building, frame: Frame, devices: Devices, shortest: float) -> _Mover:
         n, m = devices.dampers.draws, devices.dampers.count
         scale = np.empty((n, len(frame.places)))
         scale[:, :m] = devices.dampers.slip
         scale[:, m:] = building.yields[np.isfinite(building.yields)]
         no, slope = np.zeros(n, dtype=bool), np.zeros(scale.shape)
-        return cls(frame, devices.force, CLOSE * scale, slope, no, np.zeros(n))
+        return cls(frame, shortest, devices.force, CLOSE * scale, slope, no, np.zeros(n))
 
     def move(self, before: Moment, ground: float, step: Step) -> Moment:
         """The moment a step later."""
@@ -172,11 +173,12 @@ class _Mover:
     def _middle(self, before: Moment, state: Array, force: Array, step: Step) -> Array:
         """Forces half-way: they bend within a step, most at the end of a gap and at a turn.
 
-        They are looked at for peaks, and do not change the motion. Behind a brace, whose share of
-        the travel would have to be found too, they are the mean of those at the ends.
+        They are looked at for peaks, and do not change the motion. They are the mean of those at
+        the ends in longer steps, where forces bend little, and behind a brace, whose share of the
+        travel would have to be found too.
         """
         n = self.frame.building.freedoms
-        if step.braced:
+        if step.braced or step.size > self.shortest:
             return 0.5 * (before.force + force)
         ends = np.stack([before.state, state])
         place, velocity = (

@@ -182,8 +182,10 @@ class PaperBank:
         """State after a straight way of each damper, each in its own time, (n,) s."""
         way = displacement - self.displacement
         back = way * self.direction < 0
-        direction = np.where(back, -self.direction, self.direction)
-        places = self._places(back, direction)
+        direction, places = self.direction, self.places
+        if back.any():
+            direction = np.where(back, -direction, direction)
+            places = self._places(back, direction)
         slip, z = _relaxed(self.bristles, after, way, dt, velocity, self.z)
         return PaperBank(
             self.base,
@@ -201,7 +203,7 @@ class PaperBank:
 
     def _places(self, back: NDArray[np.bool_], direction: Array) -> Places | None:
         """Gaps after the dampers that go `back` have turned, or begun the other way."""
-        if self.gaps is None or self.places is None or not back.any():
+        if self.gaps is None or self.places is None:
             return self.places
         places = self.places
         (rows,) = (back & self.moved).nonzero()
@@ -268,7 +270,7 @@ def _relaxed(
     steady = np.where(backward, excess_bwd, excess_fwd)
     steady *= np.exp(-np.square(way / (dt * middle.v_s)))
     steady += np.where(backward, kinetic_bwd, kinetic_fwd)
-    step = np.where(way == 0.0, NO_STEP, way)
+    step = way + NO_STEP  # never 0
     target = np.copysign(steady, step)
     z = target + np.exp(-np.abs(step) / steady) * (z - target)
     rate = np.abs(velocity) / steady * after.sigma1
