@@ -8,11 +8,15 @@ from typing import Any
 from mfd_bayes.planning.advice import Advice, Row, Together
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.goal import AT_MOTIONS, GAP
+from mfd_bayes.planning.grid import typical_of
 from mfd_bayes.planning.study import CURVE, TOGETHER
 from mfd_bayes.runs.systems import System
 
 LITTLE = 0.01
 """A test that is expected to narrow the band by less than this share is not worth the frame."""
+
+FEW = 2
+"""Motions of a goal that are named in its sentence."""
 
 _SURE = 1.96  # errors of a 95 % interval
 
@@ -39,8 +43,11 @@ def goal_words(advice: Advice, system: System, unit: str) -> str:
         return what
     if not goal.at:
         return f"{what} over the campaign's range"
-    given = [p.actuation for p in goal.at if p.actuation is not None]
-    return f"{what} at {system.words(given, unit, actuation=True)}" if given else what
+    places = goal.places(typical_of(advice.tests))
+    names = list(dict.fromkeys(candidate_words(place, system, unit) for place in places))
+    if len(names) <= FEW:
+        return f"{what} at {' and '.join(names)}"
+    return f"{what} at {len(names)} places from {names[0]} to {names[-1]}"
 
 
 def advice_sentence(advice: Advice, system: System, unit: str) -> str:

@@ -63,8 +63,16 @@ class Goal:
     session: str = ""
 
     def places(self, typical: Sequence[Candidate]) -> list[Candidate]:
-        """Motions and actuations that it is about; the typical ones where it names none."""
-        return [parts.completed(typical[0]) for parts in self.at] or list(typical)
+        """Motions and actuations that it is about; the typical ones where it names none.
+
+        A motion without an actuation is one at each typical actuation.
+        """
+        found = [
+            parts.completed(one)
+            for parts in self.at
+            for one in (typical if parts.actuation is None else typical[:1])
+        ]
+        return found or list(typical)
 
     @property
     def words(self) -> str:

@@ -1,10 +1,14 @@
 """Goals in words."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from mfd_bayes.assessment.next_test import goal_words
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.goal import Goal, parse_goal
+from mfd_bayes.runs.systems import US
 
 
 def test_goals_are_read():
@@ -22,6 +26,33 @@ def test_a_goal_without_places_is_about_the_range():
     assert Goal().places(typical) == typical
     (place,) = parse_goal("band at 800 psi", "ksi").places(typical)
     assert place == Candidate(0.8, 0.5, 1.0)
+
+
+def test_a_goal_at_a_motion_alone_is_about_that_motion_at_every_level():
+    typical = [Candidate(0.0, 0.5, 1.0), Candidate(1.0, 0.5, 1.0)]
+    places = parse_goal("energy at 0.2 in", "ksi").places(typical)
+    assert places == [Candidate(0.0, 0.5, 0.2), Candidate(1.0, 0.5, 0.2)]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("band", "the 95 % band over the campaign's range"),
+        ("gap", "the 95 % interval of the width of the gap"),
+        (
+            "energy at 1 ksi, 0.5 Hz, 1 in",
+            "the 95 % interval of the energy per cycle at 1000 psi, 0.5 Hz, 1 in",
+        ),
+        (
+            "band at 0.2 in",
+            "the 95 % band at 5 places from 500 psi, 0.5 Hz, 0.2 in to 1500 psi, 0.5 Hz, 0.2 in",
+        ),
+    ],
+)
+def test_the_goals_words_name_its_motions(text, words):
+    tests = (Candidate(0.5, 0.5, 1.0), Candidate(1.5, 0.5, 1.0))
+    advice = SimpleNamespace(goal=parse_goal(text, "ksi"), tests=tests)
+    assert goal_words(advice, US, "ksi") == words
 
 
 @pytest.mark.parametrize(
