@@ -24,7 +24,7 @@ from mfd_bayes.assessment.views import (
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, SMALL_SYSTEMS
+from mfd_bayes.runs.systems import SI, systems_beside
 from mfd_bayes.runs.verdict import Use, Verdict
 
 
@@ -75,7 +75,7 @@ def put_together(
         judgements=judged,
         warnings=warnings,
         metric=run.system.name == SI.name,
-        small=run.system in SMALL_SYSTEMS,
+        systems=systems_beside(run.system),
         tested=run.tested,
     )
 

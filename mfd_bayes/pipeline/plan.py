@@ -44,7 +44,7 @@ from mfd_bayes.runs.manifest import (
     TestSettings,
     check_readable,
 )
-from mfd_bayes.runs.systems import System, is_small, sized, system_of
+from mfd_bayes.runs.systems import System
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -106,9 +106,7 @@ class Plan:
     def system(self) -> System:
         """System of units of the records, of the size of their forces."""
         traces = [*(task.trace for task in self.tasks), *self.held_out.values()]
-        small = is_small(float(np.max(np.abs(t.force))) for t in traces if t.force is not None)
-        own = system_of(entry.unit for entry in self.manifest.tests.values())
-        return sized(own, small=small)
+        return self.manifest.system_of(traces)
 
 
 def plan_campaign(path: Path, options: Options) -> Plan:

@@ -28,7 +28,7 @@ from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.scales import scales_of
 from mfd_bayes.records.together import Tested
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
-from mfd_bayes.runs.systems import System, is_small, named_system, sized, system_of
+from mfd_bayes.runs.systems import System, named_system, system_of
 from mfd_bayes.store.files import write_text
 
 
@@ -149,8 +149,12 @@ def _reworded(inspection: Inspection, record: Record, system: System) -> Inspect
 def system_of_records(records: Iterable[Record], units: str = "") -> System:
     """System of units of a name, else the one that fits the records' own units and sizes."""
     known = list(records)
-    small = is_small(float(np.max(np.abs(r.force))) for r in known if r.force is not None)
-    own = sized(system_of(r.columns["displacement"][1] for r in known), small=small)
+    measured = [r.columns.get("actuation", ("", "")) for r in known]
+    own = system_of(
+        (r.columns["displacement"][1] for r in known),
+        (float(np.max(np.abs(r.force))) for r in known if r.force is not None),
+        (r.given_actuation or {"unit": m[1]} for r, m in zip(known, measured, strict=True)),
+    )
     return named_system(units, own)
 
 

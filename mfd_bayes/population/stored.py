@@ -22,6 +22,9 @@ _WIDEST = 40.0
 _FARTHEST = 1e6
 """Largest coordinate in prior units; no draw is larger."""
 
+_Scale = Annotated[float, Field(ge=1e-12, le=_FARTHEST)]
+"""Quotients of scales stay finite."""
+
 _Near = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
 _Shape = Annotated[float, Field(ge=-_WIDEST, le=_WIDEST)]
 _Name = Annotated[str, AfterValidator(lambda name: _known(name, sampled_quantities()))]
@@ -54,8 +57,8 @@ class _Effect(Part):
 
 
 class _Basis(Part):
-    shortest: Annotated[float, Field(gt=0, le=1e10)]
-    longest: Annotated[float, Field(gt=0, le=1e10)]
+    shortest: Annotated[float, Field(ge=1e-12, le=1e10)]
+    longest: Annotated[float, Field(ge=1e-12, le=1e10)]
 
 
 class _Residual(Part):
@@ -63,8 +66,8 @@ class _Residual(Part):
     mean: Annotated[list[_Near], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
     covariance: Annotated[list[list[_Near]], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
     log_shape: Annotated[list[_Shape], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
-    slip_force: Annotated[float, Field(gt=0, le=1e10)]
-    noise_time: Annotated[float, Field(gt=0, le=1e10)]
+    slip_force: Annotated[float, Field(ge=1e-12, le=1e10)]
+    noise_time: Annotated[float, Field(ge=1e-12, le=1e10)]
     information: Annotated[float, Field(gt=0, le=1)]
 
     @model_validator(mode="after")
@@ -78,19 +81,19 @@ class _Residual(Part):
 
 class _Facts(Part):
     names: Annotated[list[_Name], Field(min_length=1)]
-    speed: Annotated[float, Field(gt=0, le=1e10)]
+    speed: Annotated[float, Field(ge=1e-12, le=1e10)]
     centre: list[_Near]
-    spread: list[Annotated[float, Field(gt=0, le=_FARTHEST)]]
+    spread: list[_Scale]
     laws: dict[_Name, str]
     weights: dict[_Name, dict[_Law, Annotated[float, Field(ge=0, le=1)]]]
     groups: list[str]
     member: list[Index]
-    scatter_sd: list[Positive]
-    reference: Annotated[float, Field(gt=0, le=1e10)]
+    scatter_sd: list[_Scale]
+    reference: Annotated[float, Field(ge=1e-12, le=1e10)]
     settings: Annotated[list[_Setting], Field(min_length=1)]
     effects: list[_Effect]
     dependence: dict[_Name, list[_Covariate]]
-    covariate_reference: dict[_Covariate, Positive]
+    covariate_reference: dict[_Covariate, _Scale]
     actuation_unit: Literal["ksi", "kip"]
     walkers: Annotated[int, Field(ge=1)]
     r_hat: list[Figure]

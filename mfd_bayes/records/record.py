@@ -65,6 +65,8 @@ class Record:
         Which piece of the file this is, where time has a gap.
     fit : (float, float), s, or None
         Window that `trace` takes by default.
+    given_actuation : str
+        The constant actuation in the words in which it was given; "" where there is none.
     """
 
     path: Path
@@ -81,6 +83,7 @@ class Record:
     derived: dict[str, str] = field(default_factory=dict)
     gap: str = ""
     fit: Window | None = None
+    given_actuation: str = ""
 
     @property
     def rate(self) -> float:
@@ -227,6 +230,7 @@ def read_record(
         derived=in_words(sources),
         gap=gap,
         fit=window,
+        given_actuation=actuation or "",
     )
     _check_motion(record)
     return record

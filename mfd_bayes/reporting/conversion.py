@@ -22,7 +22,7 @@ from mfd_bayes.assessment.views import (
     TruthRow,
 )
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import US, System, systems_for
+from mfd_bayes.runs.systems import US, System
 from mfd_bayes.runs.tested import Span
 
 _FIGURES = (
@@ -37,7 +37,7 @@ AnyRow = TypeVar("AnyRow", Row, NoiseRow, DerivedRow, ReadingRow, TruthRow, Desi
 
 def shown_in(view: CampaignView) -> System:
     """System of units of the figures of a report: the campaign's own."""
-    return systems_for(small=view.small)[view.metric]
+    return view.systems[view.metric]
 
 
 def in_system(view: CampaignView, system: System) -> CampaignView:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mfd_bayes.assessment.views import Array, CampaignView, TestView
 from mfd_bayes.reporting.colours import BANDS, DATA, SKY
-from mfd_bayes.runs.systems import System, systems_for
+from mfd_bayes.runs.systems import System
 
 SAMPLES = 1500
 """Most samples of a test in the plot: a screen cannot show more."""
@@ -46,7 +46,7 @@ def explore(view: CampaignView) -> Explorer:
 
     library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
     most = max(FEWEST, min(SAMPLES, ALL // max(1, len(view.tests))))
-    systems = systems_for(small=view.small)
+    systems = view.systems
     data = {
         "systems": {
             s.name: {"length": s.length, "force": s.force, "by": [s.factor("in"), s.factor("kip")]}

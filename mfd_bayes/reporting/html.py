@@ -39,7 +39,7 @@ from mfd_bayes.reporting.explorer import explore
 from mfd_bayes.reporting.figure_data import table_of
 from mfd_bayes.reporting.forms import ONE_PAGE
 from mfd_bayes.reporting.glossary import read_glossary
-from mfd_bayes.runs.systems import System, systems_for
+from mfd_bayes.runs.systems import System
 
 Pair = tuple[System, System]
 """Customary and metric system of units."""
@@ -81,7 +81,7 @@ def render(view: CampaignView, images: Mapping[str, bytes]) -> dict[str, str]:
         a picture that is not given is left out.
     """
     whole = len(view.tests) <= ONE_PAGE
-    environment, shared = page_environment(systems_for(small=view.small)), _shared(view)
+    environment, shared = page_environment(view.systems), _shared(view)
     explorer = explore(view) if view.tests else None
     shown = {key: png for key, png in images.items() if whole or not key.startswith("tests/")}
     pages = {

@@ -58,7 +58,7 @@ def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:
     environment.filters["shown"] = _shown
     pictures = {name: embedded_picture(name, png) for name, png in images.items()}
     template = environment.get_template("response.html.j2")
-    return template.render(view=view, pictures=pictures, policy=policy_of())
+    return template.render(view=view, systems=SYSTEMS, pictures=pictures, policy=policy_of())
 
 
 def _shown(value: float, unit: str, *, bare: bool = False) -> Markup:

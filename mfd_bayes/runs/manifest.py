@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
+import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from mfd_bayes.calibration.effort import Effort
@@ -18,9 +19,11 @@ from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.inference import InferenceSettings
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.runs.results import CampaignCrossValidation, Comparison
+from mfd_bayes.runs.systems import System, system_of
 from mfd_bayes.store.files import json_text, read_json, write_json
 from mfd_bayes.store.schema import Figure, Index, Part, Positive, Three, check
 
@@ -78,6 +81,12 @@ class TestSettings(Part):
     fit: Any = None
     session: str = ""
     columns: Any = None
+
+    @property
+    def given_actuation(self) -> object:
+        """The actuation in words, or the column that has it, as the campaign gives it."""
+        columns = self.columns if isinstance(self.columns, Mapping) else {}
+        return self.actuation or columns.get("actuation")
 
 
 class Settings(Part):
@@ -180,6 +189,14 @@ class Manifest(Part):
     def content(self) -> Mapping[str, Any]:
         """All keys of its file, also those that this version does not know."""
         return self._content
+
+    def system_of(self, traces: Iterable[Trace]) -> System:
+        """System of units of the records, fit for the size of the forces of their traces."""
+        return system_of(
+            (entry.unit for entry in self.tests.values()),
+            (float(np.max(np.abs(t.force))) for t in traces if t.force is not None),
+            (self.settings.tests[name].given_actuation for name in self.tests),
+        )
 
     def changed(self, **parts: Any) -> Self:
         """The manifest with changed keys."""

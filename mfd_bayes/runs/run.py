@@ -31,7 +31,7 @@ from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, rec
 from mfd_bayes.runs.folder import POPULATION, check_stored
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.systems import System, is_small, sized, system_of
+from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given
@@ -102,8 +102,7 @@ class Run:
     def system(self) -> System:
         """System of units that most records were measured in, of the size of their forces."""
         traces = [*(test.trace for test in self.tests.values()), *self.held_out.values()]
-        small = is_small(float(np.max(np.abs(t.force))) for t in traces if t.force is not None)
-        return sized(system_of(entry.unit for entry in self.manifest.tests.values()), small=small)
+        return self.manifest.system_of(traces)
 
     @cached_property
     def tested(self) -> tuple[Span, ...]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import convert, factor, in_digits
+from mfd_bayes.units import convert, factor, in_digits, split_quantity
 
 _TOKEN = re.compile(r"[A-Za-z]+")
 
 SMALL = 0.2
 """Devices whose largest force, kip, is below this are shown in lbf or N."""
+
+PRESSURES = frozenset({"bar", "kPa"})
+"""Metric units of pressure that a report keeps where all actuations are in one of them."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,11 @@ class System:
     def velocity(self) -> str:
         """Unit of velocities."""
         return f"{self.length}/s"
+
+    @property
+    def small(self) -> bool:
+        """Whether forces are in lbf or N."""
+        return self.force in (US_SMALL.force, SI_SMALL.force)
 
     def unit(self, internal: str) -> str:
         """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
@@ -111,19 +119,10 @@ SYSTEMS = (US, SI)
 SMALL_SYSTEMS = (US_SMALL, SI_SMALL)
 
 
-def systems_for(*, small: bool) -> tuple[System, System]:
-    """Customary and metric system for devices of small forces, or of others."""
-    return SMALL_SYSTEMS if small else SYSTEMS
-
-
-def is_small(forces: Iterable[float]) -> bool:
-    """Whether a device is shown in lbf or N, by the largest force of each record, kip."""
-    return 0.0 < max(forces, default=0.0) < SMALL
-
-
-def sized(system: System, *, small: bool) -> System:
-    """The system of the same name for devices of small forces, or of others."""
-    return next(one for one in systems_for(small=small) if one.name == system.name)
+def systems_beside(own: System) -> tuple[System, System]:
+    """Customary and metric system for the same device, one of which is `own`."""
+    customary, metric = SMALL_SYSTEMS if own.small else SYSTEMS
+    return (customary, own) if own.name == metric.name else (customary, metric)
 
 
 def named_system(name: str, own: System) -> System:
@@ -134,7 +133,7 @@ def named_system(name: str, own: System) -> System:
     UnitError
         When the name is unknown.
     """
-    for system in systems_for(small=own in SMALL_SYSTEMS):
+    for system in systems_beside(own):
         if system.name == name:
             return system
     if name:
@@ -142,10 +141,38 @@ def named_system(name: str, own: System) -> System:
     return own
 
 
-def system_of(units: Iterable[str]) -> System:
-    """System of units that most records were measured in, by their units of length."""
-    metric = sum(1 if _is_metric(unit) else -1 for unit in units)
-    return SI if metric > 0 else US
+def system_of(
+    lengths: Iterable[str], forces: Iterable[float] = (), actuations: Iterable[object] = ()
+) -> System:
+    """System of units that records were measured in, fit for the size of their forces.
+
+    Parameters
+    ----------
+    lengths : iterable of str
+        Unit of displacement of each record: what most are in decides.
+    forces : iterable of float, kip
+        Largest force of each record: where all are below `SMALL`, forces are in lbf or N.
+    actuations : iterable of object
+        Actuation of each test as the campaign gives it, "7 bar" or a mapping with a "unit":
+        metric pressures are in bar or kPa where all are.
+    """
+    small = 0.0 < max(forces, default=0.0) < SMALL
+    metric = sum(1 if _is_metric(unit) else -1 for unit in lengths) > 0
+    system = (SMALL_SYSTEMS if small else SYSTEMS)[metric]
+    units = {_unit_of(actuation) for actuation in actuations}
+    if metric and len(units) == 1 and units <= PRESSURES:
+        return replace(system, pressure=units.pop())
+    return system
+
+
+def _unit_of(actuation: object) -> str:
+    """Unit of an actuation as a campaign gives it; "" where it gives none."""
+    if isinstance(actuation, Mapping):
+        return str(actuation.get("unit") or "")
+    try:
+        return split_quantity(str(actuation))[1]
+    except UnitError:
+        return ""
 
 
 @cache

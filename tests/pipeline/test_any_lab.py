@@ -73,7 +73,7 @@ def test_a_folder_of_a_logger_says_at_each_step_what_is_next(devices, run, tmp_p
     assert "mfd-bayes init CAMPAIGN.TOML writes it" in said("inspect", campaign, code=2)
     assert f"look next: mfd-bayes prior-check {campaign}" in said("init", campaign)
     campaign.write_text(campaign.read_text().replace('"3 bar"', '"7 bar"'))
-    assert " 0.7 MPa\n" in said("inspect", campaign, "-o", tmp_path)
+    assert " 7 bar\n" in said("inspect", campaign, "-o", tmp_path)
 
 
 def test_priors_of_a_device_hold_its_truth_and_its_force(devices, tmp_path):

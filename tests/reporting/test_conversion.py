@@ -6,7 +6,7 @@ import pytest
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import in_system
-from mfd_bayes.runs.systems import SI, US, system_of
+from mfd_bayes.runs.systems import SI, SI_SMALL, US, named_system, system_of, systems_beside
 from mfd_bayes.units import convert
 
 
@@ -50,6 +50,37 @@ def test_units_of_different_kinds_are_not_converted():
 )
 def test_most_records_decide_the_system(units, expected):
     assert system_of(units) is expected
+
+
+@pytest.mark.parametrize(
+    ("actuations", "pressure"),
+    [
+        (("3 bar", "5 bar"), "bar"),
+        (("300 kPa", {"name": "p", "unit": "kPa"}), "kPa"),
+        (("3 bar", "500 kPa"), "MPa"),
+        (("40 psi",), "MPa"),
+        (("5 MPa", {"name": "p", "unit": None}), "MPa"),
+        (("200 N",), "MPa"),
+        ((None, "three bar", 3.0), "MPa"),
+        ((), "MPa"),
+    ],
+)
+def test_a_metric_pressure_is_in_the_unit_of_the_campaign(actuations, pressure):
+    system = system_of(["mm"], [2.0], actuations)
+    assert system == replace(SI, pressure=pressure)
+    assert system_of(["in"], [2.0], actuations) == US
+    assert systems_beside(system) == (US, system)
+    assert named_system("si", system) == system
+    assert named_system("us", system) == US
+
+
+def test_a_report_in_bar_has_stiffness_per_bar():
+    system = system_of(["mm"], [0.01], ["3 bar"])
+    assert system == replace(SI_SMALL, pressure="bar")
+    trace = Trace.from_arrays(np.arange(30.0), np.arange(30.0), 0.3 / 6.894757)
+    assert system.actuation(trace, "ksi") == "3 bar"
+    assert system.unit("kip/in/ksi") == "N/mm/bar"
+    assert system.factor("kip/in/ksi") == pytest.approx(SI_SMALL.factor("kip/in/ksi") / 10.0)
 
 
 def test_actuations_in_words():

@@ -12,6 +12,7 @@ from mfd_bayes.assessment.views.test import Row, ScoreRow, TestView
 from mfd_bayes.planning.advice import Advice
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.results import ComparisonRow
+from mfd_bayes.runs.systems import SYSTEMS, System
 from mfd_bayes.runs.tested import Span
 from mfd_bayes.runs.verdict import Use
 
@@ -113,8 +114,8 @@ class CampaignView:
         What records and results gave cause to warn of.
     metric : bool
         Whether the records, and so the report, are in metric units.
-    small : bool
-        Whether forces are small, so that the report is in lbf or N.
+    systems : pair of System
+        Customary and metric units of the page, fit for the size of the device's forces.
     tested : tuple of Span
         Smallest and largest stroke, speed, frequency and actuation of the calibrated tests.
     next_test : Advice or None
@@ -142,6 +143,6 @@ class CampaignView:
     judgements: tuple[Judgement, ...] = ()
     warnings: tuple[Finding, ...] = ()
     metric: bool = False
-    small: bool = False
+    systems: tuple[System, System] = SYSTEMS
     tested: tuple[Span, ...] = ()
     next_test: Advice | None = None

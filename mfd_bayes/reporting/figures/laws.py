@@ -12,11 +12,12 @@ from mfd_bayes.assessment.views import Fan, LawView
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
+from mfd_bayes.runs.systems import PRESSURES
 from mfd_bayes.units import percent
 
 _ACTUATION = {
     "ksi": "pressure, ksi",
-    "MPa": "pressure, MPa",
+    **{unit: f"pressure, {unit}" for unit in ("MPa", *PRESSURES)},
     "kip": "band tension, kip",
     "kN": "band tension, kN",
 }
