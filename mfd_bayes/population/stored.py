@@ -14,7 +14,7 @@ from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.travel import KNOTS
-from mfd_bayes.store.schema import Figure, Index, Part, Positive, check
+from mfd_bayes.store.schema import Figure, Index, Part, check
 
 _WIDEST = 40.0
 """Largest scatter over its half-normal scale; no draw is larger."""
@@ -68,7 +68,7 @@ class _Residual(Part):
     log_shape: Annotated[list[_Shape], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
     slip_force: Annotated[float, Field(ge=1e-12, le=1e10)]
     noise_time: Annotated[float, Field(ge=1e-12, le=1e10)]
-    information: Annotated[float, Field(gt=0, le=1)]
+    information: Annotated[float, Field(ge=1e-12, le=1)]
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:
