@@ -139,7 +139,7 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
             if not building.devices:
                 raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
             each = [answer(building.at_level(float(level))) for level in levels[0]]
-            sweep = sweep_of(*levels, each, query.quantity, query.goal, query.seed)
+            sweep = sweep_of(levels, each, query.quantity, query.goal, query.seed)
     view = view_of(run, response, sweep, query, system)
     _write(response, sweep, view, query, system)
     return Found(response, sweep, view, query.folder / "report.html")

@@ -112,7 +112,8 @@ def respond(
     bare, plain = [
         [_reference(f) for f in found[len(blocks) + i * size :][:size]] for i in range(2)
     ]
-    return Response.of(building, grounds, dampers, settled, bare, plain, accuracy.tolerance)
+    histories = list(zip(settled, bare, plain, strict=True))
+    return Response.of(building, grounds, dampers, histories, accuracy.tolerance)
 
 
 def _parts(dampers: Dampers) -> Iterator[NDArray[np.intp]]:

@@ -134,12 +134,14 @@ class Response:
         building: Building,
         grounds: Sequence[Ground],
         dampers: Dampers,
-        settled: Sequence[Settled],
-        bare: Sequence[Reference],
-        plain: Sequence[Reference],
+        found: Sequence[tuple[Settled, Reference, Reference]],
         tolerance: float,
     ) -> Response:
-        """Response out of the histories of each ground motion."""
+        """Response out of the histories of each ground motion.
+
+        `found` has, for each, the draws' histories, that without dampers, and that with springs.
+        """
+        settled, bare, plain = zip(*found, strict=True)
         peaks = [s.peaks for s in settled]
         change = np.stack([s.change for s in settled], axis=1)
         unstable = np.stack([s.unstable for s in settled], axis=1)
@@ -162,8 +164,8 @@ class Response:
             np.stack([s.imbalance for s in settled], axis=1),
             change,
             np.stack([s.steps for s in settled], axis=1),
-            tuple(bare),
-            tuple(plain),
+            bare,
+            plain,
             tolerance,
         )
 
@@ -208,29 +210,30 @@ class Response:
             heights = self.building.heights
             if np.all(np.isfinite(heights)):
                 other = bare.drift / heights, plain.drift / heights
-                yield from self._table("drift ratio", g, storeys, "1", self.drift_ratio, other)
-            yield from self._table("drift", g, storeys, "in", self.drift, (bare.drift, plain.drift))
+                yield from self._table("drift ratio, 1", g, storeys, self.drift_ratio, other)
+            yield from self._table("drift, in", g, storeys, self.drift, (bare.drift, plain.drift))
             other = bare.acceleration, plain.acceleration
-            yield from self._table("acceleration", g, floors, "in/s^2", self.acceleration, other)
+            yield from self._table("acceleration, in/s^2", g, floors, self.acceleration, other)
             shear = np.array([bare.base_shear]), np.array([plain.base_shear])
             base = self.base_shear[..., None]
-            yield from self._table("base shear", g, ("base",), "kip", base, shear)
+            yield from self._table("base shear, kip", g, ("base",), base, shear)
             left = np.abs(bare.residual), np.abs(plain.residual)
             residual = np.abs(self.residual)
-            yield from self._table("residual drift", g, storeys, "in", residual, left)
-            yield from self._table("damper travel", g, names, "in", self.travel)
-            yield from self._table("damper force", g, names, "kip", self.force)
-            yield from self._table("damper energy", g, names, "kip*in", self.energy)
+            yield from self._table("residual drift, in", g, storeys, residual, left)
+            yield from self._table("damper travel, in", g, names, self.travel)
+            yield from self._table("damper force, kip", g, names, self.force)
+            yield from self._table("damper energy, kip*in", g, names, self.energy)
 
     def _table(
         self,
-        quantity: str,
+        what: str,
         g: int,
         places: Sequence[str],
-        unit: str,
         values: Array,
         others: tuple[Array, Array] | None = None,
     ) -> Iterator[Row]:
+        """Rows of "quantity, unit" in ground motion g, one for each place."""
+        quantity, unit = what.split(", ")
         used = values[self.usable(g), g]
         for i, place in enumerate(places):
             own = used[:, i]

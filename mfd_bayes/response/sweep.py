@@ -88,17 +88,19 @@ def parse_sweep(text: str) -> tuple[Array, str]:
 
 
 def sweep_of(
-    levels: Array, unit: str, responses: list[Response], quantity: str, goal: str, seed: int = 0
+    swept: tuple[Array, str], responses: list[Response], quantity: str, goal: str, seed: int = 0
 ) -> Sweep:
     """The best actuation among the levels, between which a parabola is drawn.
 
-    Draws are the same at every level, so that resampling them compares like with like.
+    `swept` is the levels and their unit, as `parse_sweep` has them. Draws are the same at every
+    level, so that resampling them compares like with like.
 
     Raises
     ------
     BuildingError
         When the quantity or the goal is unknown, or a limit is missing.
     """
+    levels, unit = swept
     limit = responses[0].building.limits
     known = {"drift": np.nan, "acceleration": np.nan}
     if quantity not in known:
