@@ -54,7 +54,7 @@ HOMES = {
     "pint": ("mfd_bayes.units",),
     "pydantic": (
         *("mfd_bayes.campaign.schema", "mfd_bayes.campaign.content"),
-        *("mfd_bayes.runs.manifest", "mfd_bayes.store.schema"),
+        *("mfd_bayes.runs.manifest", "mfd_bayes.runs.settings", "mfd_bayes.store.schema"),
         *("mfd_bayes.calibration.stored", "mfd_bayes.population.stored"),
         *("mfd_bayes.response.schema", "mfd_bayes.response.content"),
     ),

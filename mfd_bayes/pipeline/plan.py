@@ -35,15 +35,8 @@ from mfd_bayes.records.sources import Source
 from mfd_bayes.records.together import Tested
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
-from mfd_bayes.runs.manifest import (
-    FORMAT,
-    Entry,
-    Manifest,
-    Settings,
-    Status,
-    TestSettings,
-    check_readable,
-)
+from mfd_bayes.runs.manifest import FORMAT, Entry, Manifest, Status, check_readable
+from mfd_bayes.runs.settings import Settings, TestSettings
 from mfd_bayes.runs.systems import System
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")

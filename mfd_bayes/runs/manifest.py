@@ -4,41 +4,31 @@ from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.campaign.schema import Area, LawName, check_id
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.jobs.job import State
-from mfd_bayes.population.inference import InferenceSettings
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.runs.results import CampaignCrossValidation, Comparison
+from mfd_bayes.runs.settings import LAWS, Id, Settings
 from mfd_bayes.runs.systems import System, system_of
 from mfd_bayes.store.files import json_text, read_json, write_json
 from mfd_bayes.store.schema import Figure, Index, Part, Positive, Three, check
 
-Id = Annotated[str, AfterValidator(check_id)]
-LAWS = get_args(LawName)
-
 FORMAT = 1
 """Format number of a run folder, raised when older folders must be read in another way. Folders
 of the first version have no number, and their manifest no hashes."""
-
-
-def _known_law(name: str) -> str:
-    if name not in LAWS:
-        raise ValueError(f"must be one of {', '.join(LAWS)}")
-    return name
 
 
 class Status(StrEnum):
@@ -69,52 +59,6 @@ class Entry(Part):
     def filtered(self) -> bool:
         """Whether the record was low-passed for the fit."""
         return bool(self.rate and self.record_rate and self.rate < 0.999 * self.record_rate)
-
-
-class TestSettings(Part):
-    """What a campaign says of a test; file, columns and window are stored but not used."""
-
-    __test__ = False
-
-    file: Any = None
-    actuation: Any = None
-    fit: Any = None
-    session: str = ""
-    columns: Any = None
-
-    @property
-    def given_actuation(self) -> object:
-        """The actuation in words, or the column that has it, as the campaign gives it."""
-        columns = self.columns if isinstance(self.columns, Mapping) else {}
-        return self.actuation or columns.get("actuation")
-
-
-class Settings(Part):
-    """What a campaign specifies."""
-
-    model: str
-    noise: str
-    noise_check: bool | None = None
-    """Whether tests are fitted under other noises too; by default not where the effort is quick."""
-    start: Any = None
-    priors: str
-    laws: Mapping[str, Annotated[str, AfterValidator(_known_law)]]
-    dependence: Mapping[str, tuple[str, ...]] | None = None
-    tolerances: Mapping[str, Positive] | None = None
-    rate: Any = None
-    area: Area | None = None
-    actuation_unit: Literal["ksi", "kip"]
-    tests: Mapping[Id, TestSettings]
-
-    @property
-    def sessions(self) -> Mapping[str, str]:
-        """Session of each test, "" where it has none."""
-        return {name: test.session for name, test in self.tests.items()}
-
-    def inference(self, effort: str, seed: Sequence[int], jobs: int = 1) -> InferenceSettings:
-        """Settings of the inference of the population."""
-        dependence, unit = self.dependence or {}, self.actuation_unit
-        return InferenceSettings(self.laws, unit, effort, seed, dependence, self.sessions, jobs)
 
 
 class Truth(Part):

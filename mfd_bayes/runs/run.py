@@ -192,8 +192,7 @@ class Run:
         elif kind == THIS_TEST or test:
             name = this_test(self.tests, self.held_out, forecast, test)
             check_level(name, self.tests[name].trace, trace, self.actuation_unit)
-            own = self.tests[name].stored.values()
-            band = predictor.repeat(trace, forecast, own)
+            band = predictor.repeat(trace, forecast, self.tests[name].stored.values())
         else:
             band = predictor.predict(trace, forecast)
         remarks = (*self._remarks(trace, test), *band.remarks)
@@ -207,8 +206,7 @@ class Run:
         from mfd_bayes.runs.response import Source, respond_of_run
 
         model = next(iter(self.tests.values())).posterior.model
-        known = self.actuation_unit, self.tested, self.system
-        source = Source(self.population, model, *known)
+        source = Source(self.population, model, self.actuation_unit, self.tested, self.system)
         return respond_of_run(source, building, grounds, draws=draws, seed=seed, **settings)
 
     def follow(
@@ -281,8 +279,7 @@ class Run:
         """
         wanted = stored_wish(self.folder, self.manifest)
         wanted = with_given(wanted, self.manifest, goal, candidates, limits)
-        effort = Effort(draws, seed)
-        return next_test(self.population, self.tests, self.manifest, wanted, effort)
+        return next_test(self.population, self.tests, self.manifest, wanted, Effort(draws, seed))
 
     def _predictor(self) -> Predictor:
         some = next(iter(self.tests.values())).posterior

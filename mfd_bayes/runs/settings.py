@@ -1,0 +1,67 @@
+"""What a campaign specifies, as the manifest of its run has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import AfterValidator
+
+from mfd_bayes.campaign.schema import Area, LawName, check_id
+from mfd_bayes.population.inference import InferenceSettings
+from mfd_bayes.store.schema import Part, Positive
+
+Id = Annotated[str, AfterValidator(check_id)]
+LAWS = get_args(LawName)
+
+
+def _known_law(name: str) -> str:
+    if name not in LAWS:
+        raise ValueError(f"must be one of {', '.join(LAWS)}")
+    return name
+
+
+class TestSettings(Part):
+    """What a campaign says of a test; file, columns and window are stored but not used."""
+
+    __test__ = False
+
+    file: Any = None
+    actuation: Any = None
+    fit: Any = None
+    session: str = ""
+    columns: Any = None
+
+    @property
+    def given_actuation(self) -> object:
+        """The actuation in words, or the column that has it, as the campaign gives it."""
+        columns = self.columns if isinstance(self.columns, Mapping) else {}
+        return self.actuation or columns.get("actuation")
+
+
+class Settings(Part):
+    """What a campaign specifies."""
+
+    model: str
+    noise: str
+    noise_check: bool | None = None
+    """Whether tests are fitted under other noises too; by default not where the effort is quick."""
+    start: Any = None
+    priors: str
+    laws: Mapping[str, Annotated[str, AfterValidator(_known_law)]]
+    dependence: Mapping[str, tuple[str, ...]] | None = None
+    tolerances: Mapping[str, Positive] | None = None
+    rate: Any = None
+    area: Area | None = None
+    actuation_unit: Literal["ksi", "kip"]
+    tests: Mapping[Id, TestSettings]
+
+    @property
+    def sessions(self) -> Mapping[str, str]:
+        """Session of each test, "" where it has none."""
+        return {name: test.session for name, test in self.tests.items()}
+
+    def inference(self, effort: str, seed: Sequence[int], jobs: int = 1) -> InferenceSettings:
+        """Settings of the inference of the population."""
+        dependence, unit = self.dependence or {}, self.actuation_unit
+        return InferenceSettings(self.laws, unit, effort, seed, dependence, self.sessions, jobs)
