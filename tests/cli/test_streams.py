@@ -1,4 +1,8 @@
-"""Standard streams that are full, closed or broken end a command with one sentence and exit 2."""
+"""Standard streams that are full, closed or broken end a command with one sentence and exit 2.
+
+Every command here is a process of its own. Most have the real command line and streams, but in
+place of the module that works one that takes no seconds to import.
+"""
 
 import os
 import subprocess
@@ -7,8 +11,46 @@ from pathlib import Path
 
 import pytest
 
-COMMAND = (sys.executable, "-m", "mfd_bayes")
+WHOLE = (sys.executable, "-m", "mfd_bayes")
 FULL = Path("/dev/full")
+STATES = pytest.mark.parametrize("state", ["full", "closed", "broken"])
+
+DRIVER = """\
+import sys
+from types import ModuleType, SimpleNamespace
+
+import mfd_bayes.pipeline
+from mfd_bayes.cli.commands import main
+from mfd_bayes.errors import StoreError
+from mfd_bayes.runs.verdict import Verdict
+
+
+def check(out, units):
+    if not out.exists():
+        raise StoreError(f"{out} is not a run folder")
+    found = SimpleNamespace(
+        subject="a", name="R-hat", target="k3", value=1.2, limit="1", tolerance=0.1,
+        verdict=Verdict.FAIL,
+    )
+    return SimpleNamespace(
+        checks=(found,) * 300, warnings=(), judgements=(), sentence="It failed."
+    )
+
+
+commands = ModuleType("mfd_bayes.pipeline.commands")
+commands.check = check
+commands.fails = lambda view: True
+sys.modules[commands.__name__] = mfd_bayes.pipeline.commands = commands
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory):
+    """Words that start the command without its work: every run folder has failed."""
+    driver = tmp_path_factory.mktemp("driver") / "driver.py"
+    driver.write_text(DRIVER)
+    return sys.executable, str(driver)
 
 
 @pytest.fixture(scope="module")
@@ -18,9 +60,8 @@ def stored(tmp_path_factory, benchmark_module):
     return folder
 
 
-def ran(words, number, state, tmp_path):
+def ran(command, number, state, other):
     """A command whose stream of that number is in some state: exit code, and the other stream."""
-    other = tmp_path / "other.txt"
 
     def prepare():
         if state == "closed":
@@ -36,50 +77,71 @@ def ran(words, number, state, tmp_path):
         streams = {"stdout": file, "stderr": subprocess.DEVNULL} if number == 2 else {}
         streams = streams or {"stdout": subprocess.DEVNULL, "stderr": file}
         done = subprocess.run(
-            [*COMMAND, *map(str, words)], preexec_fn=prepare, check=False, timeout=120, **streams
+            [str(word) for word in command],
+            preexec_fn=prepare,
+            check=False,
+            timeout=120,
+            **streams,
         )
     return done.returncode, other.read_text()
 
 
-COMMANDS = (
-    ("check", "{out}"),
-    ("--version",),
-    ("check", "--help"),
-)
+@pytest.fixture
+def other(tmp_path):
+    """File that takes what the other stream says."""
+    return tmp_path / "other.txt"
 
 
-@pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
-@pytest.mark.parametrize("state", ["full", "closed", "broken"])
-@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_an_output_that_takes_nothing_is_told_in_one_sentence(stored, tmp_path, words, state):
-    code, told = ran([word.format(out=stored) for word in words], 1, state, tmp_path)
+def cannot_be_printed(code, told):
     (sentence,) = told.splitlines()
     assert sentence.startswith("mfd-bayes: cannot write the output: ")
     assert code == 2
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
-@pytest.mark.parametrize("state", ["full", "closed", "broken"])
-def test_a_refusal_that_nobody_can_hear_goes_to_the_output(tmp_path, state):
-    code, told = ran(["check", tmp_path / "none"], 2, state, tmp_path)
+@STATES
+@pytest.mark.parametrize(
+    "words", [("check", "{out}"), ("--version",), ("check", "--help")], ids=" ".join
+)
+def test_an_output_that_takes_nothing_is_told_in_one_sentence(light, other, words, state):
+    words = [word.format(out=other.parent) for word in words]
+    cannot_be_printed(*ran([*light, *words], 1, state, other))
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
+def test_a_whole_check_whose_output_is_full_is_told_in_one_sentence(stored, other):
+    cannot_be_printed(*ran([*WHOLE, "check", stored], 1, "full", other))
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
+@STATES
+def test_a_refusal_that_nobody_can_hear_goes_to_the_output(light, other, state):
+    code, told = ran([*light, "check", other.parent / "none"], 2, state, other)
     (sentence,) = told.splitlines()
     assert "is not a run folder" in sentence
     assert code == 2
 
 
-@pytest.mark.parametrize("state", ["full", "closed", "broken"])
-def test_messages_that_nobody_asked_for_change_nothing(stored, tmp_path, state):
-    code, told = ran(["check", stored, "--quiet"], 2, state, tmp_path)
+def changes_nothing(code, told):
     assert code == 1  # its verdict
     assert told.count("\n") == 1
 
 
-def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(stored, tmp_path):
+@STATES
+def test_messages_that_nobody_asked_for_change_nothing(light, other, state):
+    changes_nothing(*ran([*light, "check", other.parent, "--quiet"], 2, state, other))
+
+
+def test_a_whole_check_needs_no_place_for_messages(stored, other):
+    changes_nothing(*ran([*WHOLE, "check", stored, "--quiet"], 2, "closed", other))
+
+
+def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(stored, other, tmp_path):
     motion = tmp_path / "m.csv"
     rows = "".join(f"{i / 10},{(-1) ** (i // 10) * (i % 10)}\n" for i in range(100))
     motion.write_text("time_s,displacement_in\n" + rows)
     words = ("predict", stored, "--motion", motion, "--actuation", "500 psi", "--extrapolate")
-    code, told = ran([*words, "-o", tmp_path / "b.csv"], 1, "closed", tmp_path)
+    code, told = ran([*WHOLE, *words, "-o", tmp_path / "b.csv"], 1, "closed", other)
     assert code == 2
     assert "cannot write the output: it is closed" in told
     assert (tmp_path / "b.csv").read_text().startswith("# equal-tailed")
