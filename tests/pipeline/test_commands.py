@@ -11,6 +11,7 @@ import sys
 import time
 import warnings
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.pipeline import calibration as execution
+from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
@@ -475,11 +477,8 @@ def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished_run):
     assert look.startswith(f"look next at {folder}/report.html")
 
 
-def test_report_remakes_the_report_without_sampling_and_quietly_says_the_verdict_alone(
-    copied, monkeypatch
-):
-    # the figures that all tests share are enough here
-    monkeypatch.setattr("mfd_bayes.reporting.publication.draw_test", lambda *_: iter(()))
+@pytest.mark.usefixtures("no_figures_of_tests")
+def test_report_remakes_the_report_without_sampling_and_quietly_says_the_verdict_alone(copied):
     sentence = json.loads((copied / "manifest.json").read_text())["verdicts"]["sentence"]
     stored = copied / "tests" / TESTS[0] / "posterior.nc"
     before = stored.stat().st_mtime_ns, hashlib.sha256(stored.read_bytes()).hexdigest()
@@ -525,6 +524,7 @@ def test_predict_writes_a_table_and_a_picture(out, motion, tmp_path):
     assert bands.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_predict_tells_what_derives_from_the_force(out, tmp_path):
     motion = tmp_path / "motion.csv"
     table = np.column_stack([TIME, MOTION, np.sign(np.gradient(MOTION))])
@@ -553,6 +553,7 @@ def test_predict_tells_what_derives_from_the_force(out, tmp_path):
     assert damping == pytest.approx(energy / np.pi**2, rel=2e-3)  # ω = π 1/s, X = 1 in
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_the_force_in_a_motions_file_is_not_taken_for_the_prediction(out, tmp_path):
     motion = tmp_path / "motion.csv"
     table = np.column_stack([TIME, MOTION, np.sign(np.gradient(MOTION))])
@@ -564,6 +565,7 @@ def test_the_force_in_a_motions_file_is_not_taken_for_the_prediction(out, tmp_pa
     assert rows["measured"].isna().all()
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_a_prediction_beyond_what_was_tested_is_told(out, run, motion, tmp_path):
     bands = tmp_path / "bands.csv"
     ask = ("predict", out, "--motion", motion, "-o", bands)
@@ -642,10 +644,11 @@ def test_bands_that_cannot_be_written_are_refused(out, motion, tmp_path):
     refused(here("predict", out, *ask), "bands.csv")
 
 
-def test_check_exits_by_the_verdicts(out):
+def test_check_exits_by_the_verdicts(out, monkeypatch):
     sentence = json.loads((out / "manifest.json").read_text())["verdicts"]["sentence"]
     verdicts = json.loads((out / "manifest.json").read_text())["verdicts"]
     failed = verdicts["campaign"] == "not usable"
+    monkeypatch.setattr(pipeline, "check", cache(pipeline.check))  # the same three times
     outcome = here("check", out)
     assert outcome.exit_code == (1 if failed else 0), outcome.output
     assert "R-hat" in outcome.stdout

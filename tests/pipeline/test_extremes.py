@@ -201,6 +201,7 @@ def odd(stored, tmp_path):
 
 
 @pytest.mark.parametrize("level", [1.45e-7, 1e-9], ids=["1 Pa", "1 µpsi"])
+@pytest.mark.usefixtures("no_figures_of_tests")
 def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(odd, level):
     out = odd(level)
     outcome = here("report", out)

@@ -13,6 +13,8 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
 from mfd_bayes.store.files import write_text
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 CAMPAIGN = """\
 [[test]]
 id = "p500"

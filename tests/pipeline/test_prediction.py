@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
+from mfd_bayes.pipeline import prediction, report
 
 TIME = np.arange(401) / 100.0
 
@@ -21,14 +22,20 @@ def out(finished_run) -> Path:
 
 
 @pytest.fixture(scope="module")
-def tested(out):
+def run(out):
+    return mb.open_run(out)
+
+
+@pytest.fixture(scope="module")
+def tested(run):
     """Tested range of the run, by condition."""
-    return {span.name: span for span in mb.open_run(out).tested}
+    return {span.name: span for span in run.tested}
 
 
 @pytest.fixture
-def ask(out, tmp_path):
-    """Outcome of a prediction into bands.csv, by its further options."""
+def ask(out, run, tmp_path, monkeypatch):
+    """Outcome of a prediction into bands.csv, by its further options; the run is opened once."""
+    monkeypatch.setattr(prediction, "open_run", lambda _: run)
 
     def predict(*options):
         arguments = ("predict", out, "--actuation", "700 psi", "-o", tmp_path / "bands.csv")
@@ -47,6 +54,7 @@ def written(path, amplitude, frequency, force=None):
     return path
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_far_outside_what_was_tested_it_refuses_without_extrapolate(ask, tested, tmp_path):
     stroke = tested["stroke"].highest
     motion = written(tmp_path / "fast.csv", 0.5 * stroke, 2.0)
@@ -70,6 +78,7 @@ def test_fifty_kip_are_not_three_hundred_pounds(ask, tmp_path, tested):
     assert "the actuation, 7252 psi, lies far outside" in refused.stderr
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_inside_what_was_tested_nothing_is_said(ask, tested, tmp_path):
     inside = ask("--motion", written(tmp_path / "slow.csv", 0.5 * tested["stroke"].highest, 0.5))
     assert inside.exit_code == 0, inside.output
@@ -89,6 +98,7 @@ def test_the_tested_range_is_in_the_report_with_its_picture(out, tested):
     assert fitted["stroke_in"].max() == pytest.approx(tested["stroke"].highest, rel=1e-5)
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_a_harmonic_motion_needs_no_file(ask, tmp_path, tested):
     amplitude = 0.5 * tested["stroke"].highest
     outcome = ask("--sine", f"{amplitude:g} in, 0.5 Hz, 3 cycles")
@@ -139,6 +149,7 @@ def test_compare_prints_coverage_and_error_and_keeps_every_measured_sample(ask, 
     assert (tmp_path / "bands_history.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_a_band_without_noise_is_compared_with_a_warning(ask, tmp_path, tested):
     motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5, 0.0 * TIME)
     assert "need --kind observation" in ask("--motion", motion, "--compare").stdout
@@ -151,6 +162,7 @@ def test_compare_needs_a_force(ask, tmp_path, tested):
     assert "column of the force" in outcome.stderr
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_a_motion_is_thinned_where_it_is_asked_for(ask, tmp_path, tested):
     motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
     assert ask("--motion", motion, "--rate", "50 Hz").exit_code == 0
@@ -173,6 +185,7 @@ def test_a_prediction_is_given_in_the_other_system_of_units(ask, tmp_path):
     assert ratio == pytest.approx(4.4482216, rel=1e-5)
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
     outcome = ask("--sine", "1 in, 0.5 Hz, 3 cycles", "--design", "--probability", 0.8)
     assert outcome.exit_code == 0, outcome.output
@@ -190,13 +203,16 @@ def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
         assert "not known" in rows.loc[(what, "another_device"), "note"]
 
 
-def test_a_report_is_asked_for_in_other_units_and_forms(out, monkeypatch):
+def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_path, monkeypatch):
     from mfd_bayes.reporting import publication
     from mfd_bayes.reporting.forms import Forms
 
+    benchmark_module("fuzz.runs").write_run(tmp_path / "out", small=True)
+    assessed = report.assess(mb.open_run(tmp_path / "out"))
+    monkeypatch.setattr(report, "assess", lambda _: assessed)  # the same for both
     seen = []
     monkeypatch.setattr(publication, "publish", lambda view, *more: seen.append((view, more[-1])))
-    command = ("report", str(out), "--units", "si", "--excel")
+    command = ("report", str(tmp_path / "out"), "--units", "si", "--excel")
     assert CliRunner().invoke(app, command).exit_code == 0
     assert CliRunner().invoke(app, command[:2]).exit_code == 0
     (metric, forms), (own, plain) = seen
