@@ -9,7 +9,7 @@ from mfd_bayes.assessment.views import Marginal
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.reporting.conversion import convert_test, shown_in
-from mfd_bayes.reporting.figures import laws
+from mfd_bayes.reporting.figures import laws, loops
 from mfd_bayes.reporting.figures.campaign import figures_of_test, shared_figures
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, stretches
 from mfd_bayes.reporting.figures.posteriors import draw_corner, draw_marginals, draw_truth
@@ -198,9 +198,11 @@ def test_tests_at_zero_are_drawn_inside_the_panel(campaign):
     assert plain.get_xlim()[0] == 0.0
 
 
-def test_more_tests_than_panels_are_announced(test_view):
-    figure = draw_overview("all", [test_view("a", samples=30)] * 61)
-    assert "first 60 of 61" in figure.get_suptitle()
+def test_more_tests_than_panels_are_announced(test_view, monkeypatch):
+    monkeypatch.setattr(loops, "PANELS", 4)
+    figure = draw_overview("all", [test_view("a", samples=30)] * 5)
+    assert "first 4 of 5" in figure.get_suptitle()
+    assert len([axes for axes in figure.axes if axes.lines]) == 4
 
 
 def test_one_colour_has_one_meaning():

@@ -63,6 +63,7 @@ def test_pages_show_it_as_text(hostile):
 
 def test_pages_that_show_what_turns_text_around_are_found(hostile, monkeypatch):
     monkeypatch.setattr(html, "_finalize", lambda value: value)
+    monkeypatch.setattr(html, "page_environment", html.page_environment.__wrapped__)  # made anew
     assert any(UNSEEN.search(page) for page in render(hostile, {}).values())
 
 
