@@ -65,6 +65,14 @@ def write_csv(path, table, header="time_s,displacement_in,force_kip"):
 
 
 @pytest.fixture
+def small_pictures(monkeypatch):
+    """An inspection has a picture of a few bytes, for tests that do not look at it."""
+    monkeypatch.setattr("mfd_bayes.reporting.figures.draw_inspection", lambda *_, **__: None)
+    png = b"\x89PNG\r\n\x1a\n" + bytes(25)
+    monkeypatch.setattr("mfd_bayes.reporting.figures.to_png", lambda _: png)
+
+
+@pytest.fixture
 def folder(tmp_path):
     """Campaign of one test, in a folder of its own."""
     home = tmp_path / "campaign"
@@ -138,6 +146,7 @@ def test_time_that_does_not_increase_is_named_by_line(folder):
     assert_refused(folder, "p500.csv", "line 30", "time", "does not increase")
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_of_a_time_with_a_gap_the_longest_piece_is_used_and_named_by_line(folder, tmp_path):
     table = signals()
     table[60:, 0] += 1.0
@@ -449,6 +458,7 @@ def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
     assert "negative work" not in outcome.stdout
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_inspect_warns_of_what_would_spoil_a_fit(folder, tmp_path):
     write_csv(folder / "p500.csv", faulty())
     for path in (folder / "p500.csv", folder / "campaign.toml"):
@@ -460,6 +470,7 @@ def test_inspect_warns_of_what_would_spoil_a_fit(folder, tmp_path):
     assert "warning" not in here("inspect", folder / "p500.csv", "-o", tmp_path / "look").stdout
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_inspect_tells_loops_and_peaks(folder, tmp_path):
     outcome = here("inspect", folder / "p500.csv", "-o", tmp_path / "look")
     facts = ("1: amplitude 1 in, frequency 0.5 Hz", "kip, samples at a peak: 1", "force offset")

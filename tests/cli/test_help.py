@@ -34,6 +34,11 @@ def ran(words, **variables):
     )
 
 
+def here(words, **variables):
+    """As `ran`, of the command line in this process."""
+    return CliRunner().invoke(app, words, prog_name="mfd-bayes", env={"COLUMNS": "80"} | variables)
+
+
 def help_of(*words):
     outcome = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "80"})
     assert outcome.exit_code == 0
@@ -122,14 +127,17 @@ def test_it_runs_as_a_module_too():
     ],
 )
 def test_a_mistyped_word_is_answered_with_a_suggestion(words, meant):
-    outcome = ran([COMMAND, *words])
-    assert outcome.returncode == 2
+    outcome = here(words)
+    assert outcome.exit_code == 2
     assert meant in re.split("Did you mean|Possible options", outcome.stderr)[1]
     assert "Traceback" not in outcome.stderr
 
 
 def test_a_word_like_no_command_gets_no_suggestion():
-    assert "Did you mean" not in ran([COMMAND, "xyzzy"]).stderr
+    outcome = ran([COMMAND, "xyzzy"])
+    assert (outcome.returncode, outcome.stdout) == (2, "")
+    assert "No such command" in outcome.stderr
+    assert "Did you mean" not in outcome.stderr
 
 
 # --- completion
@@ -160,9 +168,9 @@ def test_the_script_for_a_shell_is_printed(shell):
 def test_words_are_completed(words, found):
     line = f"mfd-bayes {words}"
     count = str(len(words.split()))
-    bash = ran([COMMAND], _MFD_BAYES_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=count)
+    bash = here([], _MFD_BAYES_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=count)
     assert set(bash.stdout.split()) == found
-    zsh = ran([COMMAND], _MFD_BAYES_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS=line)
+    zsh = here([], _MFD_BAYES_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS=line)
     offered = re.findall(r'^\s*"?\(?"?([\w-]+)"?:', zsh.stdout, re.MULTILINE)
     assert all(name in zsh.stdout for name in found)
     assert set(offered) <= found

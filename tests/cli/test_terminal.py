@@ -155,7 +155,7 @@ def screen_of(written, columns, lines):
 
 @pytest.mark.parametrize(("columns", "lines", "tests"), [(80, 24, 5), (200, 24, 5), (80, 12, 30)])
 def test_a_table_is_drawn_and_its_last_state_stays(terminal, columns, lines, tests):
-    one = terminal(columns, lines, tests)
+    one = terminal(columns, lines, tests, 0.5 / tests)
     written = one.read()
     assert one.process.wait(timeout=10) == 0
     screen = [line for line in screen_of(written, columns, 100) if line]
