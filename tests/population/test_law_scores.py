@@ -1,7 +1,7 @@
 """Comparison of laws by leaving out levels, against brute force; and free exponents."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +18,7 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
     stack,
 )
-from mfd_bayes.population.laws import SENSITIVITY
+from mfd_bayes.population.laws import LAWS, SENSITIVITY
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.setting import Setting
 
@@ -26,9 +26,24 @@ LEVELS = (0.5, 0.5, 0.8, 1.5)
 MANY = tuple(np.repeat([0.4, 0.6, 0.9, 1.4, 2.0], 2))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def campaign(priors, gaussian_test):
     return partial(make_campaign, priors, gaussian_test)
+
+
+@pytest.fixture(scope="module")
+def scored(campaign):
+    """Scores of a campaign by its exponent and levels, computed once."""
+    return cache(lambda *made: compare_laws(*campaign(*made)))
+
+
+@pytest.fixture(scope="module")
+def at_zero(campaign):
+    """A campaign with a test at zero, and its scores."""
+    layout, tests = campaign(levels=(0.5, 0.5, 0.8, 1.5), exponent=0.8)
+    tests = [replace(tests[0], mean=np.array([-1.2, 0.0])), *tests]
+    layout = replace(layout, settings=(Setting(0.0), *layout.settings))
+    return layout, tests, compare_laws(layout, tests)
 
 
 def make_campaign(
@@ -94,26 +109,29 @@ def brute_force(layout, tests, law, session_effect=False):
     told = np.all(value > 0, axis=0)  # where the law has a value
     means = np.where(told, np.log(np.where(told, value, 1.0)), 0.0) / layout.spread[k]
 
+    scatters, effects = (np.ravel(sds)[:, None, None] for sds in np.meshgrid(taus, omegas))
+    covariances = scatters**2 * np.eye(len(data)) + 1.0 + effects**2 * alike
+    covariances = noise + np.where(np.outer(told, told), covariances, np.eye(len(data)))
+
     def density(kept):
-        terms = []
-        for tau in taus:
-            for omega in omegas:
-                c = tau**2 * np.eye(len(data)) + 1.0 + omega**2 * alike
-                c = noise + np.where(np.outer(told, told), c, np.eye(len(data)))
-                normal = stats.multivariate_normal(cov=c[np.ix_(kept, kept)])
-                terms.append(np.atleast_1d(normal.logpdf((data - means)[:, kept])))
-        return special.logsumexp(terms) - np.log(np.size(terms))
+        away = (data - means)[:, kept]
+        root = np.linalg.cholesky(covariances[:, kept][:, :, kept])
+        white = np.linalg.solve(root, np.broadcast_to(away.T, (len(root), *away.T.shape)))
+        sizes = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)[:, None]
+        terms = -0.5 * np.sum(white**2, axis=1) - sizes
+        constant = 0.5 * len(kept) * np.log(2.0 * np.pi)
+        return special.logsumexp(terms) - np.log(terms.size) - constant
 
     return density
 
 
 @pytest.mark.parametrize("law", ["proportional", "affine", "power", "constant"])
-def test_scores_are_brute_force(campaign, law):
+def test_scores_are_brute_force(campaign, scored, law):
     layout, tests = campaign(0.8)
     density = brute_force(layout, tests, law)
     everything = density([0, 1, 2, 3])
     expected = [everything - density(kept) for kept in ([2, 3], [0, 1, 3], [0, 1, 2])]
-    found = next(s for s in compare_laws(layout, tests) if s.law == law)
+    found = next(s for s in scored(0.8) if s.law == law)
     np.testing.assert_allclose(found.levels, expected, atol=0.03)
     assert found.elpd == pytest.approx(sum(found.levels))
     assert found.se == pytest.approx(np.sqrt(3) * np.std(found.levels, ddof=1))
@@ -122,15 +140,12 @@ def test_scores_are_brute_force(campaign, law):
 
 
 @pytest.mark.parametrize("law", ["proportional", "affine", "power", "residual_power"])
-def test_scores_with_a_test_at_zero_are_brute_force(campaign, law):
-    layout, tests = campaign(levels=(0.5, 0.5, 0.8, 1.5), exponent=0.8)
-    zero = replace(tests[0], mean=np.array([-1.2, 0.0]))
-    settings = [Setting(0.0), *layout.settings]
-    layout, tests = replace(layout, settings=tuple(settings)), [zero, *tests]
+def test_scores_with_a_test_at_zero_are_brute_force(at_zero, law):
+    layout, tests, found = at_zero
     density = brute_force(layout, tests, law)
     everything = density([0, 1, 2, 3, 4])
     kept = [1, 2, 3, 4], [0, 3, 4], [0, 1, 2, 4], [0, 1, 2, 3]
-    scores = {s.law: s for s in compare_laws(layout, tests)}
+    scores = {s.law: s for s in found}
     expected = [everything - density(those) for those in kept]
     np.testing.assert_allclose(scores[law].levels, expected, atol=0.05)
     assert scores["proportional"].weight == scores["power"].weight == 0.0
@@ -162,9 +177,8 @@ def test_what_other_groups_have_in_common_plays_no_part(priors):
     assert problem.rows.shape == (4, 1 + 2)  # the level, and the effects of two sessions
 
 
-def test_scores_are_always_the_same(campaign):
-    layout, tests = campaign()
-    assert compare_laws(layout, tests) == compare_laws(layout, tests)
+def test_scores_are_always_the_same(campaign, scored):
+    assert compare_laws(*campaign(0.8)) == scored(0.8)
 
 
 def half_affine(layout):
@@ -182,8 +196,7 @@ def half_affine(layout):
 
 
 @pytest.mark.parametrize(
-    "count",
-    [5, 10, pytest.param(200, marks=pytest.mark.slow), pytest.param(500, marks=pytest.mark.slow)],
+    "count", [5, *(pytest.param(count, marks=pytest.mark.slow) for count in (10, 200, 500))]
 )
 def test_scores_are_the_same_with_other_points_however_many_tests_there_are(priors, count):
     levels = np.resize([0.4, 0.6, 0.9, 1.4, 2.0], count)
@@ -273,8 +286,8 @@ def test_a_smooth_effect_of_many_levels_has_few_parts(priors):
         (0.5, {"power"}, {"constant", "proportional"}),
     ],
 )
-def test_laws_that_tests_obey_score_better_than_others(campaign, exponent, right, wrong):
-    found = {s.law: s for s in compare_laws(*campaign(exponent, MANY))}
+def test_laws_that_tests_obey_score_better_than_others(scored, exponent, right, wrong):
+    found = {s.law: s for s in scored(exponent, MANY)}
     assert {s.quantity for s in found.values()} == {"Fc_fwd"}
     assert max(found[law].elpd for law in wrong) < min(found[law].elpd for law in right) - 4.0
     assert sum(s.weight for s in found.values()) == pytest.approx(1.0)
@@ -359,20 +372,27 @@ def test_only_proportional_laws_are_freed(campaign):
 SPEEDS = [1.0, 8.0, 4.0, 2.0, 1.0, 8.0, 4.0, 2.0, 1.0, 8.0]
 
 
-def test_a_dependence_on_speed_is_found_where_there_is_one(campaign):
+@pytest.fixture(scope="module")
+def without_dependence(campaign):
+    """Scores of tests whose speeds differ, and do not matter."""
+    return compare_dependence(*campaign(levels=MANY, velocities=SPEEDS))
+
+
+def test_a_dependence_on_speed_is_found_where_there_is_one(campaign, without_dependence):
     found = compare_dependence(*campaign(levels=MANY, velocities=SPEEDS, sensitivity=0.3))
     assert [(s.quantity, s.covariate) for s in found] == [("Fc_fwd", ""), ("Fc_fwd", "velocity")]
     assert found[1].difference > 2 * found[1].se > 0
     assert found[1].difference == pytest.approx(found[1].elpd - found[0].elpd)
-    none = compare_dependence(*campaign(levels=MANY, velocities=SPEEDS))
-    assert none[1].difference < 2 * none[1].se  # the control
+    none = without_dependence[1]  # the control
+    assert none.difference < 2 * none.se
 
 
 @pytest.mark.parametrize("sessions", [None, list("aabba")], ids=["one session", "two sessions"])
-def test_leaving_out_a_level_of_one_test_is_leaving_out_that_test(campaign, sessions):
+def test_leaving_out_a_level_of_one_test_is_leaving_out_that_test(campaign, sessions, monkeypatch):
+    monkeypatch.setattr(law_scores, "LAWS", {"power": LAWS["power"]})  # each is scored by itself
     apart = {"levels": (0.4, 0.6, 0.9, 1.4, 2.0), "velocities": SPEEDS[:5], "sessions": sessions}
     layout, tests = campaign(0.8, laws={"Fc_fwd": "power"}, **apart)
-    by_level = next(s for s in compare_laws(layout, tests) if s.law == "power")
+    (by_level,) = compare_laws(layout, tests)
     by_test = compare_dependence(layout, tests)[0]
     assert by_test.covariate == ""
     assert by_test.elpd == pytest.approx(by_level.elpd, rel=1e-6)
@@ -406,11 +426,11 @@ def test_scores_of_a_dependence_are_brute_force(campaign):
     assert found.elpd == pytest.approx(sum(parts), abs=0.1)
 
 
-def test_a_dependence_needs_tests_and_speeds_that_differ(campaign):
+def test_a_dependence_needs_tests_and_speeds_that_differ(campaign, without_dependence):
     assert compare_dependence(*campaign(levels=(0.5, 0.8, 1.5), velocities=[1.0, 2.0, 4.0])) == ()
     assert compare_dependence(*campaign(levels=MANY)) == ()
     layout, tests = campaign(levels=MANY, velocities=SPEEDS)
-    assert compare_dependence(layout, tests) != ()
+    assert without_dependence != ()
     unknown = (Setting(MANY[0]), *layout.settings[1:])  # one test without a speed
     assert compare_dependence(replace(layout, settings=unknown), tests) == ()
 

@@ -149,9 +149,9 @@ def test_a_test_that_stands_apart_widens_the_scatter_less(make_linear):
         sampler = Sampler(Joint(layout, campaign.likelihoods()), np.random.default_rng(1))
         chains = sampler.start(128, 4)
         found = []
-        for i in range(90):
+        for i in range(45):
             sampler.sweep(chains)
-            found += [float(np.mean(np.exp(chains.h[:, 0])))] * (i >= 40)
+            found += [float(np.mean(np.exp(chains.h[:, 0])))] * (i >= 20)
         return np.mean(found)
 
     assert scatter(0.01, odd=True) < 1.3 * scatter(0.01, odd=False)

@@ -7,7 +7,7 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.population import sampling
+from mfd_bayes.population import sampling, warm_up
 from mfd_bayes.population.apart import joined, set_apart
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.moves import exchange
@@ -16,8 +16,19 @@ from mfd_bayes.population.sampling import WALKERS, JointProblem, _correlate, sam
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.surrogate import Surrogate
 
-EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, kept=3000)
+EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, ensembles=12, kept=3000)
+"""Many chains, of which a sweep takes hardly longer: 20 sweeps are enough."""
+
 MEAN, SPREAD = 0.1, 0.1
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _short_warm_up():
+    """These tests are near their Gaussians, so that a few sweeps bring the chains there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(warm_up, "GAUSSIAN", 12)
+        patch.setattr(warm_up, "SETTLE", 8)
+        yield
 
 
 def run(linear, priors, tests=None, layout=None, effort=EFFORT, seed=5):
@@ -78,7 +89,8 @@ WITH_SURROGATES = (
 @pytest.mark.parametrize("case", WITH_SURROGATES)
 def test_with_surrogates_it_is_brute_force_too(make_linear, priors, squared, case):
     linear = make_linear(*CASES[case], seed=4)
-    draws = run(linear, priors, [squared(test) for test in linear.likelihoods()])
+    tests = [squared(test) for test in linear.likelihoods()]
+    draws = run(linear, priors, tests, effort=replace(EFFORT, ensembles=8))
     assert draws.accepted["exchange"] > 0.9
     mean, sd = deviations(linear, draws)
     assert mean < MEAN
@@ -161,7 +173,7 @@ def _with_prior(test):
     return lambda x: test.log_likelihood(x) - 0.5 * np.sum(x**2, axis=1)
 
 
-QUICK = Effort(ess=20, limit=100, r_hat=1.2, ensembles=2, kept=300)
+QUICK = Effort(ess=10, limit=100, r_hat=1.2, ensembles=2, kept=300)
 
 
 def test_the_same_seed_gives_the_same_bits(make_linear, priors):

@@ -98,13 +98,13 @@ def test_a_common_quantity_is_sampled_as_one_value_of_all_tests(campaign):
     linear = campaign(0.0)
     layout, tests = replace(linear.layout, common=(False, True, True)), linear.likelihoods()
     sampler = Sampler(Joint(layout, tests), np.random.default_rng(3))
-    chains = sampler.start(128, 4)
+    chains = sampler.start(384, 12)
     level = []
-    for i in range(160):
-        if i == 30:
+    for i in range(45):
+        if i == 10:
             sampler.tune(chains)
         sampler.sweep(chains)
-        level += [chains.latent[:, 0, 1].copy()] * (i >= 60)
+        level += [chains.latent[:, 0, 1].copy()] * (i >= 20)
     x = np.stack([x[:, 1] for x in chains.x], axis=1)
     assert np.max(np.abs(x - chains.latent[:, 0, 1, None])) < 10 * NONE
     assert np.all(chains.h[:, 1] == np.log(NONE * layout.spread[1]))
