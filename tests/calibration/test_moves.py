@@ -1,6 +1,7 @@
 """Every move goes through one harness; a move that is known to be wrong must fail it."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import emcee
 import numpy as np
@@ -122,15 +123,18 @@ EMCEES = ("differential evolution", "full jumps now and then", "stretch")
 """Moves of emcee alone: what it releases changes seldom, so these cases are slow tests."""
 
 
+@pytest.fixture(scope="module")
+def sampled():
+    """Chains and acceptance of the moves of a name, run once."""
+    return cache(lambda name: run(MOVES[name]))
+
+
 @pytest.mark.parametrize(
-    "moves",
-    [
-        pytest.param(moves, id=name, marks=pytest.mark.slow if name in EMCEES else ())
-        for name, moves in MOVES.items()
-    ],
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in EMCEES else ()) for name in MOVES],
 )
-def test_move_samples_a_correlated_gaussian(moves):
-    chains, acceptance = run(moves)
+def test_move_samples_a_correlated_gaussian(sampled, name):
+    chains, acceptance = sampled(name)
     assert judge(chains).right, judge(chains)
     assert 0.1 < acceptance < 0.9
 
@@ -162,8 +166,8 @@ def test_move_finds_the_target_from_afar():
     assert judge(chains).right
 
 
-def test_ensembles_are_independent():
-    chains, _ = run(those_of_the_sampler())
+def test_ensembles_are_independent(sampled):
+    chains, _ = sampled("those of the sampler")
     means = chains[:, 500:].mean(axis=2)  # of each ensemble at each step
     thinned = means[:, :: int(3 * np.max(autocorrelation_time(chains)))]
     n = thinned.shape[1]

@@ -95,7 +95,7 @@ def stepped(batch, trace, reference=None, scales=None):
 @pytest.mark.parametrize("amplitude", [1.0, 0.06, 0.01])
 def test_force_equals_an_ode_solver_to_a_fiftieth_of_a_percent(exponent, beta, amplitude):
     values = VALUES | {"exponent": exponent, "beta": beta}
-    trace = sine(amplitude)
+    trace = sine(amplitude, seconds=3.0)
     expected = solved(trace, amplitude, values)
     force = MODEL.force(theta(**values), trace)[0]
     np.testing.assert_allclose(force, expected, atol=2e-4 * np.max(np.abs(expected)))

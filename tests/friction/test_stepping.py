@@ -9,7 +9,7 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 
 MODELS = (ThreeStage(), LuGre())
-TIME = np.arange(0.0, 8.0, 0.01)
+TIME = np.arange(0.0, 4.0, 0.01)
 CENTRE = np.array([60, 0.02, 0.01, 2.4, 2.0, 1.9, 1.5, 0.5, 30, 0.1, 0.08, 1.0, 0.005, 0.5])
 
 
@@ -40,7 +40,7 @@ MOTIONS = {
     "backward first": -np.sin(np.pi * TIME),
     "from an extreme": np.cos(np.pi * TIME),
     "in the gap": 0.05 * np.sin(np.pi * TIME) + 0.02 * np.sin(6.9 * TIME + 0.4),
-    "partial": (0.02 + 0.05 * TIME) * np.sin(np.pi * TIME),
+    "partial": (0.02 + 0.1 * TIME) * np.sin(np.pi * TIME),
     "with rests": np.clip(1.4 * np.sin(np.pi * TIME), -1.0, 1.0),
 }
 
@@ -58,12 +58,12 @@ def test_steps_equal_the_force_of_the_whole_motion(model, motion):
         )
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(1e-3, 0.1))
 def test_steps_equal_the_force_of_a_random_walk(seed, scale):
     rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.001, 0.02, 300))
-    walk = np.cumsum(rng.normal(0, scale, 300) * rng.integers(0, 2, 300))
+    time = np.cumsum(rng.uniform(0.001, 0.02, 200))
+    walk = np.cumsum(rng.normal(0, scale, 200) * rng.integers(0, 2, 200))
     trace = Trace.from_arrays(time, walk, hysteresis=0.0)
     theta = dampers(3, seed)
     for model in MODELS:
@@ -90,10 +90,11 @@ def test_parameters_belong_to_the_first_actuation_when_no_reference_is_given(lev
     constant = Trace.from_arrays(TIME[:200], MOTIONS["partial"][:200], actuation=level)
     theta = dampers(2)
     for model in MODELS:
-        np.testing.assert_array_equal(steps(model, theta, constant), steps(model, theta, trace))
+        expected = steps(model, theta, trace)
+        np.testing.assert_array_equal(steps(model, theta, constant), expected)
         # the control: with a given reference, friction is proportional to actuation over it
         other = steps(model, theta, constant, reference_actuation=2.0 * level)
-        assert np.max(np.abs(other - steps(model, theta, trace))) > 0.01
+        assert np.max(np.abs(other - expected)) > 0.01
 
 
 def test_given_factors_replace_the_proportion():
