@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.runs.findings import Finding
@@ -55,7 +55,7 @@ def odd_tests(run: Run) -> list[Finding]:
 def stand_apart(deviations: Array) -> Iterator[tuple[int, int, float]]:
     """Test, quantity and distance in sds of the others, of deviations (J, K) that stand apart."""
     count, size = deviations.shape
-    limit = float(stats.t.isf(0.5 * RARE / max(count * size, 1), count - 2))
+    limit = -float(special.stdtrit(count - 2, 0.5 * RARE / max(count * size, 1)))
     for j in range(count):
         others = np.delete(deviations, j, axis=0)
         sd = np.maximum(others.std(axis=0, ddof=1), 1e-12)

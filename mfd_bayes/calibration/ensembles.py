@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import emcee
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Convergence, autocorrelation_time, measure
+from mfd_bayes.calibration.chains import Chains, Watch
+from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.map_fit import Density, Mode
 from mfd_bayes.calibration.mixture import Either, Proposal, learn
@@ -54,54 +54,6 @@ REQUIRED = 200
 
 JUMPS = 0.7
 """Share of independence proposals among the steps; the others are differential evolution."""
-
-
-@dataclass(frozen=True, eq=False)
-class Chains:
-    """Draws of a density; each ensemble is a chain.
-
-    Attributes
-    ----------
-    q : (chain, draw, dim)
-        A chain's draws are ordered by walker and, within a walker, by step, so that the
-        autocorrelation of a chain is that of its walkers.
-    log_prob : (chain, draw)
-    walkers : int
-    steps, thin, discarded : int
-        Steps of each ensemble; the interval of steps between kept draws; steps of the warm-up,
-        in which the proposal was learned and no draw is kept.
-    acceptance : (chain,)
-    autocorrelation : (dim,)
-        Integrated autocorrelation time, steps.
-    convergence : Convergence
-        Of the coordinates, the log density and the derived quantities, in this order.
-    """
-
-    q: Array
-    log_prob: Array
-    walkers: int
-    steps: int
-    thin: int
-    discarded: int
-    acceptance: Array
-    autocorrelation: Array
-    convergence: Convergence
-
-
-@dataclass(frozen=True)
-class Watch:
-    """What is computed and reported while sampling.
-
-    Attributes
-    ----------
-    derived : callable, optional
-        Other quantities that must converge too, (n, dim) -> (n, m).
-    report : callable, optional
-        Called with a `Progress` each time the convergence is measured.
-    """
-
-    derived: Callable[[Array], Array] | None = None
-    report: Callable[[Progress], None] | None = None
 
 
 def sample_density(

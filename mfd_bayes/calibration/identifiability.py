@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
-from scipy.stats import rankdata
 
 from mfd_bayes.calibration.diagnostics import effective_size
 from mfd_bayes.calibration.directions import Directions, find_directions
@@ -130,6 +129,8 @@ def _effective(draws: Array) -> float:
 
 def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:
     """Pairs whose posterior draws (n, dim) have a rank correlation of ±0.7 or beyond."""
+    from scipy.stats import rankdata  # which takes long to import
+
     with np.errstate(invalid="ignore"):  # draws that never move have no correlation
         correlation = np.atleast_2d(np.corrcoef(rankdata(draws, axis=0), rowvar=False))
     pairs = [

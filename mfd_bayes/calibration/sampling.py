@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.chains import Chains, Watch
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
-from mfd_bayes.calibration.ensembles import Chains, Watch, sample_density
 from mfd_bayes.calibration.map_fit import Mode, find_modes
 from mfd_bayes.calibration.mixture import Mixture
 from mfd_bayes.calibration.posterior import Posterior
@@ -99,6 +99,8 @@ def sample(
     FitError
         When the prior has no mass at any start, the effort is unknown or the seed is negative.
     """
+    from mfd_bayes.calibration.ensembles import sample_density  # emcee takes long to import
+
     began = time.perf_counter()
     chosen = find_effort(effort)
     rng = np.random.default_rng(check_seed(seed))

@@ -16,7 +16,6 @@ from scipy import special
 
 from mfd_bayes.calibration.diagnostics import psis, tempering
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.map_fit import (
     Mode,
     ascend,
@@ -126,6 +125,8 @@ def _walked(
     posterior: Posterior, near: Sequence[Mode], k: float, rng: np.random.Generator
 ) -> SecondFit:
     """Draws of walkers, all with the same weight; from modes anywhere, not only near the draws."""
+    from mfd_bayes.calibration.ensembles import sample_density  # emcee takes long to import
+
     modes = list(near)
     for mode in find_modes(posterior, rng, starts=SEARCHED):
         if not any(is_same(mode, other) for other in modes):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg, special
 
 Array = NDArray[np.float64]
 
@@ -48,8 +48,10 @@ def directions_of(summaries: Array) -> Array:
     varies = summaries.std(axis=0) > FLAT * size
     if not varies.any():
         return np.empty((len(summaries), 0))
-    ranks = stats.rankdata(summaries[:, varies], axis=0)
-    scores = stats.norm.ppf((ranks - 0.5) / len(summaries))
+    from scipy.stats import rankdata  # which takes long to import
+
+    ranks = rankdata(summaries[:, varies], axis=0)
+    scores = special.ndtri((ranks - 0.5) / len(summaries))
     scores -= scores.mean(axis=0)
     left, sizes, _ = linalg.svd(scores, full_matrices=False)
     return np.asarray(left[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(len(summaries)))

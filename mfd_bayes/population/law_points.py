@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special, stats
-from scipy.stats import qmc
+from scipy import special
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.map_fit import climb
@@ -92,7 +91,7 @@ def _drawn(problem: LawProblem, densities: Sequence[tuple[Array, Array]], seed: 
     z = []
     for i in range(k):
         u = _uniform(POINTS, problem.dim + 1, (seed, i))
-        radius = np.sqrt(DOF / stats.chi2.ppf(u[:, -1:], DOF))
+        radius = np.sqrt(0.5 * DOF / special.gammaincinv(0.5 * DOF, u[:, -1:]))  # of chi-squared
         z.append(means[i] + (special.ndtri(u[:, :-1]) * radius) @ mixture.factors[i].T)
     points = np.concatenate(z)
     log_weights = problem.log_prior(points) - mixture.log_density(points) - np.log(len(points))
@@ -122,6 +121,8 @@ def _mode(problem: LawProblem, those: Tests, begin: Array) -> tuple[Array, Array
 
 def _uniform(n: int, dim: int, seed: Sequence[int]) -> Array:
     """Scrambled Sobol points inside the unit cube, (n, dim)."""
+    from scipy.stats import qmc  # which takes long to import
+
     points = qmc.Sobol(dim, scramble=True, rng=np.random.default_rng(seed)).random(n)
     return np.clip(points, 1e-9, 1.0 - 1e-9)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special, stats
+from scipy import special
 
 from mfd_bayes.friction import models
 
@@ -124,6 +124,8 @@ def _moments(shape: str) -> tuple[float, float]:
 @cache
 def prior_of(shape: str) -> Any:
     """Prior of a shape's coordinate, as a distribution of scipy.stats."""
+    from scipy import stats  # which takes long to import
+
     if shape == "share":
         return stats.logistic()
     return stats.norm(*_moments(shape))

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.special import logsumexp
 
 from mfd_bayes.population.chains import Accepted, Chains
@@ -64,6 +63,8 @@ def leap(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
 @cache
 def log_half_normal(sd: float) -> Any:
     """Distribution of the logarithm of what is half-normal, as one of scipy.stats."""
+    from scipy import stats  # which takes long to import
+
     return stats.loggamma(0.5, np.log(np.sqrt(2.0) * sd), 0.5)
 
 
@@ -102,7 +103,7 @@ class _Density:
         """Log density of each block at (ensembles, n, C), (ensembles, n, groups)."""
         prior = np.stack([p.logpdf(at[..., i]) for i, p in enumerate(self.priors)], axis=-1)
         apart = (at[:, :, None] - self.others[:, None]) / self.width[:, None]
-        terms = stats.norm.logpdf(apart) - np.log(self.width[:, None])
+        terms = -0.5 * apart**2 - np.log(np.sqrt(2.0 * np.pi) * self.width[:, None])
         near = logsumexp(terms @ self.member, axis=2) - np.log(self.others.shape[1])
         far = np.log(FROM_PRIOR) + prior @ self.member
         return np.asarray(np.logaddexp(far, np.log1p(-FROM_PRIOR) + near))
