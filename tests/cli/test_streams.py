@@ -132,6 +132,7 @@ def test_messages_that_nobody_asked_for_change_nothing(light, other, state):
     changes_nothing(*ran([*light, "check", other.parent, "--quiet"], 2, state, other))
 
 
+@pytest.mark.slow
 def test_a_whole_check_needs_no_place_for_messages(stored, other):
     changes_nothing(*ran([*WHOLE, "check", stored, "--quiet"], 2, "closed", other))
 

@@ -218,6 +218,7 @@ def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(odd, 
     assert "Test c is left out" in checked.stdout
 
 
+@pytest.mark.slow
 def test_a_test_far_beyond_what_was_tested_is_reported_or_named(odd):
     out = odd(1e9)
     outcome = here("report", out, "--quiet")
