@@ -71,14 +71,13 @@ def run_one(tool, record, options):
     off = np.abs(q.mean(axis=0) - mean) / sd, np.abs(q.std(axis=0, ddof=1) / sd - 1.0)
     found = None if outcome.ess else measure(outcome.chains)
     ess = outcome.ess or float(min(found.ess_bulk.min(), found.ess_tail.min()))
-    warm = 0.0 if np.isnan(outcome.warm_up) else outcome.warm_up
     return {
         "seconds": seconds,
         "reached": outcome.reached,
         "evaluations": problem.evaluations,
         "ess": ess,
         "r_hat": None if outcome.ess else float(found.worst_r_hat),
-        "rate": ess / max(seconds - warm, 1e-9),
+        "rate": ess / max(seconds - outcome.warm_up, 1e-9),
         "mean": [float(off[0].max()), names[int(off[0].argmax())]],
         "sd": [float(off[1].max()), names[int(off[1].argmax())]],
     }

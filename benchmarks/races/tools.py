@@ -75,11 +75,20 @@ def ours(problem, seed):
 
     counting = object.__new__(Counting)
     vars(counting).update(vars(problem.posterior))
-    draws = sample(counting, "standard", seed)
+    marks = []  # processor time and steps, each time that convergence was measured
+    draws = sample(
+        counting,
+        "standard",
+        seed,
+        report=lambda found: marks.append((problem.spent, found.steps)),
+    )
     chains = draws.chains
+    (began, first), (ended, last) = marks[0], marks[-1]
+    pace = (ended - began) / (last - first) if last > first else ended / last  # s a step, once warm
+    warm_up = problem.spent - pace * (chains.steps - chains.discarded)
     ensembles, _, dim = chains.q.shape
     kept = chains.q.reshape(ensembles, chains.walkers, -1, dim).swapaxes(1, 2)
-    return Outcome(kept, np.nan, problem.enough(kept))
+    return Outcome(kept, warm_up, problem.enough(kept))
 
 
 def emcee_stretch(problem, seed, moves=None):
