@@ -68,6 +68,18 @@ def without_figures(tmp_path_factory) -> list[str]:
     return [sys.executable, str(driver)]
 
 
+@pytest.fixture
+def small_pictures(monkeypatch) -> None:
+    """The pictures of a prediction and an inspection are empty ones, which are drawn at once."""
+    from mfd_bayes.reporting import figures
+    from mfd_bayes.reporting.figures.style import new_figure
+
+    dot = figures.to_png(new_figure(1, 1))
+    for name in ("draw_loops", "draw_history", "draw_inspection"):
+        monkeypatch.setattr(figures, name, lambda *_, **__: None)
+    monkeypatch.setattr(figures, "to_png", lambda _: dot)
+
+
 @dataclass(frozen=True)
 class FinishedRun:
     """A small synthetic campaign that the installed command has calibrated.

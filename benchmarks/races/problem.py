@@ -55,10 +55,6 @@ class Problem:
         self.evaluations += len(q)
         return self.posterior.log_prob(q)
 
-    def log_prob_of_one(self, q):
-        """Log density of one point (dim,)."""
-        return float(self.log_prob(np.asarray(q, dtype=float)[None])[0])
-
     def log_likelihood(self, q):
         """Log likelihood of points (n, dim), (n,); finite, since nested samplers want it so.
 
@@ -92,9 +88,9 @@ class Problem:
 
     def enough(self, chains):
         """Whether chains (ensemble, step, walker, dim) are what a person waits for."""
-        before = self.spent
         if chains.shape[1] < 10 or np.any(np.ptp(chains, axis=(0, 1, 2)) == 0):
             return False
+        before = self.spent
         found = measure(chains)
         self.paused += self.spent - before
         least = min(found.ess_bulk.min(), found.ess_tail.min())

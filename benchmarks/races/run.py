@@ -44,6 +44,7 @@ from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import load, platform_line, processor
 from benchmarks.races.problem import problem_of
 from benchmarks.races.tools import TOOLS
+from benchmarks.sampling.draws import disagreement
 from benchmarks.sampling.reference import FILE, RECORDS, SYNTHETIC
 from mfd_bayes.calibration.diagnostics import measure
 
@@ -58,17 +59,13 @@ def run_one(tool, record, options):
     np.random.seed(options.seed)  # noqa: NPY002 - some tools have no generator of their own
     measure(np.random.default_rng(0).standard_normal((4, 100, 2, 1)))  # ArviZ loads slowly
     problem = problem_of(record, options.data, options.seconds)
-    problem.began += problem.spent
     try:
         outcome = TOOLS[tool](problem, options.seed)
     except TimeoutError as error:
         return {"error": str(error)}
     seconds = problem.spent
-    reference = json.loads(FILE.read_text(encoding="utf-8"))["posteriors"][record]["coordinates"]
-    names = list(reference)
-    mean, sd = (np.array([c[key] for c in reference.values()]) for key in ("mean", "sd"))
-    q = outcome.chains.reshape(-1, problem.dim)
-    off = np.abs(q.mean(axis=0) - mean) / sd, np.abs(q.std(axis=0, ddof=1) / sd - 1.0)
+    reference = json.loads(FILE.read_text(encoding="utf-8"))["posteriors"][record]
+    mean, sd = disagreement(outcome.chains, reference)
     found = None if outcome.ess else measure(outcome.chains)
     ess = outcome.ess or float(min(found.ess_bulk.min(), found.ess_tail.min()))
     return {
@@ -78,8 +75,8 @@ def run_one(tool, record, options):
         "ess": ess,
         "r_hat": None if outcome.ess else float(found.worst_r_hat),
         "rate": ess / max(seconds - outcome.warm_up, 1e-9),
-        "mean": [float(off[0].max()), names[int(off[0].argmax())]],
-        "sd": [float(off[1].max()), names[int(off[1].argmax())]],
+        "mean": mean,
+        "sd": sd,
     }
 
 

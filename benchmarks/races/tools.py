@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.races.problem import ESS
+from benchmarks.sampling.draws import Counted, by_step, halves
 
 
 @dataclass(frozen=True)
@@ -37,24 +38,36 @@ class Outcome:
     ess: float | None = None
 
 
-def halves(chain):
-    """First and second half in time of what is left of (step, walker, dim) after its warm-up."""
-    half = len(chain) // 2
-    return np.stack([chain[-2 * half : -half], chain[-half:]])
+def stepped(problem, advance, arrange, discard, warm=0.0):
+    """Outcome of a tool that goes on until every coordinate has what a person waits for.
 
-
-def stepped(problem, advance, discard=0.3):
-    """Outcome of a tool whose `advance()` gives its chain so far, (step, walker, dim)."""
+    Parameters
+    ----------
+    advance : callable
+        Goes on, and gives all steps so far, (step, walker, dim).
+    arrange : callable
+        Puts what is kept of these into chains, (ensemble, step, walker, dim).
+    discard : float
+        Share of the steps that is warm-up.
+    warm : float
+        Processor time before the first step, s.
+    """
     while True:
-        chain = advance()
-        first = int(discard * len(chain))
-        kept = halves(chain[first:])
+        steps = advance()
+        first = int(discard * len(steps))
+        kept = arrange(steps[first:])
         reached = problem.enough(kept)
         if reached or problem.late:
-            return Outcome(kept, problem.spent * first / len(chain), reached)
+            spent = warm + (problem.spent - warm) * first / len(steps)
+            return Outcome(kept, spent, reached)
 
 
-def weighted(problem, draws, weights):
+def each_a_chain(steps):
+    """Independent chains (step, chain, dim), each an ensemble of one walker."""
+    return steps.swapaxes(0, 1)[:, :, None]
+
+
+def weighted(draws, weights):
     """Outcome of weighted draws (n, dim) of a tool that has ended."""
     weights = weights / np.sum(weights)
     size = float(1.0 / np.sum(weights**2))
@@ -66,18 +79,10 @@ def ours(problem, seed):
     """`sample` at effort standard, with its search for modes."""
     from mfd_bayes.calibration.sampling import sample
 
-    class Counting(type(problem.posterior)):
-        """The same posterior, counted."""
-
-        def residual(self, q):
-            problem.evaluations += len(q)
-            return super().residual(q)
-
-    counting = object.__new__(Counting)
-    vars(counting).update(vars(problem.posterior))
+    counted = Counted(problem.posterior)
     marks = []  # processor time and steps, each time that convergence was measured
     draws = sample(
-        counting,
+        counted.counting,
         "standard",
         seed,
         report=lambda found: marks.append((problem.spent, found.steps)),
@@ -86,8 +91,8 @@ def ours(problem, seed):
     (began, first), (ended, last) = marks[0], marks[-1]
     pace = (ended - began) / (last - first) if last > first else ended / last  # s a step, once warm
     warm_up = problem.spent - pace * (chains.steps - chains.discarded)
-    ensembles, _, dim = chains.q.shape
-    kept = chains.q.reshape(ensembles, chains.walkers, -1, dim).swapaxes(1, 2)
+    problem.evaluations = counted.count
+    kept = by_step(chains)
     return Outcome(kept, warm_up, problem.enough(kept))
 
 
@@ -103,7 +108,7 @@ def emcee_stretch(problem, seed, moves=None):
         state = sampler.run_mcmc(state, 500)
         return sampler.get_chain()
 
-    return stepped(problem, advance)
+    return stepped(problem, advance, halves, 0.3)
 
 
 def emcee_de(problem, seed):
@@ -127,7 +132,7 @@ def zeus(problem, seed):
         state = sampler.get_last_sample()
         return sampler.get_chain()
 
-    return stepped(problem, advance)
+    return stepped(problem, advance, halves, 0.3)
 
 
 def pints_haario(problem, seed):
@@ -153,7 +158,7 @@ def pints_haario(problem, seed):
                     chain.set_initial_phase(False)
         return np.array(kept)
 
-    return _by_chain(problem, advance)
+    return stepped(problem, advance, each_a_chain, 0.5)
 
 
 def pints_dream(problem, seed):
@@ -174,18 +179,7 @@ def pints_dream(problem, seed):
                 tool.set_initial_phase(False)
         return np.array(kept)
 
-    return _by_chain(problem, advance)
-
-
-def _by_chain(problem, advance, discard=0.5):
-    """Outcome of chains (step, chain, dim) that are independent, each measured as a chain."""
-    while True:
-        chain = advance()
-        first = int(discard * len(chain))
-        kept = chain[first:].swapaxes(0, 1)[:, :, None]
-        reached = problem.enough(kept)
-        if reached or problem.late:
-            return Outcome(kept, problem.spent * first / len(chain), reached)
+    return stepped(problem, advance, each_a_chain, 0.5)
 
 
 def numpyro_nuts(problem, seed):
@@ -208,14 +202,14 @@ def numpyro_nuts(problem, seed):
     begin = problem.around_mode(4, seed)
     tool.warmup(jax.random.PRNGKey(seed), init_params=begin)
     warm, kept = problem.spent, []
-    while True:
+
+    def advance():
         tool.run(jax.random.PRNGKey(seed + len(kept)), init_params=None)
-        kept.append(np.asarray(tool.get_samples(group_by_chain=True)))
+        kept.append(np.asarray(tool.get_samples(group_by_chain=True)).swapaxes(0, 1))
         tool.post_warmup_state = tool.last_state
-        chains = np.concatenate(kept, axis=1)[:, :, None]
-        reached = problem.enough(chains)
-        if reached or problem.late:
-            return Outcome(chains, warm, reached)
+        return np.concatenate(kept)
+
+    return stepped(problem, advance, each_a_chain, 0.0, warm)
 
 
 def blackjax_nuts(problem, seed):
@@ -244,13 +238,14 @@ def blackjax_nuts(problem, seed):
     states, _ = run(states, jax.random.PRNGKey(seed + 1))
     jax.block_until_ready(states)
     warm, kept = problem.spent, []
-    while True:
+
+    def advance():
+        nonlocal states
         states, drawn = run(states, jax.random.PRNGKey(seed + 2 + len(kept)))
         kept.append(np.asarray(drawn))
-        chains = np.concatenate(kept).swapaxes(0, 1)[:, :, None]
-        reached = problem.enough(chains)
-        if reached or problem.late:
-            return Outcome(chains, warm, reached)
+        return np.concatenate(kept)
+
+    return stepped(problem, advance, each_a_chain, 0.0, warm)
 
 
 def nutpie(problem, seed):
@@ -275,7 +270,7 @@ def nutpie(problem, seed):
 
     dim = problem.dim
     model = from_pyfunc(dim, make_density, make_expand, [np.dtype("float64")], [(dim,)], ["q"])
-    draws, kept = 500, None
+    draws = 500
     while True:
         trace = tool.sample(
             model, draws=draws, tune=400, chains=4, cores=1, seed=seed, progress_bar=False
@@ -300,7 +295,7 @@ def dynesty(problem, seed):
     )
     sampler.run_nested(print_progress=False)
     found = sampler.results
-    return weighted(problem, found.samples, found.importance_weights())
+    return weighted(found.samples, found.importance_weights())
 
 
 def ultranest(problem, seed):
@@ -319,7 +314,7 @@ def ultranest(problem, seed):
     )
     found = sampler.run(show_status=False, viz_callback=False, min_num_live_points=400)
     drawn = found["weighted_samples"]
-    return weighted(problem, np.asarray(drawn["points"]), np.asarray(drawn["weights"]))
+    return weighted(np.asarray(drawn["points"]), np.asarray(drawn["weights"]))
 
 
 def nautilus(problem, seed):
@@ -330,7 +325,7 @@ def nautilus(problem, seed):
     sampler = Sampler(problem.transform, problem.log_likelihood, **given)
     sampler.run(n_eff=1000, verbose=False)
     draws, log_weights, _ = sampler.posterior()
-    return weighted(problem, draws, np.exp(log_weights - log_weights.max()))
+    return weighted(draws, np.exp(log_weights - log_weights.max()))
 
 
 def pocomc(problem, seed):
@@ -346,7 +341,7 @@ def pocomc(problem, seed):
     sampler = tool.Sampler(prior, likelihood, vectorize=True, random_state=seed)
     sampler.run(progress=False)
     draws, weights, *_ = sampler.posterior()
-    return weighted(problem, problem.transform(stats.norm.cdf(draws)), weights)
+    return weighted(problem.transform(stats.norm.cdf(draws)), weights)
 
 
 TOOLS = {

@@ -20,6 +20,7 @@ from jax.scipy.special import gammaln
 from numpyro.infer import NUTS
 
 from benchmarks.forward import peers as forward_peers
+from benchmarks.sampling.draws import halves
 from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
 
 LOG_2PI = float(np.log(2 * np.pi))
@@ -242,7 +243,7 @@ def stretch(density, mode, goal, seed, *, walkers=64, block=1000):
             steps = len(chain)
             slowest = float(autocorrelation_time(chain[None, steps // 2 :]).max())
             burn_in = min(steps // 2, int(5.0 * slowest))
-            kept = _halves(chain[burn_in:])
+            kept = halves(chain[burn_in:])
             ess = smallest(kept)
     spent = clock.read()
     evaluations = walkers * (steps + 1)
@@ -275,8 +276,8 @@ def nuts(posterior, start, goal, seed, *, block=500):
         draws.append(np.asarray(state.z))
         if len(draws) % block == 0:
             with clock.paused():
-                ess = smallest(_halves(np.array(draws)[:, None]))
-    return Run(_halves(np.array(draws)[:, None]), clock.read(), warmed, compiling, gradients)
+                ess = smallest(halves(np.array(draws)[:, None]))
+    return Run(halves(np.array(draws)[:, None]), clock.read(), warmed, compiling, gradients)
 
 
 def smallest(chains):
@@ -284,9 +285,3 @@ def smallest(chains):
     if np.any(np.ptp(chains, axis=(0, 1, 2)) == 0):
         return 0.0
     return float(measure(chains).ess_bulk.min())
-
-
-def _halves(chain):
-    """First and second half in time of a chain (step, walker, dim), as two ensembles."""
-    half = len(chain) // 2
-    return np.stack([chain[-2 * half : -half], chain[-half:]])

@@ -53,6 +53,7 @@ import numpy as np
 from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import load, print_bars, processor, versions
 from benchmarks.sampling import peers
+from benchmarks.sampling.draws import Counted, by_step, disagreement
 from benchmarks.sampling.reference import (
     COMMAND,
     ESS,
@@ -78,33 +79,14 @@ SEEDS = (1, 2, 3)
 WORDS = ("seconds", "warm-up", "evaluations", "bulk ESS", "ESS/s", "ours is", "R̂", "mean", "sd")
 
 
-class Counted:
-    """A posterior that counts the vectors whose force was computed."""
-
-    def __init__(self, posterior):
-        self.posterior, self.count = posterior, 0
-
-        class Counting(type(posterior)):
-            """The same posterior."""
-
-            def residual(this, q):
-                self.count += len(q)
-                return super().residual(q)
-
-        self.counting = object.__new__(Counting)
-        vars(self.counting).update(vars(posterior))
-
-
 def ours(posterior, seed):
     """Our draws as a `Run`, and the best mode."""
     counted = Counted(posterior)
     began = time.process_time()
     draws = sample(counted.counting, "thorough", seed)
     seconds = time.process_time() - began
-    chains = draws.chains
-    ensembles, _, dim = chains.q.shape
-    by_step = chains.q.reshape(ensembles, chains.walkers, -1, dim).swapaxes(1, 2)
-    return peers.Run(by_step, seconds, np.nan, 0.0, counted.count), draws.modes[0]
+    chains = by_step(draws.chains)
+    return peers.Run(chains, seconds, np.nan, 0.0, counted.count), draws.modes[0]
 
 
 def deviation(posterior, points):
@@ -136,18 +118,6 @@ def check_densities(posterior, reference):
             "the reference itself has not converged, so the record shows nothing about ours"
         )
     return failed
-
-
-def disagreement(run, reference):
-    """Largest deviations of means and of sds from the reference, with their coordinates."""
-    q = run.chains.reshape(-1, run.chains.shape[-1])
-    names = list(reference["coordinates"])
-    mean, sd = (
-        np.array([c[key] for c in reference["coordinates"].values()]) for key in ("mean", "sd")
-    )
-    means, sds = np.abs(q.mean(axis=0) - mean) / sd, np.abs(q.std(axis=0, ddof=1) / sd - 1)
-    worst = [(float(off.max()), names[int(off.argmax())]) for off in (means, sds)]
-    return tuple(worst)
 
 
 def rate(run, seconds=None):
@@ -206,7 +176,7 @@ def _part(words, run, seconds, middle):
 def _row(name, run, reference, middle, *, bar=False):
     """Print the figures of one sampler; return where it disagrees with the reference."""
     found, ess = measure(run.chains), peers.smallest(run.chains)
-    (mean, at), (sd, there) = disagreement(run, reference)
+    (mean, at), (sd, there) = disagreement(run.chains, reference)
     warm_up = "" if np.isnan(run.warm_up) else f"{run.warm_up:.1f}"
     speed = ess / run.seconds
     times = middle / speed if speed else np.inf

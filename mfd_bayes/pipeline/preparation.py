@@ -7,8 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from mfd_bayes.assessment.prior_check import MOST, most_wrong, prior_fan, share_inside
 from mfd_bayes.calibration.prior_files import WRITTEN, load_priors
 from mfd_bayes.campaign.draft import (
@@ -152,7 +150,7 @@ def system_of_records(records: Iterable[Record], units: str = "") -> System:
     measured = [r.columns.get("actuation", ("", "")) for r in known]
     own = system_of(
         (r.columns["displacement"][1] for r in known),
-        (float(np.max(np.abs(r.force))) for r in known if r.force is not None),
+        (r.force for r in known),
         (r.given_actuation or {"unit": m[1]} for r, m in zip(known, measured, strict=True)),
     )
     return named_system(units, own)

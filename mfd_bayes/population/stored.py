@@ -23,7 +23,8 @@ _FARTHEST = 1e6
 """Largest coordinate in prior units; no draw is larger."""
 
 _Scale = Annotated[float, Field(ge=1e-12, le=_FARTHEST)]
-"""Quotients of scales stay finite."""
+_Size = Annotated[float, Field(ge=1e-12, le=1e10)]
+"""Quotients of scales and of sizes stay finite."""
 
 _Near = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
 _Shape = Annotated[float, Field(ge=-_WIDEST, le=_WIDEST)]
@@ -57,8 +58,8 @@ class _Effect(Part):
 
 
 class _Basis(Part):
-    shortest: Annotated[float, Field(ge=1e-12, le=1e10)]
-    longest: Annotated[float, Field(ge=1e-12, le=1e10)]
+    shortest: _Size
+    longest: _Size
 
 
 class _Residual(Part):
@@ -66,8 +67,8 @@ class _Residual(Part):
     mean: Annotated[list[_Near], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
     covariance: Annotated[list[list[_Near]], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
     log_shape: Annotated[list[_Shape], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
-    slip_force: Annotated[float, Field(ge=1e-12, le=1e10)]
-    noise_time: Annotated[float, Field(ge=1e-12, le=1e10)]
+    slip_force: _Size
+    noise_time: _Size
     information: Annotated[float, Field(ge=1e-12, le=1)]
 
     @model_validator(mode="after")
@@ -81,7 +82,7 @@ class _Residual(Part):
 
 class _Facts(Part):
     names: Annotated[list[_Name], Field(min_length=1)]
-    speed: Annotated[float, Field(ge=1e-12, le=1e10)]
+    speed: _Size
     centre: list[_Near]
     spread: list[_Scale]
     laws: dict[_Name, str]
@@ -89,7 +90,7 @@ class _Facts(Part):
     groups: list[str]
     member: list[Index]
     scatter_sd: list[_Scale]
-    reference: Annotated[float, Field(ge=1e-12, le=1e10)]
+    reference: _Size
     settings: Annotated[list[_Setting], Field(min_length=1)]
     effects: list[_Effect]
     dependence: dict[_Name, list[_Covariate]]

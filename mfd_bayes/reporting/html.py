@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from importlib.resources import files
 from typing import Any, BinaryIO
 from urllib.parse import quote
@@ -190,8 +190,9 @@ def policy_of(*scripts: str) -> str:
     )
 
 
+@cache
 def page_environment(systems: Pair) -> Environment:
-    """Environment of the templates of all pages."""
+    """Environment of the templates of all pages; to compile them takes most of a page."""
     environment = Environment(
         loader=PackageLoader("mfd_bayes.reporting"),
         autoescape=True,

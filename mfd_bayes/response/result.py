@@ -16,6 +16,18 @@ from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
 
+UNITS = {
+    "drift ratio": "1",
+    "drift": "in",
+    "acceleration": "in/s^2",
+    "base shear": "kip",
+    "residual drift": "in",
+    "damper travel": "in",
+    "damper force": "kip",
+    "damper energy": "kip*in",
+}
+"""Internal unit of each quantity that rows tell of."""
+
 PROBABILITIES = (0.5, 0.9, 0.95)
 """Of the equal-tailed bands."""
 
@@ -210,30 +222,29 @@ class Response:
             heights = self.building.heights
             if np.all(np.isfinite(heights)):
                 other = bare.drift / heights, plain.drift / heights
-                yield from self._table("drift ratio, 1", g, storeys, self.drift_ratio, other)
-            yield from self._table("drift, in", g, storeys, self.drift, (bare.drift, plain.drift))
+                yield from self._table("drift ratio", g, storeys, self.drift_ratio, other)
+            yield from self._table("drift", g, storeys, self.drift, (bare.drift, plain.drift))
             other = bare.acceleration, plain.acceleration
-            yield from self._table("acceleration, in/s^2", g, floors, self.acceleration, other)
+            yield from self._table("acceleration", g, floors, self.acceleration, other)
             shear = np.array([bare.base_shear]), np.array([plain.base_shear])
             base = self.base_shear[..., None]
-            yield from self._table("base shear, kip", g, ("base",), base, shear)
+            yield from self._table("base shear", g, ("base",), base, shear)
             left = np.abs(bare.residual), np.abs(plain.residual)
             residual = np.abs(self.residual)
-            yield from self._table("residual drift, in", g, storeys, residual, left)
-            yield from self._table("damper travel, in", g, names, self.travel)
-            yield from self._table("damper force, kip", g, names, self.force)
-            yield from self._table("damper energy, kip*in", g, names, self.energy)
+            yield from self._table("residual drift", g, storeys, residual, left)
+            yield from self._table("damper travel", g, names, self.travel)
+            yield from self._table("damper force", g, names, self.force)
+            yield from self._table("damper energy", g, names, self.energy)
 
     def _table(
         self,
-        what: str,
+        quantity: str,
         g: int,
         places: Sequence[str],
         values: Array,
         others: tuple[Array, Array] | None = None,
     ) -> Iterator[Row]:
-        """Rows of "quantity, unit" in ground motion g, one for each place."""
-        quantity, unit = what.split(", ")
+        """Rows of a quantity in ground motion g, one for each place."""
         used = values[self.usable(g), g]
         for i, place in enumerate(places):
             own = used[:, i]
@@ -244,7 +255,7 @@ class Response:
             beside = (float(others[0][i]), float(others[1][i])) if others else (np.nan, np.nan)
             name = self.grounds[g].name
             middle = float(np.median(own)), float(own.mean())
-            yield Row(quantity, name, place, unit, *middle, bands, *beside)
+            yield Row(quantity, name, place, UNITS[quantity], *middle, bands, *beside)
 
     def limits(self) -> Iterator[Passing]:
         """Probability of passing each limit, under each ground motion, with its error."""

@@ -10,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
 from mfd_bayes.calibration.effort import Effort
@@ -138,7 +137,7 @@ class Manifest(Part):
         """System of units of the records, fit for the size of the forces of their traces."""
         return system_of(
             (entry.unit for entry in self.tests.values()),
-            (float(np.max(np.abs(t.force))) for t in traces if t.force is not None),
+            (trace.force for trace in traces),
             (self.settings.tests[name].given_actuation for name in self.tests),
         )
 

@@ -7,6 +7,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import convert, factor, in_digits, split_quantity
@@ -142,7 +145,9 @@ def named_system(name: str, own: System) -> System:
 
 
 def system_of(
-    lengths: Iterable[str], forces: Iterable[float] = (), actuations: Iterable[object] = ()
+    lengths: Iterable[str],
+    forces: Iterable[ArrayLike | None] = (),
+    actuations: Iterable[object] = (),
 ) -> System:
     """System of units that records were measured in, fit for the size of their forces.
 
@@ -150,13 +155,15 @@ def system_of(
     ----------
     lengths : iterable of str
         Unit of displacement of each record: what most are in decides.
-    forces : iterable of float, kip
-        Largest force of each record: where all are below `SMALL`, forces are in lbf or N.
+    forces : iterable of array_like, kip, or None
+        Of each record, None where it has none: where no force reaches `SMALL`, they are in lbf
+        or N.
     actuations : iterable of object
         Actuation of each test as the campaign gives it, "7 bar" or a mapping with a "unit":
         metric pressures are in bar or kPa where all are.
     """
-    small = 0.0 < max(forces, default=0.0) < SMALL
+    peaks = (float(np.max(np.abs(force))) for force in forces if force is not None)
+    small = 0.0 < max(peaks, default=0.0) < SMALL
     metric = sum(1 if _is_metric(unit) else -1 for unit in lengths) > 0
     system = (SMALL_SYSTEMS if small else SYSTEMS)[metric]
     units = {_unit_of(actuation) for actuation in actuations}

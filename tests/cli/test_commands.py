@@ -65,14 +65,6 @@ def write_csv(path, table, header="time_s,displacement_in,force_kip"):
 
 
 @pytest.fixture
-def small_pictures(monkeypatch):
-    """An inspection has a picture of a few bytes, for tests that do not look at it."""
-    monkeypatch.setattr("mfd_bayes.reporting.figures.draw_inspection", lambda *_, **__: None)
-    png = b"\x89PNG\r\n\x1a\n" + bytes(25)
-    monkeypatch.setattr("mfd_bayes.reporting.figures.to_png", lambda _: png)
-
-
-@pytest.fixture
 def folder(tmp_path):
     """Campaign of one test, in a folder of its own."""
     home = tmp_path / "campaign"

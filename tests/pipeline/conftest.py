@@ -2,22 +2,7 @@
 
 import pytest
 
-from mfd_bayes.reporting import figures, publication
-from mfd_bayes.reporting.figures.style import new_figure
-
-
-@pytest.fixture(scope="session")
-def dot() -> bytes:
-    """PNG of an empty figure, in the form of every picture of the package."""
-    return figures.to_png(new_figure(1, 1))
-
-
-@pytest.fixture
-def small_pictures(monkeypatch, dot) -> None:
-    """The pictures of a prediction and an inspection are empty ones, which are drawn at once."""
-    for name in ("draw_loops", "draw_history", "draw_inspection"):
-        monkeypatch.setattr(figures, name, lambda *_, **__: None)
-    monkeypatch.setattr(figures, "to_png", lambda _: dot)
+from mfd_bayes.reporting import publication
 
 
 @pytest.fixture

@@ -114,7 +114,7 @@ def test_a_force_is_a_number_or_refused(model):
         model.force(1e300 * theta, trace)
     rng = np.random.default_rng(2)
     taken = 0
-    for _ in range(40 if model.name == "backlash" else 120):  # which takes long to solve
+    for _ in range(120):
         odd = theta * 10.0 ** rng.choice([0, 0, 0, -300, -38, -9, 9, 38, 300], size=theta.shape[1])
         try:
             force = model.force(odd, trace)
@@ -122,4 +122,4 @@ def test_a_force_is_a_number_or_refused(model):
             continue
         taken += 1
         assert np.all(np.isfinite(force)), odd
-    assert taken > 2
+    assert taken > 5

@@ -1,8 +1,7 @@
 """A small report, made without a sampler."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -33,7 +32,6 @@ from mfd_bayes.calibration.identifiability import (
 )
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting import html
 from mfd_bayes.reporting.conversion import shown_in
 from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
 from mfd_bayes.reporting.figures import draw_shared, draw_test
@@ -169,17 +167,6 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         left_out=make_left_out(),
         judgements=tuple(Judgement(test.id, Use.USABLE, "", 0.5) for test in tests if test.rows),
     )
-
-
-@pytest.fixture(scope="session", autouse=True)
-def templates_compiled_once() -> Iterator[None]:
-    """Pages of the same units share their environment: to compile templates takes most of a page.
-
-    The processes that tests start, and the tests of whole commands, compile them each time.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(html, "page_environment", cache(html.page_environment))
-        yield
 
 
 @pytest.fixture(scope="session")
