@@ -2,7 +2,7 @@
 
     python -m benchmarks.heldout.run > benchmarks/heldout/heldout.txt
 
-calibrates the sessions of the band brake with staged noise and predicts what was left out:
+calibrates the sessions of the band brake and predicts what was left out:
 
 -   the 36 lb harmonic tests, each in turn, and the earthquakes from all of them;
 -   the 2022 session: each tension in turn, and each test whose tension another test has too;
@@ -11,9 +11,8 @@ calibrates the sessions of the band brake with staged noise and predicts what wa
     all others.
 
 The calibrated runs stay in out_heldout/, so that a second run does not sample them again; delete
-the folder when records or code have changed. --ou does the same with OU noise, to show what the
-stages of the noise are worth. For comparison LuGre alone is fitted to each record by least squares.
-Exit status 1: a limit was missed. The real records come from --data (MFD_BAYES_DATA,
+the folder when records or code have changed. --noise staged shows what the stages of the noise are
+worth. For comparison LuGre alone is fitted to each record by least squares. Exit status 1: a limit was missed. The real records come from --data (MFD_BAYES_DATA,
 ../shared/data).
 """
 
@@ -88,9 +87,9 @@ def header(title: str, *more: str) -> None:
     )
 
 
-def finished(folder: Path, session: str, noise: str, options: argparse.Namespace) -> Run:
+def finished(folder: Path, session: str, options: argparse.Namespace) -> Run:
     """Calibrated run of a session's records."""
-    model = options.model
+    noise, model = options.noise, options.model
     out = folder / (f"{session}_{noise}" + ("" if model == STAGED else f"_{model}"))
     place = folder / f"campaign_{out.name}"
     campaign = records.lay_out(options.data / "brfd", place, session, noise, model)
@@ -106,7 +105,7 @@ def mean(scores: list[Score]) -> Score:
     return Score(coverage, *(float(np.mean([getattr(s, f) for s in scores])) for f in fields))
 
 
-def one_level(run: Run, options: argparse.Namespace, judged: bool) -> None:
+def one_level(run: Run, options: argparse.Namespace) -> None:
     """The 36 lb session: each test left out, and the earthquakes."""
     noise = run.manifest.settings.noise
     title = f"36 lb, 2023: each harmonic test from the others; earthquakes ({noise} noise)"
@@ -130,8 +129,6 @@ def one_level(run: Run, options: argparse.Namespace, judged: bool) -> None:
         plain = f"{squares[name]:13.3f}" if name in squares else f"{'–':>13s}"
         line(name, s, f"{published:>9s}", plain, f"{width:>12s}", f"{lugre[name]:.3f}")
     line("mean of the harmonic tests", harmonic)
-    if not judged:
-        return
     judge_one_level(found, squares, harmonic)
 
 
@@ -156,7 +153,7 @@ def judge_one_level(found: dict[str, Score], squares: dict[str, float], total: S
     bar("RRSE of Imperial Valley", quake, quake <= 0.30, "at most 0.30")
 
 
-def many_levels(run: Run, options: argparse.Namespace, judged: bool) -> None:
+def many_levels(run: Run, options: argparse.Namespace) -> None:
     """The 2022 session: each tension left out, and each test whose tension another has."""
     noise = run.manifest.settings.noise
     header(f"2022: each tension from the others ({noise} noise)", "fitted width", "fitted CRPS")
@@ -176,8 +173,6 @@ def many_levels(run: Run, options: argparse.Namespace, judged: bool) -> None:
         line(p.test, p.score, f"{p.fitted.width:12.2f}")
     near, near_own = mean([p.score for p in seen]), mean([p.fitted for p in seen])
     line("mean", near, f"{near_own.width:12.2f}")
-    if not judged:
-        return
     covered = total.coverage[2]
     good = 0.92 <= covered <= 0.98
     bar("coverage of 95 % bands, tension left out", covered, good, "0.92 to 0.98")
@@ -244,8 +239,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--effort", default="standard", help="of every test's calibration")
     parser.add_argument("--fold-effort", default="quick", help="of each population in a fold")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--ou", action="store_true", help="the same with OU noise, besides")
-    parser.add_argument("--noise", default="staged", help="of --one-level")
+    parser.add_argument("--noise", default="ou", help="as in a campaign file")
     parser.add_argument("--model", default=STAGED, help="of the force, as in a campaign file")
     parser.add_argument("--one-level", action="store_true", help="the 36 lb session alone")
     parser.add_argument("--zero", action="store_true", help="zero tension in and out, alone")
@@ -255,19 +249,16 @@ def parse() -> argparse.Namespace:
 def main() -> None:
     options = parse()
     if options.zero:
-        zero(finished(options.out, "2023-04", "ou", options), options)
+        zero(finished(options.out, "2023-04", options), options)
         return
     if options.one_level:
-        one_level(finished(options.out, "36lb", options.noise, options), options, judged=True)
+        one_level(finished(options.out, "36lb", options), options)
         return
-    runs = {s: finished(options.out, s, "staged", options) for s in ("36lb", "2022-07")}
-    one_level(runs["36lb"], options, judged=True)
-    many_levels(runs["2022-07"], options, judged=True)
+    runs = {s: finished(options.out, s, options) for s in ("36lb", "2022-07")}
+    one_level(runs["36lb"], options)
+    many_levels(runs["2022-07"], options)
     speed(runs["36lb"])
-    semi_active(runs | {"30lb": finished(options.out, "30lb", "staged", options)}, options)
-    both = (("36lb", one_level), ("2022-07", many_levels))
-    for session, show in both if options.ou else ():
-        show(finished(options.out, session, "ou", options), options, judged=False)
+    semi_active(runs | {"30lb": finished(options.out, "30lb", options)}, options)
     print(f"\n{len(missed)} bars missed" if missed else "\nall bars hold")
     sys.exit(1 if missed else 0)
 
