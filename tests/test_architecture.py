@@ -100,6 +100,26 @@ def imports_of(path: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
+LINES, LINES_OF_FUNCTION, PARAMETERS = 300, 40, 5
+"""Of a file, of a function without its docstring, and of a function; options of commands apart."""
+
+KERNELS = {
+    "mfd_bayes.friction.backlash",
+    "mfd_bayes.friction.bouc_wen",
+    "mfd_bayes.friction.gap.blend",
+    "mfd_bayes.calibration.staged_noise.log_density",
+}
+"""Numerical code that reads top to bottom."""
+
+CONTRACTS = {
+    *(f"mfd_bayes.friction.{name}.step" for name in ("backlash", "bouc_wen", "stepping")),
+    "mfd_bayes.records.trace.from_arrays",
+    "mfd_bayes.runs.response.respond_of_run",
+    "mfd_bayes.runs.run.predict",
+    "mfd_bayes.runs.run.follow",
+}
+"""Names of Python that other programs call as they are."""
+
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -143,6 +163,37 @@ def test_imports_run_one_way(path: Path) -> None:
         assert same or place_of(file) < place_of(module) or place_of(file) == -1, (
             f"{module} may not import {file}"
         )
+
+
+def too_large(name: str, text: str) -> list[str]:
+    """What of a file's text is over the project's sizes: lines, lines of functions, parameters."""
+    found = (
+        [] if text.count("\n") <= LINES or name in KERNELS else [f"{name}: {text.count(chr(10))}"]
+    )
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.FunctionDef):
+            continue
+        told = f"{name}.{node.name}"
+        said = ast.get_docstring(node) is not None
+        first = node.body[0].end_lineno + 1 if said else node.body[0].lineno  # type: ignore[operator]
+        if node.end_lineno - first >= LINES_OF_FUNCTION and told not in KERNELS:  # type: ignore[operator]
+            found.append(f"{told}: {node.end_lineno - first + 1} lines")  # type: ignore[operator]
+        given = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+        count = len([one for one in given if one not in ("self", "cls")])
+        if count > PARAMETERS and told not in CONTRACTS and not name.startswith("mfd_bayes.cli."):
+            found.append(f"{told}: {count} parameters")
+    return found
+
+
+@pytest.mark.parametrize("path", MODULES, ids=module_of)
+def test_files_and_functions_are_small(path: Path) -> None:
+    assert too_large(module_of(path), path.read_text(encoding="utf-8")) == []
+
+
+def test_what_is_too_large_would_be_seen() -> None:
+    function = "def f(a, b, c, d, e, g):\n" + "    pass\n" * 41 + "\n" * 300
+    assert len(too_large("mfd_bayes.some", function)) == 3
+    assert too_large("mfd_bayes.cli.some", "def f(a, b, c, d, e, g):\n    pass\n") == []
 
 
 def circle_in(imports: dict[str, set[str]]) -> list[str]:

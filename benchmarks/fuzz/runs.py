@@ -37,7 +37,7 @@ from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.resumption import prepare_folder
+from mfd_bayes.runs.resumption import Existing, prepare_folder
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import json_text, write_json
 from mfd_bayes.store.netcdf import CalibratedTest, load_trace, save_test, save_trace
@@ -239,7 +239,7 @@ def read_resumed(path: Path) -> object:
     plan = plan_of(small=True)
     effort_of(path.parent, None, resume=True)
     home = plan.campaign.folder
-    manifest, before = prepare_folder(plan.manifest, home, path.parent, resume=True, force=False)
+    manifest, before = prepare_folder(plan.manifest, home, path.parent, Existing.RESUMED)
     return json_text(manifest.content), before and before.content.keys()
 
 

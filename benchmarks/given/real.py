@@ -20,7 +20,7 @@ import mfd_bayes as mb
 from benchmarks.common.machine import processor, versions
 from mfd_bayes.assessment.views import Fan, Interval
 from mfd_bayes.population.predict import Band
-from mfd_bayes.reporting.figures import draw_history, to_png
+from mfd_bayes.reporting.figures import Marks, draw_history, to_png
 from mfd_bayes.validation.scores import crps, rrse
 
 RECORDS = {
@@ -57,7 +57,9 @@ def draw(folder: Path, name: str, trace: mb.Trace, bands: list[Band]) -> None:
     for word, band in zip(("before", "after"), bands, strict=True):
         fan = Fan(band.kind, band.median, (Interval(band.probability, band.lower, band.upper),))
         given = band.given.window if band.given else None
-        figure = draw_history(f"{name}, {word} the given part", trace, [fan], given=given)
+        figure = draw_history(
+            f"{name}, {word} the given part", trace, [fan], marks=Marks(given=given)
+        )
         (folder / f"{name}_{word}.png").write_bytes(to_png(figure))
 
 

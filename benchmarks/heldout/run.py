@@ -12,8 +12,8 @@ calibrates the sessions of the band brake and predicts what was left out:
 
 The calibrated runs stay in out_heldout/, so that a second run does not sample them again; delete
 the folder when records or code have changed. --noise staged shows what the stages of the noise are
-worth. For comparison LuGre alone is fitted to each record by least squares. Exit status 1: a limit was missed. The real records come from --data (MFD_BAYES_DATA,
-../shared/data).
+worth. For comparison LuGre alone is fitted to each record by least squares. Exit status 1: a limit
+was missed. The real records come from --data (MFD_BAYES_DATA, ../shared/data).
 """
 
 from __future__ import annotations

@@ -23,14 +23,13 @@ import numpy as np
 from benchmarks.response import opensees
 from benchmarks.response.cases import GRAVITY, three_stage_row
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.response.analysis import respond
+from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, Device
 from mfd_bayes.response.damping import damping_matrix
 from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.ground import Ground, read_ground
 from mfd_bayes.response.modes import modes_of
 from mfd_bayes.response.schema import Damping, Limits
-from mfd_bayes.response.settling import Accuracy
 from mfd_bayes.response.structures import Skeleton
 
 SOME = 10
@@ -65,7 +64,7 @@ def main(draws: int, jobs: int, record: Path, python: str | None = None) -> None
     """Print the time and what it was spent on."""
     ground, drawn = read_ground(record), dampers(draws)
     begun, clock = _spent(), time.perf_counter()
-    found = respond(six_storeys(), [ground], drawn, accuracy=Accuracy(), jobs=jobs)
+    found = Analysis(six_storeys(), [ground], drawn).respond(jobs)
     spent, clock = _spent() - begun, time.perf_counter() - clock
     samples = ground.acceleration.size
     print(f"{draws} draws x 6 storeys x 6 dampers x {samples} samples, {jobs} jobs")

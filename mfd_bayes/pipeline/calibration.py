@@ -30,7 +30,7 @@ from mfd_bayes.runs.folder import (
 )
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Manifest, Status
-from mfd_bayes.runs.resumption import prepare_folder
+from mfd_bayes.runs.resumption import Existing, prepare_folder
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.store.netcdf import save_trace
@@ -87,9 +87,8 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
         plan.manifest,
         plan.campaign.folder,
         out,
-        resume=options.resume,
-        force=options.force,
-        priors=plan.priors,
+        Existing.asked(resume=options.resume, force=options.force),
+        plan.priors,
     )
     try:
         manifest, anew = _calibrate_tests(plan, manifest, out, observe)

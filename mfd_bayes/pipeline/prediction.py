@@ -123,7 +123,7 @@ def _check_reach(run: Run, trace: Trace, question: Question) -> None:
 
 def _write(question: Question, drawn: Trace, answer: Answer, told: Trace) -> None:
     """Write the tables and the pictures of a prediction; `told` has the force of a given part."""
-    from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
+    from mfd_bayes.reporting.figures import Marks, draw_history, draw_loops, to_png
 
     band, system = answer.band, answer.system
     title = f"Predicted force at {question.actuation}"
@@ -143,7 +143,7 @@ def _write(question: Question, drawn: Trace, answer: Answer, told: Trace) -> Non
     write_picture(question.picture, to_png(loops))
     given = band.given.window if band.given else None
     shown = convert_trace(_with_given(drawn, told, band), system)
-    history = draw_history(title, shown, fans, system=system, given=given)
+    history = draw_history(title, shown, fans, system, Marks(given=given))
     write_picture(question.beside("history.png"), to_png(history))
 
 

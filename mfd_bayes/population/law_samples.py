@@ -171,15 +171,13 @@ def problem_of(
     name: str,
     law: str,
     follows: Sequence[str] | None = None,
-    *,
-    level_effect: bool = False,
 ) -> LawProblem:
     """A law's problem for a quantity, which follows its own covariates if none are given.
 
-    With `level_effect` it allows for the level's deviation from its law, as predictions do.
+    It allows for every effect of the layout; `Layout.without` leaves some out.
     """
     k = layout.names.index(name)
-    effects = [e for e in layout.effects if k in e.members and (level_effect or e.name != "level")]
+    effects = [e for e in layout.effects if k in e.members]
     rows = [np.ones((len(tests), 1)), *(_parts(e)[list(e.home)] for e in effects)]
     zero = np.array([setting.actuation == 0 for setting in layout.settings])
     free = zero & (not LAWS[law].intercept)

@@ -105,7 +105,7 @@ def compare_laws(
         return ()
     zero = any(setting.actuation == 0 for setting in layout.settings)
     allowed = np.array([LAWS[law].intercept or not zero for law in LAWS])
-    scores = []
+    scores, layout = [], layout.without("level")
     for name in layout.laws:
         problems = [problem_of(layout, tests, name, law) for law in LAWS]
         terms, k = zip(*(_left_out(p, folds, seed) for p in problems), strict=True)
@@ -135,7 +135,7 @@ def compare_dependence(
     """
     if len(tests) < TESTS:
         return ()
-    scores = []
+    scores, layout = [], layout.without("level")
     varied = [covariate for covariate in COVARIATES if varies(layout.settings, covariate)]
     for name, law in layout.laws.items():
         given = layout, tests, name, "power" if law == COMPARE else law
@@ -165,14 +165,13 @@ def free_exponents(
 
     Levels may deviate from the law as in predictions: the exponent is known no better than the
     number of levels allows, however many tests each has. Empty where no law is proportional, or
-    the tests are at fewer than `LEVELS` levels above
-    zero.
+    the tests are at fewer than `LEVELS` levels above zero.
     """
     if len(levels_of([s for s in layout.settings if s.actuation > 0])) < LEVELS:
         return {}
     found = {}
     for name in (name for name, law in layout.laws.items() if law == "proportional"):
-        problem = problem_of(layout, tests, name, "power", level_effect=True)
+        problem = problem_of(layout, tests, name, "power")
         drawn, densities = [], []
         for sample, weights in draw_points(problem).parts():
             drawn.append(sample.exponent)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -139,6 +139,10 @@ class Layout:
         """Scatter of each quantity in prior units, (n, d)."""
         tau: Array = np.exp(h[:, : len(self.names)]) / self.spread
         return tau
+
+    def without(self, effect: str) -> Layout:
+        """The layout without the effects of a name."""
+        return replace(self, effects=tuple(e for e in self.effects if e.name != effect))
 
     def effect_sd(self, h: Array) -> Array:
         """Sd of each part of the effects on each quantity in prior units, (n, cells, d)."""

@@ -176,7 +176,7 @@ class Predictor:
         setting = setting_of(trace, forecast.session)
         parts = self.population.draw_parts(setting, index, rng, scattered=scattered)
         source = "population laws" + (" with scatter" if scattered else "")
-        return self._band(trace, forecast, parts, index, rng, source)
+        return self.finish(trace, forecast, self._drawn(trace, parts, index, rng), rng, source)
 
     def repeat(self, trace: Trace, forecast: Forecast, own: Mapping[str, Array]) -> Band:
         """Band of the force of one calibrated test under a motion: the kind `this_test`.
@@ -203,27 +203,20 @@ class Predictor:
         level = layout.coordinates.of({name: own[name][pick] for name in layout.names})
         level = (level - layout.centre) / layout.spread
         parts = Parts(level, np.zeros_like(level), np.zeros_like(level))
-        source = "posterior draws of this test"
-        return self._band(trace, forecast, parts, index, rng, source)
+        drawn = self._drawn(trace, parts, index, rng)
+        return self.finish(trace, forecast, drawn, rng, "posterior draws of this test")
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _band(
-        self,
-        trace: Trace,
-        forecast: Forecast,
-        parts: Parts,
-        index: NDArray[np.intp],
-        rng: np.random.Generator,
-        source: str,
-    ) -> Band:
-        """Band of drawn tests (n, d); what is no number is refused."""
-        unknown = unknown_of(self.population, forecast.draws, rng)
+    def _drawn(
+        self, trace: Trace, parts: Parts, index: NDArray[np.intp], rng: np.random.Generator
+    ) -> Drawn:
+        """Drawn tests of these parts, with all but their noise; index are their draws of laws."""
+        unknown = unknown_of(self.population, len(index), rng)
         level, history = trace.reference_actuation, np.asarray(trace.actuation)
         scales = scales_of(self.population, history, level, index) if trace.varying else {}
         residual = self.population.residual
-        learned = None if residual is None else residual.draw_coefficients(rng, forecast.draws)
-        drawn = Drawn(parts, unknown, scales, discrepancy=learned)
-        return self.finish(trace, forecast, drawn, rng, source)
+        learned = None if residual is None else residual.draw_coefficients(rng, len(index))
+        return Drawn(parts, unknown, scales, discrepancy=learned)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def finish(

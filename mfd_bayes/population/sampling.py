@@ -102,7 +102,7 @@ def sample_joint(
         Computes the tests' likelihoods, in several processes.
     """
     size = effort.ensembles * WALKERS, effort.ensembles
-    run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, *size, rng, evaluate))
+    run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, size, rng, evaluate))
     for end in _looks(most_sweeps(effort)):
         run.sweep_until(end)
         dropped, convergence = run.converge()

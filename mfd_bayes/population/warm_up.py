@@ -57,14 +57,16 @@ WORTH = 0.1
 def warm_up(
     layout: Layout,
     tests: Sequence[TestLikelihood],
-    n: int,
-    ensembles: int,
+    size: tuple[int, int],
     rng: np.random.Generator,
     evaluate: Evaluate | None,
 ) -> tuple[Sampler, Chains]:
-    """A tuned sampler and its n chains, with companions where the tests have surrogates."""
+    """A tuned sampler and its chains, with companions where the tests have surrogates.
+
+    The size is the number of chains and that of their ensembles.
+    """
     sampler = Sampler(Joint(layout, [test.approximated() for test in tests]), rng)
-    chains = sampler.start(n, ensembles)
+    chains = sampler.start(*size)
     _sweep(sampler, chains, GAUSSIAN)
     if all(test.gaussian for test in tests):
         return sampler, chains

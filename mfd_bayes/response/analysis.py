@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,66 +75,71 @@ class Block:
         return Outcome(self.id, State.DONE, time.perf_counter() - begun)
 
 
-def respond(
-    building: Building,
-    grounds: Sequence[Ground],
-    dampers: Dampers,
-    *,
-    accuracy: Accuracy | None = None,
-    jobs: int = 1,
-    observe: Callable[[Step], None] = lambda step: None,
-) -> Response:
-    """Response of every draw to every ground motion, and those without dampers beside.
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A building under ground motions.
 
-    Parameters
+    Attributes
     ----------
     building : Building
     grounds : sequence of Ground
     dampers : Dampers
         Of n draws of the building.
-    jobs : int
-        Number of processes; 0 for one per processor. The result does not depend on it.
+    accuracy : Accuracy
+        Of the steps.
     """
-    accuracy = accuracy or Accuracy()
-    blocks = [
-        Block(
-            f"{ground.name} {number + 1}.{part}", building, ground, dampers.chosen(rows), accuracy
-        )
-        for number, ground in enumerate(grounds)
-        for part, rows in enumerate(_parts(dampers), start=1)
-    ]
-    others = _references(building, grounds, dampers, accuracy)
-    processes = min(jobs or os.cpu_count() or 1, len(blocks))
-    # the longest work first, so that no process waits for another at the end
-    found = _solved([*blocks, *others], processes, observe)
-    size, each = len(grounds), len(blocks) // len(grounds)
-    settled = [_joined(found[i * each :][:each]) for i in range(size)]
-    bare, plain = [
-        [_reference(f) for f in found[len(blocks) + i * size :][:size]] for i in range(2)
-    ]
-    histories = list(zip(settled, bare, plain, strict=True))
-    return Response.of(building, grounds, dampers, histories, accuracy.tolerance)
 
+    building: Building
+    grounds: Sequence[Ground]
+    dampers: Dampers
+    accuracy: Accuracy = field(default_factory=Accuracy)
 
-def _parts(dampers: Dampers) -> Iterator[NDArray[np.intp]]:
-    """Rows of each block of draws."""
-    size = max(10, ROWS // max(dampers.count, 1))
-    for begin in range(0, dampers.draws, size):
-        yield np.arange(begin, min(begin + size, dampers.draws))
+    def respond(
+        self, jobs: int = 1, observe: Callable[[Step], None] = lambda step: None
+    ) -> Response:
+        """Response of every draw to every ground motion, and those without dampers beside.
 
+        Parameters
+        ----------
+        jobs : int
+            Number of processes; 0 for one per processor. The result does not depend on it.
+        observe : callable, optional
+            Called with every step.
+        """
+        blocks = list(self._blocks())
+        processes = min(jobs or os.cpu_count() or 1, len(blocks))
+        # the longest work first, so that no process waits for another at the end
+        found = _solved([*blocks, *self._references()], processes, observe)
+        size, each = len(self.grounds), len(blocks) // len(self.grounds)
+        settled = [_joined(found[i * each :][:each]) for i in range(size)]
+        bare, plain = [
+            [_reference(f) for f in found[len(blocks) + i * size :][:size]] for i in range(2)
+        ]
+        histories = list(zip(settled, bare, plain, strict=True))
+        given = self.building, self.grounds, self.dampers
+        return Response.of(*given, histories, self.accuracy.tolerance)
 
-def _references(
-    building: Building, grounds: Sequence[Ground], dampers: Dampers, accuracy: Accuracy
-) -> Iterator[Block]:
-    """The building without dampers, then with plain friction, under each ground motion."""
-    slip = np.median(dampers.slip, axis=0) if dampers.count else np.zeros(0)
-    once = replace(accuracy, halvings=min(accuracy.halvings, PLAIN_HALVINGS))
-    for number, ground in enumerate(grounds, start=1):
-        name = f"{ground.name} {number} without dampers"
-        yield Block(name, building.bare(), ground, no_dampers(), accuracy)
-    for number, ground in enumerate(grounds, start=1):
-        name = f"{ground.name} {number} with plain friction"
-        yield Block(name, building, ground, plain_friction(slip), once)
+    def _blocks(self) -> Iterator[Block]:
+        """Blocks of draws under each ground motion."""
+        dampers = self.dampers
+        size = max(10, ROWS // max(dampers.count, 1))
+        for number, ground in enumerate(self.grounds, start=1):
+            for part, begin in enumerate(range(0, dampers.draws, size), start=1):
+                some = dampers.chosen(np.arange(begin, min(begin + size, dampers.draws)))
+                name = f"{ground.name} {number}.{part}"
+                yield Block(name, self.building, ground, some, self.accuracy)
+
+    def _references(self) -> Iterator[Block]:
+        """The building without dampers, then with plain friction, under each ground motion."""
+        dampers, accuracy = self.dampers, self.accuracy
+        slip = np.median(dampers.slip, axis=0) if dampers.count else np.zeros(0)
+        once = replace(accuracy, halvings=min(accuracy.halvings, PLAIN_HALVINGS))
+        for number, ground in enumerate(self.grounds, start=1):
+            name = f"{ground.name} {number} without dampers"
+            yield Block(name, self.building.bare(), ground, no_dampers(), accuracy)
+        for number, ground in enumerate(self.grounds, start=1):
+            name = f"{ground.name} {number} with plain friction"
+            yield Block(name, self.building, ground, plain_friction(slip), once)
 
 
 def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None]) -> list[Settled]:
@@ -159,12 +164,12 @@ def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None])
 def _packed(settled: Settled) -> dict[str, Array]:
     """Arrays of histories by name."""
     arrays = {}
-    for field in fields(settled):
-        value = getattr(settled, field.name)
+    for one in fields(settled):
+        value = getattr(settled, one.name)
         if isinstance(value, np.ndarray):
-            arrays[field.name] = value
+            arrays[one.name] = value
         else:
-            arrays |= {f"{field.name}.{f.name}": getattr(value, f.name) for f in fields(value)}
+            arrays |= {f"{one.name}.{f.name}": getattr(value, f.name) for f in fields(value)}
     return arrays
 
 

@@ -33,50 +33,56 @@ def draw_dampers(
     same random numbers at any actuation.
     """
     levels = [level_of(device, building.folder) for device in building.devices]
-    rng = np.random.default_rng([choice.seed, 0])
-    index = rng.choice(population.size, size=choice.draws)
-    scattered = choice.kind == "new_test"
-    columns, slips, starts = [], [], []
-    about: dict[str, list[Array]] = {}
-    for j, level in enumerate(levels):
-        setting = Setting(level, choice.session, dict(population.layout.covariate_reference))
-        shared = np.random.default_rng([choice.seed, 1])
-        parts = population.draw_parts(setting, index, shared, scattered=scattered)
-        own = np.random.default_rng([choice.seed, 2, j])
-        scatter = parts.scatter
-        if scattered:
-            drawn = population.draw_parts(setting, index, own, scattered=True).scatter
-            scatter = choice.scatter * drawn
-        values = population.values(Parts(parts.level, parts.law, scatter))
-        own = np.random.default_rng([choice.seed, 3, j])
-        values = {**values, **unknown_of(population, choice.draws, own)}
-        columns.append(model.theta(values))
-        slips.append(slip_force_of(model, values))
-        starts.append(values["start"])
-        typical = population.values(Parts(parts.level, parts.law, np.zeros_like(scatter)))
-        typical = {**values, **typical}
-        gap = model.gap(values)
-        for name, column in (
-            ("law and level", slip_force_of(model, typical)),
-            ("scatter of slip force", np.log(slips[-1] / slip_force_of(model, typical))),
-            *(() if gap is None else (("gap", gap),)),
-            ("start in the gap", starts[-1]),
-        ):
-            about.setdefault(name, []).append(column)
     if not levels:
         return no_dampers(choice.draws)
-    slip = np.stack(slips, axis=1)
+    rng = np.random.default_rng([choice.seed, 0])
+    index = rng.choice(population.size, size=choice.draws)
+    drawn = [_values(population, choice, index, j, level) for j, level in enumerate(levels)]
+    about = [_about(model, values, typical) for values, typical in drawn]
+    slip = np.stack([slip_force_of(model, values) for values, _ in drawn], axis=1)
     scales, times = _scales(population, building, index)
     return Dampers(
         model,
-        np.stack(columns, axis=1),
-        np.stack(starts, axis=1),
+        np.stack([model.theta(values) for values, _ in drawn], axis=1),
+        np.stack([values["start"] for values, _ in drawn], axis=1),
         slip,
         _leftover(population, slip, choice),
         scales,
         times,
-        {name: np.stack(parts, axis=1) for name, parts in about.items()},
+        {name: np.stack([one[name] for one in about], axis=1) for name in about[0]},
     )
+
+
+def _values(
+    population: Population, choice: Choice, index: NDArray[np.intp], j: int, level: float
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Quantities of the damper j at a level of actuation, (n,) each, with and without scatter."""
+    scattered = choice.kind == "new_test"
+    setting = Setting(level, choice.session, dict(population.layout.covariate_reference))
+    shared = np.random.default_rng([choice.seed, 1])
+    parts = population.draw_parts(setting, index, shared, scattered=scattered)
+    scatter = parts.scatter
+    if scattered:
+        own = np.random.default_rng([choice.seed, 2, j])
+        drawn = population.draw_parts(setting, index, own, scattered=True).scatter
+        scatter = choice.scatter * drawn
+    values = population.values(Parts(parts.level, parts.law, scatter))
+    own = np.random.default_rng([choice.seed, 3, j])
+    values = {**values, **unknown_of(population, choice.draws, own)}
+    typical = population.values(Parts(parts.level, parts.law, np.zeros_like(scatter)))
+    return values, {**values, **typical}
+
+
+def _about(model: Model, values: dict[str, Array], typical: dict[str, Array]) -> dict[str, Array]:
+    """What may have most to do with a response, of one damper, (n,) each."""
+    slip, gap = slip_force_of(model, typical), model.gap(values)
+    found = {
+        "law and level": slip,
+        "scatter of slip force": np.log(slip_force_of(model, values) / slip),
+    }
+    if gap is not None:
+        found["gap"] = gap
+    return {**found, "start in the gap": values["start"]}
 
 
 def no_dampers(draws: int = 1) -> Dampers:

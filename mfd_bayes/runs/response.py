@@ -12,7 +12,7 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.population.population import Population
-from mfd_bayes.response.analysis import respond
+from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
@@ -83,8 +83,7 @@ def respond_of_run(
     if not 0.0 < tolerance < 1.0:
         raise BuildingError(f"tolerance must lie between 0 and 1, got {tolerance}")
     dampers = draw_dampers(source.population, source.model, built, choice)
-    accuracy = Accuracy(tolerance=tolerance)
-    found = respond(built, moved, dampers, accuracy=accuracy, jobs=jobs, observe=observe)
+    found = Analysis(built, moved, dampers, Accuracy(tolerance=tolerance)).respond(jobs, observe)
     return replace(found, remarks=(*remarks_of(source, found), *found.faults))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Collection, Iterable, Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +43,24 @@ _TOLD = 10
 """Largest number of changed entries that a message lists."""
 
 
+class Existing(Enum):
+    """What happens to a run that exists in the folder."""
+
+    REFUSED = "refused"
+    RESUMED = "resumed"
+    REPLACED = "replaced"
+
+    @classmethod
+    def asked(cls, *, resume: bool, force: bool) -> Existing:
+        """By the options of a command, of which one at most is given."""
+        return cls.RESUMED if resume else cls.REPLACED if force else cls.REFUSED
+
+
 def prepare_folder(
     manifest: Manifest,
     home: Path,
     out: Path,
-    *,
-    resume: bool,
-    force: bool,
+    existing: Existing,
     priors: PriorFile | None = None,
 ) -> tuple[Manifest, Manifest | None]:
     """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
@@ -64,8 +76,8 @@ def prepare_folder(
         Folder of the campaign file, links resolved; it may lie in the run folder.
     out : Path
         Run folder.
-    resume, force : bool
-        Whether to resume or replace a run that exists.
+    existing : Existing
+        What happens to a run that exists.
     priors : PriorFile, optional
         Of the run to be calibrated; without them no change is allowed.
 
@@ -85,9 +97,9 @@ def prepare_folder(
     check_places(out)
     if _is_free(home, out):
         return manifest, None
-    if not (resume or force):
+    if existing is Existing.REFUSED:
         raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
-    if force or (out / DISCARDED).exists():
+    if existing is Existing.REPLACED or (out / DISCARDED).exists():
         discard(out)
         return manifest, None
     try:

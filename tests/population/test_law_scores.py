@@ -173,7 +173,7 @@ def test_what_other_groups_have_in_common_plays_no_part(priors):
     test = SimpleNamespace(mean=np.zeros(3), covariance=np.eye(3))
     layout = lay_out(priors, ("Fc_fwd", "k3", "offset"), settings)
     assert {e.group for e in layout.effects if e.name == "session"} == {0, 1, 2}
-    problem = problem_of(layout, [test] * 4, "Fc_fwd", "proportional")
+    problem = problem_of(layout.without("level"), [test] * 4, "Fc_fwd", "proportional")
     assert problem.rows.shape == (4, 1 + 2)  # the level, and the effects of two sessions
 
 
@@ -208,7 +208,7 @@ def test_scores_are_the_same_with_other_points_however_many_tests_there_are(prio
         assert one.elpd == pytest.approx(other.elpd, abs=0.05)
         assert one.weight == pytest.approx(other.weight, abs=0.03)
     for law in ("affine", "power"):
-        points = draw_points(problem_of(layout, tests, "Fc_fwd", law))
+        points = draw_points(problem_of(layout.without("level"), tests, "Fc_fwd", law))
         log_weights = [
             w + sample.log_density(sample.sums(slice(None))) for sample, w in points.parts()
         ]
@@ -243,7 +243,7 @@ def test_a_law_whose_points_miss_the_posterior_is_not_weighed(campaign, monkeypa
 @pytest.mark.parametrize("law", ["affine", "power"])
 def test_points_have_the_prior_of_the_laws(campaign, law):
     layout, tests = campaign(sessions=list("abab"))
-    problem = problem_of(layout, tests, "Fc_fwd", law, ["velocity"], level_effect=True)
+    problem = problem_of(layout, tests, "Fc_fwd", law, ["velocity"])
     assert problem.dim == 5  # scatter, level, session, shape, slope
     sample = problem.sample(np.random.default_rng(3).standard_normal((40_000, 5)))
     unit = layout.scatter_sd[0] / layout.spread[0]
@@ -269,7 +269,7 @@ def test_a_smooth_effect_of_many_levels_has_few_parts(priors):
     settings = [Setting(p) for p in np.geomspace(0.2, 2.0, 300)]
     layout = lay_out(priors, ("Fc_fwd",), settings)
     tests = [SimpleNamespace(mean=np.zeros(1), covariance=np.eye(1))] * 300
-    problem = problem_of(layout, tests, "Fc_fwd", "power", level_effect=True)
+    problem = problem_of(layout, tests, "Fc_fwd", "power")
     assert problem.rows.shape[1] < 40
     effect = layout.effects[0]
     root = effect.root[list(effect.home)]

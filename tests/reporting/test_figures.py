@@ -11,7 +11,13 @@ from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.reporting.conversion import convert_test, shown_in
 from mfd_bayes.reporting.figures import laws, loops
 from mfd_bayes.reporting.figures.campaign import figures_of_test, shared_figures
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, stretches
+from mfd_bayes.reporting.figures.loops import (
+    Marks,
+    draw_history,
+    draw_loops,
+    draw_overview,
+    stretches,
+)
 from mfd_bayes.reporting.figures.posteriors import draw_corner, draw_marginals, draw_truth
 from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
@@ -155,7 +161,7 @@ def test_every_kind_of_band_can_be_drawn(test_view, kind):
 
 def test_long_records_show_the_strongest_motion(test_view):
     test = test_view("a", samples=12_000)
-    figure = draw_history("a", test.trace, [test.observation], test.first)
+    figure = draw_history("a", test.trace, [test.observation], marks=Marks(test.first))
     assert len(figure.axes) == 6
     assert all(len(line.get_xdata()) <= 4500 for axes in figure.axes for line in axes.lines)
 

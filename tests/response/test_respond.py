@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.response.analysis import respond
+from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
@@ -94,7 +94,7 @@ def test_without_scatter_all_draws_are_one_and_more_scatter_widens(run, path, gr
 
     def peaks(scatter):
         dampers = dampers_of(run, path, scatter)
-        return respond(building, [ground], dampers, accuracy=ONCE).drift[:, 0, 0]
+        return Analysis(building, [ground], dampers, ONCE).respond().drift[:, 0, 0]
 
     none, some, more = peaks(0.0), peaks(1.0), peaks(2.0)
     assert np.ptp(none) < 1e-9 * none.mean()

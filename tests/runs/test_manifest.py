@@ -16,7 +16,7 @@ from mfd_bayes.pipeline.commands import effort_of, report
 from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored
 from mfd_bayes.runs.manifest import read_begun, read_manifest
 from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.resumption import prepare_folder
+from mfd_bayes.runs.resumption import Existing, prepare_folder
 from mfd_bayes.store.files import write_text
 from mfd_bayes.validation.folds import Fold, read_predictions
 
@@ -210,7 +210,7 @@ def resumed(runs, made, tmp_path):
 
 
 def resume(plan, out):
-    return prepare_folder(plan.manifest, plan.campaign.folder, out, resume=True, force=False)
+    return prepare_folder(plan.manifest, plan.campaign.folder, out, Existing.RESUMED)
 
 
 def test_a_finished_run_is_resumed(resumed):
@@ -323,7 +323,7 @@ def test_nothing_is_written_through_a_link(resumed, tmp_path, name):
         lambda: report(out),
         lambda: discard(out),
         lambda: resume(plan, out),
-        lambda: prepare_folder(plan.manifest, plan.campaign.folder, out, resume=False, force=True),
+        lambda: prepare_folder(plan.manifest, plan.campaign.folder, out, Existing.REPLACED),
     ):
         with pytest.raises(StoreError, match="outside of the run folder"):
             act()

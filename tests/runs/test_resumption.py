@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs.resumption import prepare_folder
+from mfd_bayes.runs.resumption import Existing, prepare_folder
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def resume(plan, out, priors=None, **settings):
     )
     given = priors or plan.priors
     home = plan.campaign.folder
-    return prepare_folder(changed, home, out, resume=True, force=False, priors=given)
+    return prepare_folder(changed, home, out, Existing.RESUMED, given)
 
 
 def test_other_laws_keep_the_tests_and_infer_the_population_again(plan, out):

@@ -162,7 +162,8 @@ class PaperBank:
             turned_back = np.zeros(direction.size, dtype=bool)
             turned_back[rows] = back
             bank = replace(self, direction=direction, places=self._places(turned_back, direction))
-        slip, z = _relaxed(before, middle, way, turns.share * dt, np.zeros(rows.size), self.z[rows])
+        at_rest = np.zeros(rows.size)
+        slip, z = _relaxed((before, middle), way, turns.share * dt, at_rest, self.z[rows])
         bristles = self.bristles
         if middle is not before or bristles is not self.base:
             bristles = with_state(bristles, NAMES, rows, middle)
@@ -186,7 +187,7 @@ class PaperBank:
         if back.any():
             direction = np.where(back, -direction, direction)
             places = self._places(back, direction)
-        slip, z = _relaxed(self.bristles, after, way, dt, velocity, self.z)
+        slip, z = _relaxed((self.bristles, after), way, dt, velocity, self.z)
         return PaperBank(
             self.base,
             after,
@@ -260,9 +261,13 @@ def _either(early: NDArray[np.bool_], before: Bristles, after: Bristles) -> Bris
 
 
 def _relaxed(
-    before: Bristles, after: Bristles, way: Array, dt: Array, velocity: Array, z: Array
+    bristles: tuple[Bristles, Bristles], way: Array, dt: Array, velocity: Array, z: Array
 ) -> tuple[Array, Array]:
-    """Force F1 and deflection z after a step, (n,) kip and in; see `bristles.slip_force`."""
+    """Force F1 and deflection z after a step, (n,) kip and in; see `bristles.slip_force`.
+
+    The bristles are those before and after the step.
+    """
+    before, after = bristles
     middle = before.midway(after)
     backward = way < 0.0
     kinetic_fwd, excess_fwd, kinetic_bwd, excess_bwd = middle.steady

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from mfd_bayes.assessment.views import CampaignView, Fan, TestView
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.figures.laws import draw_laws
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.figures.next_test import draw_next
 from mfd_bayes.reporting.figures.posteriors import (
     draw_chains,
@@ -115,7 +115,7 @@ def _loops(test: TestView, system: System) -> Figure:
 
 
 def _history(test: TestView, system: System) -> Figure:
-    return draw_history(_title(test), test.trace, _fans(test), test.first, system)
+    return draw_history(_title(test), test.trace, _fans(test), system, Marks(test.first))
 
 
 def _residuals(test: TestView, system: System) -> Figure | None:

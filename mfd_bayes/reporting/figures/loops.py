@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -56,22 +57,36 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: Syste
     return figure
 
 
+@dataclass(frozen=True)
+class Marks:
+    """What is marked along the time.
+
+    Attributes
+    ----------
+    first : int
+        Samples before it were not fitted.
+    given : (float, float), s, or None
+        From and to when the force was known to the prediction.
+    """
+
+    first: int = 0
+    given: tuple[float, float] | None = None
+
+
 @look.style()
 def draw_history(
     title: str,
     trace: Trace,
     fans: Sequence[Fan] = (),
-    first: int = 0,
     system: System = US,
-    *,
-    given: tuple[float, float] | None = None,
+    marks: Marks = Marks(),
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
-    The residual is the force minus the first fan's median; samples before `first` were not
-    fitted; from and to the times `given`, s, the force was known to the prediction. There is no
-    residual where the force is NaN at a sample. Trace and fans are in the units of `system`.
+    The residual is the force minus the first fan's median. There is none where the force is NaN at
+    a sample. Trace and fans are in the units of `system`.
     """
+    first, given = marks.first, marks.given
     windows = _windows(trace)
     whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
     rows = 3 if fans and whole else 2
