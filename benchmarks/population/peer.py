@@ -17,6 +17,7 @@ from numpyro.infer import MCMC, NUTS
 from benchmarks.forward import peers as forward_peers
 from benchmarks.population.study import FOLLOWERS, LEVELS, Campaign
 from benchmarks.sampling import peers
+from mfd_bayes.population.effects import WIDER
 
 LOGISTIC = float(np.pi / np.sqrt(3.0))
 """Sd of a uniform number's logit."""
@@ -139,6 +140,7 @@ class Layout:
         density = jax.vmap(likelihood(self.campaign.tests[0]))  # all have the same motion
         forces = jnp.asarray([test.trace.force for test in self.campaign.tests])
         sds = np.array([ours.scatter_sd[self.names.index(m[0])] for m in FOLLOWERS.values()])
+        sds = WIDER * sds
 
         def potential(u):
             mean, scatter = self.population(u)

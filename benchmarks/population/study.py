@@ -17,6 +17,7 @@ from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
+from mfd_bayes.population.effects import WIDER
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.pilot import fit_pilot
@@ -168,7 +169,7 @@ def _deviations(
     r = np.sqrt(3.0) * distance / np.log(2.0)  # Matérn 3/2
     root = np.linalg.cholesky((1.0 + r) * np.exp(-r) + 1e-12 * np.eye(at.size))
     for group, members in FOLLOWERS.items():
-        scale = layout.scatter_sd[names.index(members[0])]
+        scale = WIDER * layout.scatter_sd[names.index(members[0])]
         sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
         for name in members:
             found[:, names.index(name)] = sd * root @ rng.standard_normal(at.size)

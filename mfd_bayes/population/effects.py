@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,10 @@ ALIKE = float(np.log(2.0))
 """Correlation length of a level's effect, along the logarithm of the actuation."""
 
 _FAR = 1e3  # exp(−r) is 0 there
+
+WIDER = 2.0
+"""Scale of the sd of a level's effect, over that of scatter from test to test: real levels lie
+farther from a law than repeats from each other."""
 
 LEVELS = 3
 """Fewest levels at which a deviation from a law can be told from the law."""
@@ -46,6 +50,8 @@ class Effect:
     kernel : "matern" or "exponential"
         Correlation along the actuation; exp(−|log p − log p'| / log 2) in populations that earlier
         versions have stored.
+    scale : float
+        Scale of the prior of its sd, over that of the group's scatter.
     """
 
     name: str
@@ -54,6 +60,7 @@ class Effect:
     cells: tuple[Cell, ...]
     home: tuple[int, ...]
     kernel: str = "matern"
+    scale: float = 1.0
 
     @cached_property
     def root(self) -> Array:
@@ -87,7 +94,7 @@ class Effect:
         (own + others, own + others), lower triangular; others are not among its own.
         """
         every = (*self.cells, *cells)
-        new = Effect(self.name, self.group, self.members, every, (), self.kernel)
+        new = replace(self, cells=every, home=())
         near = 1e-12 * np.eye(len(every))  # effects of very near levels are the same but for this
         rows = np.linalg.cholesky(new._correlation(every) + near)
         rows[: len(self.cells), : len(self.cells)] = self.root
@@ -127,5 +134,6 @@ def effects_of(
         home = tuple(cells.index(key) for key in keys)
         for group in dict.fromkeys(member[members].tolist()):
             those = tuple(k for k in members if member[k] == group)
-            found.append(Effect(name, group, those, cells, home))
+            scale = WIDER if name == "level" else 1.0
+            found.append(Effect(name, group, those, cells, home, scale=scale))
     return tuple(found)

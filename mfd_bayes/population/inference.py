@@ -20,7 +20,6 @@ from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import beside, several_processes
 from mfd_bayes.population.apart import set_apart
 from mfd_bayes.population.law_scores import (
-    COVARIATES,
     TESTS,
     DependenceScore,
     LawScore,
@@ -40,6 +39,11 @@ from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 
 Array = NDArray[np.float64]
+
+
+USUAL = ("amplitude",)
+"""Covariates that slip forces follow by default: no friction model here knows of the stroke, and
+all of them know of the speed."""
 
 
 @dataclass(frozen=True)
@@ -211,11 +215,12 @@ def usual_dependence(
 ) -> dict[str, tuple[str, ...]]:
     """Covariates that slip forces follow unless a campaign says otherwise.
 
-    They are those that vary between at least `TESTS` tests; the prior keeps the dependence small.
+    They are those of `USUAL` that vary between at least `TESTS` tests; the prior keeps the
+    dependence small.
     """
     if len(settings) < TESTS:
         return {}
-    varied = tuple(c for c in COVARIATES if varies(settings, c))
+    varied = tuple(c for c in USUAL if varies(settings, c))
     return {name: varied for name in model.slip_forces if name in names and varied}
 
 

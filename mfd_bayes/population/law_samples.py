@@ -97,6 +97,8 @@ class LawProblem:
         Weights of the level and of the effects' independent parts in each test.
     sd_of : (m,) int
         Which sd each part has; 0, in the place of the scatter, for the level, whose sd is 1.
+    scales : (sds,)
+        Scale of the prior of each sd over that of the scatter, which is the first.
     follows : tuple of str
         Covariates that the quantity follows.
     free : (J,) bool
@@ -111,6 +113,7 @@ class LawProblem:
     noise: Array
     rows: Array
     sd_of: NDArray[np.intp]
+    scales: Array
     follows: tuple[str, ...]
     free: NDArray[np.bool_]
 
@@ -122,7 +125,7 @@ class LawProblem:
     @property
     def sds(self) -> int:
         """Number of sds."""
-        return 1 + int(self.sd_of.max())
+        return len(self.scales)
 
     @property
     def dim(self) -> int:
@@ -137,7 +140,7 @@ class LawProblem:
     def sample(self, z: Array) -> LawSample:
         """The tests at points z, (n, dim)."""
         unit = self.layout.scatter_sd[self.k] / self.layout.spread[self.k]
-        sds = unit * np.maximum(_half_normal(z[:, : self.sds]), _SMALLEST)
+        sds = unit * self.scales * np.maximum(_half_normal(z[:, : self.sds]), _SMALLEST)
         of_parts = np.where(self.sd_of > 0, sds[:, self.sd_of], 1.0)
         means, exponent = self._means(z[:, self.sds :])
         residuals = self.data - np.where(self.free, 0.0, means)
@@ -189,6 +192,7 @@ def problem_of(
         noise=np.array([test.covariance[k, k] for test in tests]),
         rows=np.where(free[:, None], 0.0, np.concatenate(rows, axis=1)),
         sd_of=np.repeat(np.arange(len(rows)), [r.shape[1] for r in rows]),
+        scales=np.array([1.0, *(effect.scale for effect in effects)]),
         follows=tuple(layout.dependence.get(name, ()) if follows is None else follows),
         free=free,
     )

@@ -132,7 +132,7 @@ class Layout:
     @cached_property
     def sd_scale(self) -> Array:
         """Prior scale of the scatter of each quantity and of the sd of each effect."""
-        effects = [self.scatter_sd[effect.members[0]] for effect in self.effects]
+        effects = [self.scatter_sd[e.members[0]] * e.scale for e in self.effects]
         return np.concatenate([self.scatter_sd, effects])
 
     def scatter(self, h: Array) -> Array:

@@ -167,7 +167,7 @@ def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
         groups=groups,
         member=np.array(facts["member"], dtype=np.intp),
         settings=tuple(Setting(**s) for s in facts["settings"]),
-        effects=tuple(_effect(e) for e in facts["effects"]),
+        effects=tuple(effect_of(e) for e in facts["effects"]),
         dependence={name: tuple(those) for name, those in facts["dependence"].items()},
         sparse=tuple(facts.get("sparse", ())),
         common=tuple(facts.get("common", ())),
@@ -177,11 +177,13 @@ def _layout_of(facts: Mapping[str, Any], priors: PriorFile) -> Layout:
     )
 
 
-def _effect(facts: Mapping[str, Any]) -> Effect:
+def effect_of(facts: Mapping[str, Any]) -> Effect:
+    """Effect of what a file holds of it."""
     cells = tuple((str(session), float(at)) for session, at in facts["cells"])
     members, home = tuple(facts["members"]), tuple(facts["home"])
     kernel = facts.get("kernel", "exponential")  # which earlier versions do not name
-    return Effect(facts["name"], facts["group"], members, cells, home, kernel)
+    scale = facts.get("scale", 1.0)  # likewise
+    return Effect(facts["name"], facts["group"], members, cells, home, kernel, scale)
 
 
 _FIGURES = ("slip_force", "noise_time", "information")

@@ -55,6 +55,7 @@ class _Effect(Part):
     cells: list[Annotated[tuple[str, _Level], Field(strict=False)]]
     home: list[Index]
     kernel: Literal["matern", "exponential"] = "exponential"  # of earlier versions
+    scale: Annotated[float, Field(ge=0.01, le=100)] = 1.0  # likewise
 
 
 class _Basis(Part):

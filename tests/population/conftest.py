@@ -149,7 +149,8 @@ class Linear:
         """Moments by a grid over log scatter and log effect sd, and n exact draws."""
         d = self.y.shape[1]
         effects = len(self.layout.effects)
-        scales = np.append(self.layout.scatter_sd, self.layout.scatter_sd[:1].repeat(effects))
+        wider = 2.0 * self.layout.scatter_sd[:1].repeat(effects)  # levels deviate by more
+        scales = np.append(self.layout.scatter_sd, wider)
         axis = np.linspace(-6.0, 1.5, points)  # of the log of an sd over its prior's scale
         grid = np.array(list(product(axis, repeat=d + effects))) + np.log(scales)
         weight, means, covariances = self.conditional(grid)

@@ -20,7 +20,12 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.storage import load_population, save_population, save_test_draws
+from mfd_bayes.population.storage import (
+    effect_of,
+    load_population,
+    save_population,
+    save_test_draws,
+)
 from mfd_bayes.population.travel import TravelBasis
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_arrays
@@ -255,8 +260,16 @@ def test_a_file_of_another_kind_is_refused(tmp_path, priors):
 
 def test_effects_come_back_with_their_kernel(population, back, tmp_path, priors):
     assert {effect.kernel for effect in back.layout.effects} == {"matern"}
+    scales = {effect.name: effect.scale for effect in back.layout.effects}
+    assert scales == {"level": 2.0, "session": 1.0}
     older = [replace(effect, kernel="exponential") for effect in population.layout.effects]
     layout = replace(population.layout, effects=tuple(older))
     save_population(tmp_path / "older.nc", replace(population, layout=layout))
     found = load_population(tmp_path / "older.nc", priors).layout.effects
     assert {effect.kernel for effect in found} == {"exponential"}
+
+
+def test_effects_of_earlier_versions_are_as_wide_as_scatter():
+    facts = {"name": "level", "group": 0, "members": [0], "cells": [["", 0.8]], "home": [0]}
+    assert effect_of(facts).scale == 1.0
+    assert effect_of({**facts, "scale": 2.0}).scale == 2.0
