@@ -5,14 +5,18 @@ from dataclasses import replace
 import pytest
 
 from mfd_bayes.assessment.views import Check
+from mfd_bayes.reporting import tables
 from mfd_bayes.reporting.tables import (
     checks_csv,
+    comparison_csv,
     crossvalidation_csv,
     derived_csv,
     law_scores_csv,
     laws_csv,
+    noises_csv,
     parameters_csv,
     predicted_csv,
+    readings_csv,
     report_tables,
     scores_csv,
 )
@@ -108,3 +112,23 @@ def test_a_new_run_in_a_folder_removes_every_table_of_the_old_one(campaign, tmp_
 def test_nothing_to_write_leaves_the_header():
     assert read(scores_csv([])) == []
     assert scores_csv([]).startswith("test,role,")
+
+
+@pytest.mark.parametrize(
+    ("make", "columns"),
+    [
+        (
+            law_scores_csv,
+            "quantity law chosen elpd elpd_se elpd_difference",
+        ),
+        (scores_csv, "test role coverage_50 coverage_90 coverage_95 width_95_kip"),
+        (checks_csv, "subject check target value limit verdict size tolerance"),
+        (tables.tested_csv, "condition unit smallest largest"),
+        (readings_csv, "test quantity unit read_off q2.5 q50 q97.5 tolerance missed largest"),
+        (noises_csv, "test quantity unit noise q2.5 q50 q97.5 other_noise other_q2.5 other_q50"),
+        (comparison_csv, "test model cycles elpd elpd_se p_loo worst_pareto_k share_bad_k"),
+        (laws_csv, "group constant unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat"),
+    ],
+)
+def test_other_programs_find_the_columns(make, columns):
+    assert make([]).splitlines()[0].split(",")[: len(columns.split())] == columns.split()

@@ -81,6 +81,10 @@ def test_matrices_come_from_files(tmp_path):
     np.save(tmp_path / "K.npy", np.array([[20.0, -10.0], [-30.0, 10.0]]))
     with pytest.raises(BuildingError, match=r"K\.npy must be symmetric"):
         read_building(path)
+    for key, values in (("influence", "[1.0]"), ("heights", '["3 m"]')):
+        path.write_text(f'[matrices]\nmass = "M.csv"\nstiffness = "M.csv"\n{key} = {values}\n')
+        with pytest.raises(BuildingError, match=rf"matrices\.{key} in .* must have 2 values"):
+            read_building(path)
 
 
 @pytest.mark.parametrize(
