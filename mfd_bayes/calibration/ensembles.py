@@ -27,6 +27,9 @@ STORED = 3000
 ROUND = 20
 """Steps after which the proposal is learned again during the warm-up."""
 
+FIRST = 80
+"""Kept steps after which convergence is measured first; then after half as many more, or longer."""
+
 ROUNDS = 12
 """Largest number of such rounds at full power; fewer where they no longer help."""
 
@@ -74,7 +77,7 @@ def sample_density(
     watch = watch or Watch()
     walk = _Walk(density, modes, effort, rng, watch.derived)
     walk.warm_up()
-    wait = ROUND
+    wait = FIRST
     while True:
         walk.run(max(1, min(wait, effort.limit - walk.steps)))
         chains = walk.chains()
@@ -88,7 +91,7 @@ def sample_density(
         slow = found.worst_ess < 0.5 * effort.ess or slowest > SLOW
         if slow and 2 * walk.steps <= effort.limit:
             walk.learn_again()
-        wait = max(4 * ROUND, walk.fresh // 2)
+        wait = max(FIRST // 2, walk.fresh // 2)
 
 
 class _Walk:

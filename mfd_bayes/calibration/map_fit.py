@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from mfd_bayes.calibration.least_squares import fit_all
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
 
@@ -64,8 +65,8 @@ def find_modes(
     """
     scale = prior_scale(posterior, rng)
     begin = _starting_points(posterior, rng, starts, candidates)
-    fits = [_least_squares(posterior, q, *scale) for q in begin]
-    heights = posterior.log_prob(np.array(fits))
+    fits = _least_squares(posterior, begin, *scale)
+    heights = posterior.log_prob(fits)
     order = np.argsort(-heights)
     ends: list[Array] = []
     for i in order[heights[order] > heights.max() - HOPELESS]:
@@ -105,41 +106,22 @@ def _starting_points(
 
 
 def _least_squares(posterior: Posterior, begin: Array, mean: Array, sd: Array) -> Array:
-    """Mode of a fit with iid noise and Gaussian prior; noise set from the residual, (dim,)."""
+    """Modes of fits with iid noise and Gaussian prior; noise set from the residual, (m, dim)."""
     moves = np.array([not name.startswith("noise") for name in posterior.names])
     force = np.asarray(posterior.trace.force)[posterior.first :]
     unit = 0.1 * float(np.std(force)) + 1e-12
     inflation = np.sqrt(min(1.0, 200.0 / force.size))  # neighbouring samples are correlated
 
-    def residuals(points: Array) -> Array:
-        q = np.tile(begin, (len(points), 1))
+    def residual(points: Array, _: NDArray[np.intp]) -> Array:
+        q = np.tile(begin[0], (len(points), 1))
         q[:, moves] = mean[moves] + sd[moves] * points
-        misfit = posterior.residual(q)[:, posterior.first :] * (inflation / unit)
-        return np.asarray(np.concatenate([misfit, points], axis=1))
+        return np.asarray(posterior.residual(q)[:, posterior.first :] * (inflation / unit))
 
-    def jacobian(point: Array) -> Array:
-        shifted = point + STEP * np.eye(len(point))
-        both = residuals(np.concatenate([shifted, point - STEP * np.eye(len(point))]))
-        ahead, behind = np.split(both, 2)
-        slopes: Array = (ahead - behind).T / (2 * STEP)
-        return slopes
-
-    def at(point: Array) -> Array:
-        return np.asarray(residuals(point[None])[0])
-
-    w0 = (begin[moves] - mean[moves]) / sd[moves]
-    fit = optimize.least_squares(
-        at,
-        np.clip(w0, -5, 5),
-        jac=jacobian,
-        bounds=(-8.0, 8.0),
-        max_nfev=60,
-        ftol=1e-6,
-        xtol=1e-6,
-    )
+    w0 = (begin[:, moves] - mean[moves]) / sd[moves]
+    found = fit_all(residual, np.clip(w0, -5.0, 5.0), 8.0)
     q = begin.copy()
-    q[moves] = mean[moves] + sd[moves] * fit.x
-    return _read_noise(posterior, q)
+    q[:, moves] = mean[moves] + sd[moves] * found
+    return np.array([_read_noise(posterior, one) for one in q])
 
 
 def _read_noise(posterior: Posterior, q: Array) -> Array:

@@ -9,7 +9,9 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
+
+from mfd_bayes.calibration.least_squares import fit_all
 
 Array = NDArray[np.float64]
 
@@ -24,6 +26,10 @@ ANCHORED = 0.25
 
 BENT = 1.5
 """Bound on the parameters of a coordinate's warp, so that few draws cannot distort it much."""
+
+LOOSE = 0.01
+"""Difference of a quantile, in the scale of the normal's arcsinh, that weighs as much as a bend of
+1: a warp is bent for very little."""
 
 SHRINKAGE = 2.0
 """Pseudo-draws per dimension that shrink each component's covariance to the overall one."""
@@ -147,20 +153,19 @@ class Warp:
     def of(cls, draws: Array) -> Warp:
         """Map fitted so that quantiles of the draws (n, dim) become those of the normal."""
         target = special.ndtri(PROBABILITIES)
-        found = []
-        for quantiles in np.quantile(draws, PROBABILITIES, axis=0).T:
-            middle = quantiles[len(quantiles) // 2]
-            spread = max(quantiles[-1] - quantiles[0], 1e-12) / (target[-1] - target[0])
+        quantiles = np.quantile(draws, PROBABILITIES, axis=0).T
+        middle = quantiles[:, quantiles.shape[1] // 2]
+        spread = np.maximum(quantiles[:, -1] - quantiles[:, 0], 1e-12) / (target[-1] - target[0])
+        places = (quantiles - middle[:, None]) / spread[:, None]
 
-            def misfit(w: Array, y: Array = (quantiles - middle) / spread) -> Array:
-                scaled = np.arcsinh((y - w[0]) * np.exp(-w[1]))
-                gap: Array = np.exp(w[2]) * scaled - w[3] - np.arcsinh(target)
-                return gap
+        def misfit(w: Array, coordinates: NDArray[np.intp]) -> Array:
+            shift, width, tail, skew = w.T[:, :, None]
+            scaled = np.arcsinh((places[coordinates] - shift) * np.exp(-width))
+            gap: Array = (np.exp(tail) * scaled - skew - np.arcsinh(target)) / LOOSE
+            return gap
 
-            fit = optimize.least_squares(misfit, np.zeros(4), bounds=(-BENT, BENT), max_nfev=30)
-            shift, width, tail, skew = fit.x
-            found.append((middle + spread * shift, spread * np.exp(width), skew, np.exp(tail)))
-        return cls(*np.array(found).T)
+        shift, width, tail, skew = fit_all(misfit, np.zeros((len(middle), 4)), BENT).T
+        return cls(middle + spread * shift, spread * np.exp(width), skew, np.exp(tail))
 
     def normal(self, q: Array) -> tuple[Array, Array]:
         """Standard coordinates, (n, dim), and the log of the map's Jacobian, (n,)."""

@@ -98,11 +98,13 @@ def test_a_block_that_moves_the_posterior_far_has_a_large_k():
             stats.norm.logpdf(q[:, 0], 0, 10) + stats.norm.logpdf(data[:, None], q[:, 0]).sum(0)
         )
 
-    start, flat = draws[:, None], np.zeros(draws.size)
-    whole, first_k = log_evidence(density(np.concatenate(blocks)), start, flat, rng)
-    rest, second_k = log_evidence(density(np.concatenate(blocks[:2])), start, -given[:, 2], rng)
-    assert max(first_k, second_k) < LARGEST_K
-    assert whole - rest == pytest.approx(exact[2], abs=0.05)
+    start, flat, found = draws[:, None], np.zeros(draws.size), []
+    for _ in range(8):  # each by itself has an error of about 0.06
+        whole, first_k = log_evidence(density(np.concatenate(blocks)), start, flat, rng)
+        rest, second_k = log_evidence(density(np.concatenate(blocks[:2])), start, -given[:, 2], rng)
+        assert max(first_k, second_k) < LARGEST_K
+        found.append(whole - rest)
+    assert np.mean(found) == pytest.approx(exact[2], abs=0.05)
 
 
 def test_differences_are_paired_over_cycles():
