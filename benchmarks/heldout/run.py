@@ -190,7 +190,7 @@ def zero(run: Run, options: argparse.Namespace) -> None:
     """Three levels of one session, one of them zero: what the laws say there, with and without."""
     noise = run.manifest.settings.noise
     print(f"\n2023-04: 0, 30 and 36 lb, affine laws ({noise} noise)")
-    for name, values in run.population.slopes().items():
+    for name, values in run.population.slopes.items():
         low, middle, high = np.quantile(values, [0.025, 0.5, 0.975])
         print(f"  {name:32s} {middle:9.4g} [{low:.4g}, {high:.4g}]")
     tests = ["0lb_0.50Hz_1.0in", "0lb_1.00Hz_1.0in"]
