@@ -139,8 +139,8 @@ class Layout:
         ours, d = self.campaign.layout, len(self.names)
         density = jax.vmap(likelihood(self.campaign.tests[0]))  # all have the same motion
         forces = jnp.asarray([test.trace.force for test in self.campaign.tests])
-        sds = np.array([ours.scatter_sd[self.names.index(m[0])] for m in FOLLOWERS.values()])
-        sds = WIDER * sds
+        scatter_sds = [ours.scatter_sd[self.names.index(m[0])] for m in FOLLOWERS.values()]
+        sds = WIDER * np.array(scatter_sds)
 
         def potential(u):
             mean, scatter = self.population(u)

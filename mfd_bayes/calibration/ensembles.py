@@ -27,9 +27,6 @@ STORED = 3000
 ROUND = 20
 """Steps after which the proposal is learned again during the warm-up."""
 
-FIRST = 80
-"""Kept steps after which convergence is measured first; then after half as many more, or longer."""
-
 ROUNDS = 12
 """Largest number of such rounds at full power; fewer where they no longer help."""
 
@@ -41,6 +38,9 @@ BROAD = 0.5
 
 PATIENCE = 2
 """The warm-up ends after this many rounds without a better acceptance rate."""
+
+FIRST = 80
+"""Kept steps after which convergence is measured first; then after half as many more, or longer."""
 
 SLOW = 40.0
 """Autocorrelation time, steps, above which the proposal is learned again."""

@@ -28,8 +28,8 @@ BENT = 1.5
 """Bound on the parameters of a coordinate's warp, so that few draws cannot distort it much."""
 
 LOOSE = 0.01
-"""Difference of a quantile, in the scale of the normal's arcsinh, that weighs as much as a bend of
-1: a warp is bent for very little."""
+"""Misfit of one quantile, in arcsinh of the normal coordinate, that weighs as much as a parameter
+of size 1: small, so that the fit of the quantiles decides."""
 
 SHRINKAGE = 2.0
 """Pseudo-draws per dimension that shrink each component's covariance to the overall one."""

@@ -117,10 +117,7 @@ def test_nothing_to_write_leaves_the_header():
 @pytest.mark.parametrize(
     ("make", "columns"),
     [
-        (
-            law_scores_csv,
-            "quantity law chosen elpd elpd_se elpd_difference",
-        ),
+        (law_scores_csv, "quantity law chosen elpd elpd_se elpd_difference"),
         (scores_csv, "test role coverage_50 coverage_90 coverage_95 width_95_kip"),
         (checks_csv, "subject check target value limit verdict size tolerance"),
         (tables.tested_csv, "condition unit smallest largest"),
