@@ -25,6 +25,10 @@ WIDER = 2.0
 """Scale of the sd of a level's effect, over that of scatter from test to test: real levels lie
 farther from a law than repeats from each other."""
 
+BOUNDS = (0.5, 2.0)
+"""Least and largest sd of a level's effect, over that at the reference actuation: far above the
+tested levels, and near zero."""
+
 LEVELS = 3
 """Fewest levels at which a deviation from a law can be told from the law."""
 
@@ -37,6 +41,10 @@ class Effect:
     near levels are similar: over the logarithm of the actuation they are a smooth Gaussian process,
     within a session, of correlation (1 + r) exp(−r), r = √3 |log p − log p'| / log 2 (Matérn 3/2).
     Zero has no logarithm: the effect of that level is independent of all others.
+
+    A level's deviation is like that of a wrong actuation, wrong by as much at every level (a load
+    cell's zero, a threshold): in the logarithm of a force its sd is in inverse proportion to the
+    actuation.
 
     Attributes
     ----------
@@ -52,6 +60,9 @@ class Effect:
         versions have stored.
     scale : float
         Scale of the prior of its sd, over that of the group's scatter.
+    reference : float
+        Actuation at which its sd is 1, kip or ksi; 0 where the sd is the same at every actuation,
+        as for sessions, and for levels in populations that earlier versions have stored.
     """
 
     name: str
@@ -61,11 +72,25 @@ class Effect:
     home: tuple[int, ...]
     kernel: str = "matern"
     scale: float = 1.0
+    reference: float = 0.0
 
     @cached_property
     def root(self) -> Array:
-        """Cholesky factor of the cells' correlation, (cells, cells)."""
-        return np.asarray(np.linalg.cholesky(self._correlation(self.cells)))
+        """Cholesky factor of the cells' covariance, (cells, cells)."""
+        return np.asarray(np.linalg.cholesky(self._covariance(self.cells)))
+
+    def _size(self, cells: Sequence[Cell]) -> Array:
+        """Sd of the effect in cells, over that at the reference actuation, (cells,)."""
+        if not self.reference:
+            return np.ones(len(cells))
+        actuation = np.array([actuation for _, actuation in cells])
+        with np.errstate(divide="ignore"):
+            return np.clip(self.reference / actuation, *BOUNDS)
+
+    def _covariance(self, others: Sequence[Cell]) -> Array:
+        """Covariance of the effect between other cells and its own, (others, cells)."""
+        sizes = self._size(others)[:, None] * self._size(self.cells)
+        return np.asarray(sizes * self._correlation(others))
 
     def _correlation(self, others: Sequence[Cell]) -> Array:
         """Correlation of the effect between other cells and its own, (others, cells)."""
@@ -85,8 +110,8 @@ class Effect:
         """Weights of the independent parts in a cell's effect, (cells,), and sd of the rest."""
         if cell in self.cells:
             return self.root[self.cells.index(cell)], 0.0
-        row = solve_triangular(self.root, self._correlation([cell])[0], lower=True)
-        return row, float(np.sqrt(np.maximum(1.0 - row @ row, 0.0)))
+        row = solve_triangular(self.root, self._covariance([cell])[0], lower=True)
+        return row, float(np.sqrt(np.maximum(self._size([cell])[0] ** 2 - row @ row, 0.0)))
 
     def rows(self, cells: Sequence[Cell]) -> Array:
         """Weights of independent parts in its own cells' effects and then in those of others.
@@ -96,7 +121,7 @@ class Effect:
         every = (*self.cells, *cells)
         new = replace(self, cells=every, home=())
         near = 1e-12 * np.eye(len(every))  # effects of very near levels are the same but for this
-        rows = np.linalg.cholesky(new._correlation(every) + near)
+        rows = np.linalg.cholesky(new._covariance(every) + near)
         rows[: len(self.cells), : len(self.cells)] = self.root
         return np.asarray(rows)
 
@@ -134,6 +159,13 @@ def effects_of(
         home = tuple(cells.index(key) for key in keys)
         for group in dict.fromkeys(member[members].tolist()):
             those = tuple(k for k in members if member[k] == group)
-            scale = WIDER if name == "level" else 1.0
-            found.append(Effect(name, group, those, cells, home, scale=scale))
+            effect = Effect(name, group, those, cells, home)
+            found.append(_of_levels(effect) if name == "level" else effect)
     return tuple(found)
+
+
+def _of_levels(effect: Effect) -> Effect:
+    """An effect of levels, with the scale and the reference of its sd."""
+    above_zero = [actuation for _, actuation in effect.cells if actuation > 0]
+    reference = float(np.exp(np.mean(np.log(above_zero))))
+    return replace(effect, scale=WIDER, reference=reference)

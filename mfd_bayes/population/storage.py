@@ -182,8 +182,8 @@ def effect_of(facts: Mapping[str, Any]) -> Effect:
     cells = tuple((str(session), float(at)) for session, at in facts["cells"])
     members, home = tuple(facts["members"]), tuple(facts["home"])
     kernel = facts.get("kernel", "exponential")  # which earlier versions do not name
-    scale = facts.get("scale", 1.0)  # likewise
-    return Effect(facts["name"], facts["group"], members, cells, home, kernel, scale)
+    scale, reference = facts.get("scale", 1.0), facts.get("reference", 0.0)  # likewise
+    return Effect(facts["name"], facts["group"], members, cells, home, kernel, scale, reference)
 
 
 _FIGURES = ("slip_force", "noise_time", "information")

@@ -56,6 +56,7 @@ class _Effect(Part):
     home: list[Index]
     kernel: Literal["matern", "exponential"] = "exponential"  # of earlier versions
     scale: Annotated[float, Field(ge=0.01, le=100)] = 1.0  # likewise
+    reference: _Level = 0.0  # likewise
 
 
 class _Basis(Part):

@@ -111,6 +111,10 @@ class Linear:
             far = np.sqrt(3.0) * np.maximum(distance, 1e-9) / np.log(2.0)
             root = np.linalg.cholesky(np.sqrt(2 / np.pi) * far**1.5 * special.kv(1.5, far))
             scaled = omega / self.layout.spread[0]
+            above = cells[cells > 0]
+            with np.errstate(divide="ignore"):  # in inverse proportion, from half to twice
+                sizes = np.clip(np.prod(above) ** (1.0 / above.size) / cells, 0.5, 2.0)
+            root = sizes[:, None] * root
             design[:, :, 0, d : d + parts] = scaled[:, None, None] * root[home]
         design[:, out] = 0.0
         return offsets, design

@@ -319,7 +319,10 @@ def test_the_exponents_interval_is_brute_force(campaign):
     exponents = np.linspace(0.0, 2.0, 801)
     scale = layout.scatter_sd[0] / layout.spread[0]
     apart = np.sqrt(3.0) * np.abs(np.log(np.array(LEVELS)[:, None] / LEVELS)) / np.log(2.0)
-    alike = (1.0 + apart) * np.exp(-apart)
+    sizes = np.exp(np.mean(np.log(np.unique(LEVELS)))) / np.array(LEVELS)
+    assert sizes.min() >= 0.5
+    assert sizes.max() <= 2.0
+    alike = sizes[:, None] * sizes * (1.0 + apart) * np.exp(-apart)
     sds = stats.halfnorm(scale=scale).ppf((np.arange(60) + 0.5) / 60)
     density, without = np.zeros((2, exponents.size))
     for tau in sds:

@@ -32,6 +32,13 @@ def correlation(first, other):
     return np.sqrt(2.0 / np.pi) * far**1.5 * special.kv(1.5, far)
 
 
+def covariance(first, other, tested=(0.5, 0.8, 1.5)):
+    """Of a level's effect: its sd is in inverse proportion to the actuation, from half to twice."""
+    reference = np.prod(tested) ** (1.0 / len(tested))
+    sizes = np.clip(reference / first, 0.5, 2.0) * np.clip(reference / other, 0.5, 2.0)
+    return sizes * correlation(first, other)
+
+
 def test_levels_belong_to_the_geometric_mean_of_the_actuations(priors):
     layout = lay_out(priors, NAMES, settings())
     assert layout.reference == pytest.approx((0.5 * 0.8 * 0.8 * 1.5) ** 0.25)
@@ -80,7 +87,7 @@ def test_effects_of_tested_levels_have_the_covariance_of_their_process(priors):
     effect = level_of(lay_out(priors, NAMES, settings()))
     rows = np.array([effect.row(cell)[0] for cell in effect.cells])
     at = np.array([0.5, 0.8, 1.5])
-    np.testing.assert_allclose(rows @ rows.T, correlation(at[:, None], at), atol=1e-12)
+    np.testing.assert_allclose(rows @ rows.T, covariance(at[:, None], at), atol=1e-12)
     assert all(effect.row(cell)[1] == 0.0 for cell in effect.cells)
 
 
@@ -88,11 +95,11 @@ def test_effects_of_tested_levels_have_the_covariance_of_their_process(priors):
 def test_an_untested_level_has_the_covariance_of_the_process_too(priors, new):
     effect = level_of(lay_out(priors, NAMES, settings()))
     row, sd = effect.row(("", new))
-    np.testing.assert_allclose(row @ effect.root.T, correlation(new, np.array([0.5, 0.8, 1.5])))
-    assert row @ row + sd**2 == pytest.approx(1.0)
-    assert 0.0 < sd < 1.0
-    wrong = row @ effect.root.T - correlation(new, np.array([0.6, 0.8, 1.5]))
-    assert np.max(np.abs(wrong)) > 0.01  # the control
+    np.testing.assert_allclose(row @ effect.root.T, covariance(new, np.array([0.5, 0.8, 1.5])))
+    assert row @ row + sd**2 == pytest.approx(covariance(new, new))
+    assert 0.0 < sd < 2.0
+    wrong = row @ effect.root.T - covariance(new, np.array([0.6, 0.8, 1.5]))
+    assert np.max(np.abs(wrong)) > 0.002  # the control
 
 
 def test_levels_of_different_sessions_have_nothing_in_common(priors):
@@ -101,10 +108,10 @@ def test_levels_of_different_sessions_have_nothing_in_common(priors):
     rows = np.array([effect.row(cell)[0] for cell in effect.cells])
     found = rows @ rows.T
     np.testing.assert_allclose(found[:2, 2:], 0.0, atol=1e-12)
-    assert found[0, 1] == pytest.approx(correlation(0.5, 0.8))
+    assert found[0, 1] == pytest.approx(covariance(0.5, 0.8, (0.5, 0.8)))
     row, sd = effect.row(("c", 0.5))
     np.testing.assert_array_equal(row, 0.0)
-    assert sd == 1.0
+    assert sd == pytest.approx(np.sqrt(0.8 / 0.5))
 
 
 def test_effects_are_smooth_over_the_actuation(priors):
@@ -112,25 +119,44 @@ def test_effects_are_smooth_over_the_actuation(priors):
 
     def lost(apart):
         """One less the correlation of a tested level with one nearby."""
-        row, _ = effect.row(("", 0.8 * np.exp(apart)))
-        return 1.0 - row @ effect.root[1]
+        row, sd = effect.row(("", 0.8 * np.exp(apart)))
+        sizes = np.linalg.norm(effect.root[1]) * np.hypot(np.linalg.norm(row), sd)
+        return 1.0 - row @ effect.root[1] / sizes
 
     assert lost(0.02) / lost(0.01) == pytest.approx(4.0, abs=0.2)  # 2 where it is not smooth
 
 
 def test_a_population_of_an_earlier_version_keeps_its_kernel(priors):
-    effect = replace(level_of(lay_out(priors, NAMES, settings())), kernel="exponential")
+    today = level_of(lay_out(priors, NAMES, settings()))
+    effect = replace(today, kernel="exponential", reference=0.0)
     row, _ = effect.row(("", 0.65))
     expected = np.exp(-np.abs(np.log(0.65 / np.array([0.5, 0.8, 1.5]))) / np.log(2.0))
     np.testing.assert_allclose(row @ effect.root.T, expected)
-    assert level_of(lay_out(priors, NAMES, settings())).kernel == "matern"
+    assert today.kernel == "matern"
+    assert today.reference == pytest.approx((0.5 * 0.8 * 1.5) ** (1.0 / 3.0))
+
+
+def test_a_level_lies_off_a_law_as_if_its_actuation_were_wrong_by_as_much_as_others(priors):
+    effect = level_of(lay_out(priors, NAMES, settings()))
+    sd = {
+        p: np.hypot(np.linalg.norm(row), rest)
+        for p in (0.5, 0.7, 1.2, 1.5)
+        for row, rest in [effect.row(("", p))]
+    }
+    force = {p: p * share for p, share in sd.items()}  # under a proportional law
+    assert list(force.values()) == pytest.approx([effect.reference] * 4)
+    for far, size in ((0.01, 2.0), (8.0, 0.5)):
+        row, rest = effect.row(("", far))
+        assert np.hypot(np.linalg.norm(row), rest) == pytest.approx(size)
+    older = replace(effect, reference=0.0)  # the control
+    assert np.linalg.norm(older.row(("", 0.5))[0]) == pytest.approx(1.0)
 
 
 def test_without_actuation_a_level_has_nothing_in_common_with_others(priors):
     effect = level_of(lay_out(priors, NAMES, settings()))
     row, sd = effect.row(("", 0.0))
     np.testing.assert_allclose(row, 0.0)
-    assert sd == 1.0
+    assert sd == 2.0
 
 
 def test_the_design_gives_tests_their_covariance(priors):
@@ -147,7 +173,7 @@ def test_the_design_gives_tests_their_covariance(priors):
             i = [k in e.members for e in layout.effects].index(True)
             omega = np.exp(h[0, len(NAMES) + i]) / layout.spread[k]
             at = np.array(LEVELS)
-            expected = expected + omega**2 * correlation(at[:, None], at)
+            expected = expected + omega**2 * covariance(at[:, None], at)
         np.testing.assert_allclose(columns @ columns.T, expected, atol=1e-12)
 
 
@@ -302,11 +328,11 @@ def test_the_effect_of_zero_is_independent_of_all_others(priors):
     laws = {"Fc_fwd": "affine", "Fc_bwd": "affine"}
     effect = level_of(lay_out(priors, NAMES, settings((0.0, 0.5, 0.8)), laws))
     rows = np.array([effect.row(("", p))[0] for p in (0.0, 0.5, 0.8)])
-    np.testing.assert_allclose((rows @ rows.T)[0], [1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose((rows @ rows.T)[0], [4.0, 0.0, 0.0], atol=1e-12)
     assert (rows @ rows.T)[1, 2] > 0.4  # the control
     new, sd = effect.row(("", 0.1))
     assert new @ effect.root[0] == 0.0
-    assert 0.0 < sd < 1.0
+    assert 0.0 < sd < 2.0
 
 
 def test_a_level_that_does_not_inform_does_not_count_towards_an_effect(priors):

@@ -262,6 +262,9 @@ def test_effects_come_back_with_their_kernel(population, back, tmp_path, priors)
     assert {effect.kernel for effect in back.layout.effects} == {"matern"}
     scales = {effect.name: effect.scale for effect in back.layout.effects}
     assert scales == {"level": 2.0, "session": 1.0}
+    kept = [effect.reference for effect in back.layout.effects]
+    assert kept == [effect.reference for effect in population.layout.effects]
+    assert {effect.name for effect in back.layout.effects if effect.reference} == {"level"}
     older = [replace(effect, kernel="exponential") for effect in population.layout.effects]
     layout = replace(population.layout, effects=tuple(older))
     save_population(tmp_path / "older.nc", replace(population, layout=layout))
@@ -273,3 +276,4 @@ def test_effects_of_earlier_versions_are_as_wide_as_scatter():
     facts = {"name": "level", "group": 0, "members": [0], "cells": [["", 0.8]], "home": [0]}
     assert effect_of(facts).scale == 1.0
     assert effect_of({**facts, "scale": 2.0}).scale == 2.0
+    assert effect_of(facts).reference == 0.0
