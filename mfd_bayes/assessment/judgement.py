@@ -14,7 +14,7 @@ from mfd_bayes.runs.verdict import Use, Verdict
 MILD = 3.0
 """Doubt, in tolerances, that a fault of a record gives which does not spoil it."""
 
-_SPOILS, _LOST, _UNREACHED = 1000.0, 2000.0, 500.0
+_SPOILS, _LOST, _UNREACHED, _UNLIKE = 1000.0, 2000.0, 500.0, 100.0
 
 _HINTS = {
     "residual rms": "the noise model is not that of the record, or the model lacks something",
@@ -55,6 +55,7 @@ def _judge(
         key=lambda check: -doubt_of(check),
     )
     reasons: list[tuple[float, str]] = [*_of_record(findings, missed), *_of_sampler(checks)]
+    reasons += _of_readings(checks)
     if missed and not any(f.spoils for f in findings):
         reasons.append((doubt_of(missed[0]), _misses(missed)))
     failed = {c.name for c in checks if c.verdict == Verdict.FAIL}
@@ -95,6 +96,17 @@ def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
         yield _UNREACHED, f"the sampling did not reach its targets ({first})"
     for check in (c for c in checks if c.name == MODES and c.verdict == Verdict.CARE):
         yield MILD, f"{check.value:.0f} different sets of parameters explain it{_held(check)}"
+
+
+def _of_readings(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
+    """Slip forces that are far from what is read off the loop."""
+    far = [c.target for c in checks if c.name == READING and c.verdict == Verdict.CARE]
+    if far:
+        yield (
+            _UNLIKE,
+            "a slip force is far from what is read off the loop, so that the noise stands in for "
+            f"friction: {'; '.join(far)}",
+        )
 
 
 def _notes(checks: Sequence[Check], aside: Sequence[str]) -> list[str]:

@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 ABOVE = 0.01
 """Share by which static friction may lie above the largest measured force."""
 
+FAR = 2.0
+"""A slip force whose whole interval is this many times its reading, or less than the reading over
+this, is no shade of the model: the noise stands in for the friction."""
+
 
 def reading_rows(
     test: str,
@@ -78,7 +82,10 @@ def _static(
 
 
 def reading_check(row: ReadingRow) -> Check:
-    """A reading as a check that cannot fail: a note where the parameter misses it."""
+    """A reading as a check that cannot fail: a note where the parameter misses it.
+
+    A slip force that is far from its reading is to be used with care.
+    """
     within = f"{row.name} ({row.median:.3g} [{row.lower:.3g}, {row.upper:.3g}] {row.unit})"
     target, limit = (
         f"{within}, read off {row.value:.3g} {row.unit}",
@@ -88,5 +95,12 @@ def reading_check(row: ReadingRow) -> Check:
         limit = "median below the largest force"
         target = f"{within}, largest force {row.value:.3g} {row.unit}"
     size = (row.median - row.value) / abs(row.value) if row.value else float("nan")
-    verdict = Verdict.noted(not row.missed)
+    verdict = Verdict.CARE if _is_far(row) else Verdict.noted(not row.missed)
     return Check(row.subject, READING, target, row.value, limit, verdict, size, row.tolerance)
+
+
+def _is_far(row: ReadingRow) -> bool:
+    """Whether it is a slip force whose interval is far from its reading."""
+    if row.unit != "kip" or row.largest or not row.missed or row.value <= 0:
+        return False
+    return row.upper < row.value / FAR or row.lower > FAR * row.value

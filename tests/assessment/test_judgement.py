@@ -195,3 +195,13 @@ def test_a_parameter_off_its_reading_is_a_note():
         == "note: differs from what is read off the loop: k3 (43 [33, 55] kip/in), read off 14"
     )
     assert np.isfinite(judged.doubt)
+
+
+def test_a_test_whose_slip_force_is_far_from_its_reading_needs_care():
+    target = "Fc_fwd (0.083 [0.06, 0.11] kip), read off 0.931 kip"
+    (judged,) = judge(["a"], [Check("a", READING, target, 0.931, "", Verdict.CARE)], [])
+    assert judged.use == Use.WITH_CARE
+    assert judged.told == (
+        "a slip force is far from what is read off the loop, so that the noise stands in for "
+        f"friction: {target}"
+    )

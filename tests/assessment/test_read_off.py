@@ -55,6 +55,14 @@ def test_a_parameter_that_misses_its_reading_is_noted(name, value):
     assert ("largest force" if name == "Fs_bwd" else "read off") in check.target
 
 
+@pytest.mark.parametrize(("value", "verdict"), [(0.9, "care"), (1.1, "note"), (4.5, "care")])
+def test_a_slip_force_that_is_far_from_its_reading_needs_care(value, verdict):
+    rows = reading_rows("a", posterior_of(), draws(Fc_fwd=value, k3=4.0))
+    found = {row.name: reading_check(row).verdict for row in rows}
+    assert found["Fc_fwd"] == verdict
+    assert found["k3"] == "note"  # no slip force
+
+
 def test_static_friction_at_the_largest_force_is_not_noted():
     found = {row.name: row for row in reading_rows("a", posterior_of(), draws())}
     largest = found["Fs_bwd"].value
