@@ -119,7 +119,7 @@ def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dic
     tests, entries = {}, []
     for pressure, frequency, count, role in planned:
         name = f"p{pressure:.0f}_f{frequency:g}"
-        values = _draw_test(pressure / 1000.0, matrix.laws, rng)
+        values = draw_values(pressure / 1000.0, matrix.laws, rng)
         _write_csv(folder / f"{name}.csv", values, frequency, count, rng)
         tests[name] = _known(values)
         entries.append(
@@ -161,7 +161,7 @@ Fs_bwd = "affine"
 """
 
 
-def _draw_test(
+def draw_values(
     pressure: float, laws: Mapping[str, float], rng: np.random.Generator
 ) -> dict[str, Array]:
     """Quantities of one test at a pressure in ksi, (1,) each."""
@@ -205,6 +205,33 @@ def _known_scatter() -> dict[str, float]:
     return known | {"scatter_d3": ratio, "scatter_offset": _OFFSET}
 
 
+def draw_record(
+    values: Mapping[str, Array], frequency: float, cycles: int, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Time, displacement and force, with its noise, of a harmonic test, (n,) each.
+
+    Parameters
+    ----------
+    values : mapping of str to array
+        Quantities of the test, (1,) each.
+    frequency : float
+        Hz.
+    cycles : int
+    rng : numpy.random.Generator
+        Of the noise.
+    """
+    time = np.arange(int(cycles / frequency * RATE) + 1) / RATE
+    displacement = AMPLITUDE * np.sin(2 * np.pi * frequency * time)
+    model = ThreeStage()
+    trace = Trace.from_arrays(time, displacement)
+    force = model.force(model.theta(values), trace, values["start"])[0]
+    return (
+        time,
+        displacement,
+        force + values["offset"] + find_noise("ou").draw(rng, time, values)[0],
+    )
+
+
 def _write_csv(
     path: Path,
     values: Mapping[str, Array],
@@ -212,13 +239,7 @@ def _write_csv(
     cycles: int,
     rng: np.random.Generator,
 ) -> None:
-    """Write a harmonic test: time, displacement and force with its noise."""
-    time = np.arange(int(cycles / frequency * RATE) + 1) / RATE
-    displacement = AMPLITUDE * np.sin(2 * np.pi * frequency * time)
-    model = ThreeStage()
-    trace = Trace.from_arrays(time, displacement)
-    force = model.force(model.theta(values), trace, values["start"])[0]
-    force = force + values["offset"] + find_noise("ou").draw(rng, time, values)[0]
-    rows = zip(time, displacement, force, strict=True)
+    """Write a harmonic test: time, displacement and force."""
+    rows = zip(*draw_record(values, frequency, cycles, rng), strict=True)
     lines = "".join(f"{t:.2f},{x:.6f},{f:.6f}\n" for t, x, f in rows)
     write_text(path, "time_s,displacement_in,force_kip\n" + lines)
