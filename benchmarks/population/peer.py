@@ -15,7 +15,7 @@ import numpy as np
 from numpyro.infer import MCMC, NUTS
 
 from benchmarks.forward import peers as forward_peers
-from benchmarks.population.study import FOLLOWERS, LEVELS, Campaign
+from benchmarks.population.study import FOLLOWERS, LEVELS, Campaign, deviation_root
 from benchmarks.sampling import peers
 from mfd_bayes.population.effects import WIDER
 
@@ -93,8 +93,7 @@ class Layout:
             "noise_sd": u["exponent"] * jnp.log(relative),
         }
         at, home = np.unique(LEVELS, return_inverse=True)
-        distance = np.abs(np.log(at[:, None] / at))
-        root = np.linalg.cholesky(np.exp(-distance / np.log(2.0)))
+        root = deviation_root(at)
         for i, (group, members) in enumerate(FOLLOWERS.items()):
             swing = jnp.exp(u["log_deviation"][i]) * u[f"deviation {group}"] @ root.T
             for row, name in zip(swing, members, strict=True):

@@ -159,15 +159,25 @@ def _laws(
     return found
 
 
+def deviation_root(at: Array) -> Array:
+    """Cholesky factor of the covariance of levels' deviations from a law, in units of their sd.
+
+    Matérn 3/2 over the logarithm of the actuation; in inverse proportion to it, from half to twice.
+    """
+    r = np.sqrt(3.0) * np.abs(np.log(at[:, None] / at)) / np.log(2.0)
+    reference = np.exp(np.mean(np.log(np.unique(LEVELS))))
+    sizes = np.clip(reference / at, 0.5, 2.0)
+    covariance = sizes[:, None] * sizes * (1.0 + r) * np.exp(-r)
+    return np.asarray(np.linalg.cholesky(covariance + 1e-12 * np.eye(at.size)))
+
+
 def _deviations(
     rng: np.random.Generator, at: Array, layout: Layout, truth: dict[str, float]
 ) -> Array:
     """Smooth deviations from the laws, one Gaussian process for each follower, (J, d)."""
     names = list(layout.names)
     found = np.zeros((at.size, len(names)))
-    distance = np.abs(np.log(at[:, None] / at))
-    r = np.sqrt(3.0) * distance / np.log(2.0)  # Matérn 3/2
-    root = np.linalg.cholesky((1.0 + r) * np.exp(-r) + 1e-12 * np.eye(at.size))
+    root = deviation_root(at)
     for group, members in FOLLOWERS.items():
         scale = WIDER * layout.scatter_sd[names.index(members[0])]
         sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
