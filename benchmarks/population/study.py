@@ -22,6 +22,7 @@ from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.sharing import share
@@ -136,7 +137,27 @@ def synthesize(study: Study, index: int) -> Campaign:
         force = blank.force(own) + own["offset"][:, None]
         force = force + blank.noise.draw(rng, blank.trace.time, own)
         tests.append(Posterior(replace(blank.trace, force=force[0]), study.priors))
+    new = _blank(study, UNSEEN)
+    own = new.draw_prior(rng, 1) | {name: v[-1:] for name, v in values.items()}
+    force = new.force(own) + own["offset"][:, None]
+    force = force + new.noise.draw(rng, new.trace.time, own)
+    truth |= {name: value[0] for name, value in _seen_in(new, force).items()}
     return Campaign(tuple(tests), layout, {name: float(v) for name, v in truth.items()})
+
+
+def _seen_in(test: Posterior, force: Array) -> dict[str, Array]:
+    """Energy of the first full cycle, and force in the middle of the gap, of forces (n, T)."""
+    x = test.trace.displacement
+    peaks = 1 + np.flatnonzero(np.diff(np.sign(np.diff(x))))
+    cycle = slice(peaks[0], peaks[2] + 1)
+    energy = np.trapezoid(force[:, cycle], x[cycle], axis=1)
+    gap = sum(
+        float(np.median(test.priors[name].draw(np.random.default_rng(0), 4000)))
+        for name in ("d2", "d3")
+        if name in test.priors
+    )
+    middle = peaks[0] + np.argmax(np.abs(x[peaks[0] :] - x[peaks[0]]) >= 0.5 * gap)
+    return {"new test's energy": energy, "new test's force in the gap": force[:, middle]}
 
 
 def _blank(study: Study, level: float) -> Posterior:
@@ -273,4 +294,9 @@ def ranks_of(study: Study, campaign: Campaign, inference: JointDraws, index: int
         flat = values.reshape(-1)
         pick = np.linspace(0, flat.size - 1, study.draws).astype(np.intp)
         ranks[name] = int(np.sum(flat[pick] < campaign.truth[name]))
+    new, test = _blank(study, UNSEEN), campaign.tests[0]
+    forecast = Forecast("observation", draws=study.draws, seed=index)
+    band = Predictor(inference.population, test.model, test.noise).predict(new.trace, forecast)
+    for name, seen in _seen_in(new, band.draws).items():
+        ranks[name] = int(np.sum(seen < campaign.truth[name]))
     return ranks
