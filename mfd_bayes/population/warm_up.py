@@ -2,8 +2,8 @@
 
 Gaussians in place of the likelihoods bring the chains near their places. Surrogates are fitted
 there, and chains that sample them go on to where the posterior is, where surrogates are fitted
-again, until they are so near the likelihoods that exchanges with them are accepted. Nothing of this
-is kept.
+again, until they are so near the likelihoods that exchanges with them are accepted. Chains that are
+lost on the way start again from others. Nothing of this is kept.
 """
 
 from __future__ import annotations
@@ -50,6 +50,10 @@ EFFECTIVE = 0.5
 MOST_TESTS = 100
 """With more tests the errors of their surrogates add up, and no exchange would be accepted."""
 
+LOST = 500.0
+"""A chain is lost where the log likelihood of all tests is this far below the chains' median: it
+is too far from the posterior to get there, and a surrogate for it would be wrong for the others."""
+
 WORTH = 0.1
 """Share of accepted exchanges below which companions are not worth their time."""
 
@@ -74,6 +78,7 @@ def warm_up(
     sampler.tune(chains)
     sampler.take_over(chains)
     _sweep(sampler, chains, FIRST)
+    rescue(chains, rng)
     if _accompany(sampler, chains):
         sampler.plan = ACCOMPANIED
         _sweep(sampler, chains, LAST)
@@ -114,7 +119,7 @@ def _accompany(sampler: Sampler, chains: Chains) -> bool:
             visited.append([x.copy() for x in ahead.x])
         true = list(joint.evaluate(enumerate(ahead.x)))
         log_weights = np.sum(true, axis=0) - np.sum(ahead.log_likelihood, axis=0)
-        log_weights[np.isnan(log_weights)] = -np.inf
+        log_weights[np.isnan(log_weights) | _lost(true)] = -np.inf
         if not np.any(np.isfinite(log_weights)):
             return False
         log_weights -= log_weights.max()
@@ -130,12 +135,28 @@ def _accompany(sampler: Sampler, chains: Chains) -> bool:
     return True
 
 
+def rescue(chains: Chains, rng: np.random.Generator) -> None:
+    """Let chains that are lost go on from others, of their own ensemble if it has any."""
+    lost = _lost(chains.log_likelihood)
+    others = _resampled(np.where(lost, -np.inf, 0.0), chains.ensemble, rng)
+    chains.take(np.where(lost, others, np.arange(lost.size)))
+
+
+def _lost(log_likelihood: Sequence[Array]) -> NDArray[np.bool_]:
+    """Chains that are lost, by the log likelihood of each test, (n,) each."""
+    total = np.sum(log_likelihood, axis=0)
+    known = np.where(np.isnan(total), -np.inf, total)
+    return np.asarray(~(known > np.median(known) - LOST))
+
+
 def _resampled(
     log_weights: Array, ensemble: NDArray[np.intp], rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Chains drawn by their weights, each from its own ensemble."""
+    """Chains drawn by their weights, each from its own ensemble if that has any with a weight."""
     picks = np.arange(len(log_weights))
     for one in np.unique(ensemble):
         those = np.flatnonzero(ensemble == one)
-        picks[those] = rng.choice(those, size=those.size, p=softmax(log_weights[those]))
+        among = those if np.any(np.isfinite(log_weights[those])) else picks
+        chosen = rng.choice(among.size, size=those.size, p=softmax(log_weights[among]))
+        picks[those] = among[chosen]
     return picks
