@@ -176,12 +176,14 @@ def many_levels(run: Run, options: argparse.Namespace) -> None:
     covered = total.coverage[2]
     good = 0.92 <= covered <= 0.98
     bar("coverage of 95 % bands, tension left out", covered, good, "0.92 to 0.98")
+    half = total.coverage[0]
+    bar("coverage of 50 % bands, tension left out", half, 0.42 <= half <= 0.58, "0.42 to 0.58")
     least = min(predictions, key=lambda p: p.score.coverage[2])
     value = least.score.coverage[2]
     bar(f"least coverage ({least.test})", value, value >= 0.80, "at least 0.80")
     ratio = total.width / own.width
     bar("mean width over that of a fitted test", ratio, ratio <= 3.0, "at most 3")
-    bar("mean CRPS, kip", total.crps, total.crps <= 0.22, "at most 0.22")
+    bar("mean CRPS, kip", total.crps, total.crps <= 0.20, "at most 0.20")
     ratio = near.width / near_own.width
     bar("width at a tension seen over that of a fitted test", ratio, ratio <= 2.0, "at most 2")
 
