@@ -133,16 +133,19 @@ def synthesize(study: Study, index: int) -> Campaign:
     truth["new test's Fc_fwd"] = values["Fc_fwd"][-1]
     tests = []
     for j, blank in enumerate(blanks):
-        own = blank.draw_prior(rng, 1) | {name: v[j : j + 1] for name, v in values.items()}
-        force = blank.force(own) + own["offset"][:, None]
-        force = force + blank.noise.draw(rng, blank.trace.time, own)
+        force = _measured(blank, {name: v[j : j + 1] for name, v in values.items()}, rng)
         tests.append(Posterior(replace(blank.trace, force=force[0]), study.priors))
     new = _blank(study, UNSEEN)
-    own = new.draw_prior(rng, 1) | {name: v[-1:] for name, v in values.items()}
-    force = new.force(own) + own["offset"][:, None]
-    force = force + new.noise.draw(rng, new.trace.time, own)
+    force = _measured(new, {name: v[-1:] for name, v in values.items()}, rng)
     truth |= {name: value[0] for name, value in _seen_in(new, force).items()}
     return Campaign(tuple(tests), layout, {name: float(v) for name, v in truth.items()})
+
+
+def _measured(blank: Posterior, shared: Mapping[str, Array], rng: np.random.Generator) -> Array:
+    """Force of a test with its offset and noise, (1, T); what is not shared is from its prior."""
+    own = blank.draw_prior(rng, 1) | shared
+    force = blank.force(own) + own["offset"][:, None]
+    return np.asarray(force + blank.noise.draw(rng, blank.trace.time, own))
 
 
 def _seen_in(test: Posterior, force: Array) -> dict[str, Array]:

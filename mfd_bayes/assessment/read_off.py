@@ -20,8 +20,8 @@ ABOVE = 0.01
 """Share by which static friction may lie above the largest measured force."""
 
 FAR = 2.0
-"""A slip force whose whole interval is this many times its reading, or less than the reading over
-this, is no shade of the model: the noise stands in for the friction."""
+"""A slip force is far from its reading where its whole interval is above the reading times this, or
+below the reading divided by this. The noise then stands in for the friction."""
 
 
 def reading_rows(
@@ -39,7 +39,7 @@ def reading_rows(
     allowed = complete_tolerances(tolerances)
     offset = float(np.median(values["offset"]))
     return tuple(
-        _row((test, name, unit), reading, values_of, allowed[kind])
+        _row((test, name, unit), reading, values_of, allowed[kind], slips=kind == "slip_force")
         for name, unit, reading, values_of, kind in _pairs(posterior, values, offset)
         if np.isfinite(reading)
     ) + tuple(_static(test, posterior, values, offset, allowed["slip_force"]))
@@ -61,11 +61,16 @@ def _pairs(
         yield name, "in", read.gap, crossing, "gap"
 
 
-def _row(head: tuple[str, str, str], reading: float, draws: Array, tolerance: float) -> ReadingRow:
+def _row(
+    head: tuple[str, str, str], reading: float, draws: Array, tolerance: float, *, slips: bool
+) -> ReadingRow:
+    """A reading beside the draws of its quantity; `slips` says that this is a slip force."""
     low, middle, high = (float(q) for q in np.quantile(draws, [0.025, 0.5, 0.975]))
     room = tolerance * abs(reading)
     missed = not low - room <= reading <= high + room
-    return ReadingRow(*head, reading, low, middle, high, tolerance, missed)
+    apart = high < reading / FAR or low > FAR * reading
+    far = slips and missed and reading > 0 and apart
+    return ReadingRow(*head, reading, low, middle, high, tolerance, missed, far=far)
 
 
 def _static(
@@ -95,12 +100,5 @@ def reading_check(row: ReadingRow) -> Check:
         limit = "median below the largest force"
         target = f"{within}, largest force {row.value:.3g} {row.unit}"
     size = (row.median - row.value) / abs(row.value) if row.value else float("nan")
-    verdict = Verdict.CARE if _is_far(row) else Verdict.noted(not row.missed)
+    verdict = Verdict.CARE if row.far else Verdict.noted(not row.missed)
     return Check(row.subject, READING, target, row.value, limit, verdict, size, row.tolerance)
-
-
-def _is_far(row: ReadingRow) -> bool:
-    """Whether it is a slip force whose interval is far from its reading."""
-    if row.unit != "kip" or row.largest or not row.missed or row.value <= 0:
-        return False
-    return row.upper < row.value / FAR or row.lower > FAR * row.value

@@ -225,11 +225,8 @@ def draw_record(
     model = ThreeStage()
     trace = Trace.from_arrays(time, displacement)
     force = model.force(model.theta(values), trace, values["start"])[0]
-    return (
-        time,
-        displacement,
-        force + values["offset"] + find_noise("ou").draw(rng, time, values)[0],
-    )
+    noise = find_noise("ou").draw(rng, time, values)[0]
+    return time, displacement, force + values["offset"] + noise
 
 
 def _write_csv(

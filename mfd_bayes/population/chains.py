@@ -57,11 +57,14 @@ class Chains:
         """Coordinate k of every test, (n, J)."""
         return np.stack([x[:, k] for x in self.x], axis=1)
 
-    def take(self, picks: Index) -> None:
-        """Give each chain the state of another, by number, (n,); laws and ensembles stay."""
-        self.h, self.latent, self.weight = self.h[picks], self.latent[picks], self.weight[picks]
-        self.x = [x[picks] for x in self.x]
-        self.log_likelihood = [density[picks] for density in self.log_likelihood]
+    def take(self, others: Chains, log_likelihood: Sequence[Array], picks: Index) -> None:
+        """Give each chain the state of one of the others, by number, (n,); its law stays.
+
+        `log_likelihood` is that of each test at the others' coordinates, (n,) each.
+        """
+        self.h, self.latent = others.h[picks], others.latent[picks]
+        self.weight, self.x = others.weight[picks], [x[picks] for x in others.x]
+        self.log_likelihood = [density[picks] for density in log_likelihood]
 
     def partners(self, rng: np.random.Generator) -> list[tuple[Index, Index, Index]]:
         """Halves of the chains, each with two different partners from its ensemble's other half."""

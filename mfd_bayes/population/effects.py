@@ -26,8 +26,8 @@ WIDER = 2.0
 farther from a law than repeats from each other."""
 
 BOUNDS = (0.5, 2.0)
-"""Least and largest sd of a level's effect, over that at the reference actuation: far above the
-tested levels, and near zero."""
+"""Least and largest sd of a level's effect, over that at the reference actuation. They hold from
+twice the reference upwards, and from half of it down to zero."""
 
 LEVELS = 3
 """Fewest levels at which a deviation from a law can be told from the law."""

@@ -51,8 +51,8 @@ MOST_TESTS = 100
 """With more tests the errors of their surrogates add up, and no exchange would be accepted."""
 
 LOST = 500.0
-"""A chain is lost where the log likelihood of all tests is this far below the chains' median: it
-is too far from the posterior to get there, and a surrogate for it would be wrong for the others."""
+"""A chain is lost where the log likelihood of all tests is this far below the chains' median. It
+would not reach the posterior, and surrogates fitted to it would be wrong for the other chains."""
 
 WORTH = 0.1
 """Share of accepted exchanges below which companions are not worth their time."""
@@ -127,9 +127,7 @@ def _accompany(sampler: Sampler, chains: Chains) -> bool:
         if near == 1.0 and turn > 0:
             break
         picks = _resampled(near * log_weights, chains.ensemble, rng)
-        chains.h, chains.latent = ahead.h[picks], ahead.latent[picks]
-        chains.weight, chains.x = ahead.weight[picks], [x[picks] for x in ahead.x]
-        chains.log_likelihood = [found[picks] for found in true]
+        chains.take(ahead, true, picks)
         late = visited[AHEAD // 2 :]
         states = [np.concatenate([x[j][picks] for x in late]) for j in range(len(joint.tests))]
     return True
@@ -139,7 +137,8 @@ def rescue(chains: Chains, rng: np.random.Generator) -> None:
     """Let chains that are lost go on from others, of their own ensemble if it has any."""
     lost = _lost(chains.log_likelihood)
     others = _resampled(np.where(lost, -np.inf, 0.0), chains.ensemble, rng)
-    chains.take(np.where(lost, others, np.arange(lost.size)))
+    picks = np.where(lost, others, np.arange(lost.size))
+    chains.take(chains, chains.log_likelihood, picks)
 
 
 def _lost(log_likelihood: Sequence[Array]) -> NDArray[np.bool_]:

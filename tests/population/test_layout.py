@@ -95,11 +95,13 @@ def test_effects_of_tested_levels_have_the_covariance_of_their_process(priors):
 def test_an_untested_level_has_the_covariance_of_the_process_too(priors, new):
     effect = level_of(lay_out(priors, NAMES, settings()))
     row, sd = effect.row(("", new))
-    np.testing.assert_allclose(row @ effect.root.T, covariance(new, np.array([0.5, 0.8, 1.5])))
+    at = np.array([0.5, 0.8, 1.5])
+    np.testing.assert_allclose(row @ effect.root.T, covariance(new, at))
     assert row @ row + sd**2 == pytest.approx(covariance(new, new))
-    assert 0.0 < sd < 2.0
-    wrong = row @ effect.root.T - covariance(new, np.array([0.6, 0.8, 1.5]))
-    assert np.max(np.abs(wrong)) > 0.002  # the control
+    assert 0.0 < sd < np.sqrt(covariance(new, new))
+    sizes = covariance(new, at) / correlation(new, at)
+    wrong = row @ effect.root.T / sizes - correlation(new, np.array([0.6, 0.8, 1.5]))
+    assert np.max(np.abs(wrong)) > 0.01  # the control
 
 
 def test_levels_of_different_sessions_have_nothing_in_common(priors):

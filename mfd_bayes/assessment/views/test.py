@@ -90,7 +90,8 @@ class ReadingRow:
 
     `name` is the quantity, with the bounds and the median of its equal-tailed 95 % interval.
     `missed` says that the interval misses the reading by more than the tolerance. Where `largest`,
-    the value is the largest measured force, and missed if the median is above it.
+    the value is the largest measured force, and missed if the median is above it. `far` says that a
+    slip force is so far from its reading that the noise stands in for the friction.
     """
 
     subject: str
@@ -103,6 +104,7 @@ class ReadingRow:
     tolerance: float
     missed: bool
     largest: bool = False
+    far: bool = False
 
 
 @dataclass(frozen=True, eq=False)
