@@ -20,7 +20,7 @@ from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.effects import WIDER
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.pilot import fit_pilot
+from mfd_bayes.population.pilot import Pilot, fit_pilot
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
@@ -220,14 +220,19 @@ def draw_jointly(
     study: Study, campaign: Campaign, draws: Sequence[Draws], index: int, way: str = RIGHT
 ) -> JointDraws:
     """Population of calibrated tests, as the package infers it, or wrongly as the control."""
-    working = [working_likelihood(campaign.layout, test, study.priors) for test in campaign.tests]
-    starts = [_median(one, drawn) for one, drawn in zip(working, draws, strict=True)]
-    pilot = fit_pilot(working, starts)
-    layout = share(campaign.layout, pilot.tests)
+    layout, pilot = first_fit(study, campaign, draws)
     tests = [test if way == RIGHT else _as_points(test) for test in pilot.tests]
     rng = np.random.default_rng([study.seed, index, 2])
     problem = JointProblem(layout, tests, campaign.tests[0].priors, "ksi", pilot.residual)
     return sample_joint(problem, study.joint, rng)
+
+
+def first_fit(study: Study, campaign: Campaign, draws: Sequence[Draws]) -> tuple[Layout, Pilot]:
+    """The layout with what the tests leave common, and their likelihoods."""
+    working = [working_likelihood(campaign.layout, test, study.priors) for test in campaign.tests]
+    starts = [_median(one, drawn) for one, drawn in zip(working, draws, strict=True)]
+    pilot = fit_pilot(working, starts)
+    return share(campaign.layout, pilot.tests), pilot
 
 
 def _median(likelihood: WorkingLikelihood, draws: Draws) -> Array:
