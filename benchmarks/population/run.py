@@ -7,10 +7,10 @@ Agreement: one synthetic campaign of four tests at three levels, 17 parameters e
 Ornstein–Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 1500 effective
 draws. NumPyro's NUTS samples the joint density of population and tests, written in JAX, which
 shares no code with ours (`benchmarks.population.peer`). Both take what the first fit fixes: what is
-common to the tests, discrepancy, shape of the noise and share of independent samples. Every level, scatter, deviation, shape and
-quantity of a test must have a mean within `MEAN` standard deviations, and a standard deviation
-within `SPREAD`, of those of NUTS. The control ignores the uncertainty of each test, and has to
-fail.
+common to the tests, the discrepancy, the noise's shape, and the share of independent samples. Every
+level, scatter, deviation, shape and quantity of a test must have a mean within `MEAN` standard
+deviations, and a standard deviation within `SPREAD`, of those of NUTS. The control ignores the
+uncertainty of each test, and has to fail.
 
 Ranks: the hyperparameters, tests and records of small campaigns are drawn from the prior of the
 population (`benchmarks.population.study`). Their four short tests are calibrated one by one and
