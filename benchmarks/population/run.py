@@ -80,7 +80,7 @@ def compare(seed, quick):
     began = time.perf_counter()
     draws = study_of.calibrate(study, campaign, 0)
     calibrated = time.perf_counter() - began
-    shared, pilot = study_of.first_fit(study, campaign, draws)
+    first = shared, pilot = study_of.first_fit(study, campaign, draws)
     failed = _likelihoods_that_differ(pilot.tests)
     began = time.perf_counter()
     layout = peer.Layout(shared, pilot.tests)
@@ -96,8 +96,8 @@ def compare(seed, quick):
         f"largest R-hat {rhat(theirs, 1):.3f}, least bulk ESS {min(their_ess.values()):.0f}, "
         f"{spent:.0f} s"
     )
-    fell = _agree_with(study, campaign, draws, theirs, RIGHT)
-    control = _agree_with(study, campaign, draws, theirs, WRONG)
+    fell = _agree_with(study, campaign, first, theirs, RIGHT)
+    control = _agree_with(study, campaign, first, theirs, WRONG)
     if not control:
         return [*failed, *fell, "the control, tests taken for points, agrees too"]
     print(f"the control has to fail, and does: {len(control)} bars fall")
@@ -116,10 +116,10 @@ def _likelihoods_that_differ(tests):
     return failed
 
 
-def _agree_with(study, campaign, draws, theirs, way):
+def _agree_with(study, campaign, first, theirs, way):
     """Infer the population one way, print how it agrees with NUTS; return what failed."""
     began = time.perf_counter()
-    inference = study_of.draw_jointly(study, campaign, draws, 0, way)
+    inference = study_of.draw_jointly(study, campaign, first, 0, way)
     spent = time.perf_counter() - began
     mine = study_of.coordinates_of(inference)
     walkers = inference.population.walkers
@@ -209,9 +209,10 @@ def run_campaign(seed, index):
         draws = study_of.calibrate(study, campaign, index)
     except MfdError as error:
         return {"error": str(error), "ranks": {}}
+    first = study_of.first_fit(study, campaign, draws)
     ranks, told = {}, {}
     for way in (RIGHT, WRONG):
-        inference = study_of.draw_jointly(study, campaign, draws, index, way)
+        inference = study_of.draw_jointly(study, campaign, first, index, way)
         ranks[way] = study_of.ranks_of(study, campaign, inference, index)
         found = inference.population.convergence
         told[way] = found.worst_ess, found.worst_r_hat, inference.sweeps

@@ -217,10 +217,10 @@ def calibrate(study: Study, campaign: Campaign, index: int) -> list[Draws]:
 
 
 def draw_jointly(
-    study: Study, campaign: Campaign, draws: Sequence[Draws], index: int, way: str = RIGHT
+    study: Study, campaign: Campaign, first: tuple[Layout, Pilot], index: int, way: str = RIGHT
 ) -> JointDraws:
-    """Population of calibrated tests, as the package infers it, or wrongly as the control."""
-    layout, pilot = first_fit(study, campaign, draws)
+    """Population of a `first_fit`, as the package infers it, or wrongly as the control."""
+    layout, pilot = first
     tests = [test if way == RIGHT else _as_points(test) for test in pilot.tests]
     rng = np.random.default_rng([study.seed, index, 2])
     problem = JointProblem(layout, tests, campaign.tests[0].priors, "ksi", pilot.residual)
