@@ -144,6 +144,10 @@ def test_a_record_that_was_cut_or_sampled_anew_is_a_twin(rate, begin, end):
     assert twin is not None
     assert twin.share > 0.97
     assert twin.lag == pytest.approx(grid[0], abs=2e-3)
+    back = find_twin(Signature.of(trace), Signature.of(again))
+    assert back is not None
+    assert back.lag == pytest.approx(-grid[0], abs=2e-3)
+    assert back.share == pytest.approx(twin.share * (end - begin), abs=0.02)
 
 
 def test_a_twin_is_named_once_and_with_its_original():
@@ -162,6 +166,15 @@ def test_a_twin_is_named_once_and_with_its_original():
 def test_the_same_test_made_twice_is_no_twin():
     one, other = trace_of(35.0, 2), trace_of(35.0, 3)
     assert find_twin(Signature.of(one), Signature.of(other)) is None
+
+
+def test_a_record_with_another_force_is_no_twin():
+    trace = trace_of(35.0, 2)
+    for factor in (1.05, 1.3):
+        other = Trace.from_arrays(
+            trace.time, trace.displacement, 0.035, factor * np.asarray(trace.force)
+        )
+        assert find_twin(Signature.of(other), Signature.of(trace)) is None
 
 
 def test_records_that_are_too_short_are_not_compared():

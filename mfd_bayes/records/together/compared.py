@@ -54,11 +54,12 @@ def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     for other, one in combinations(tests, 2):
         if one.id in named or not _may_be_twins(one, other):
             continue
-        there, back = (find_twin(a.signature, b.signature) for a, b in ((one, other), (other, one)))
-        if there is None and back is None:
+        twin = find_twin(one.signature, other.signature)
+        if twin is None:
             continue
         named.add(one.id)
-        part = min((t.share for t in (there, back) if t is not None), default=1.0)
+        longer = max(one.signature.bins, other.signature.bins)
+        part = twin.share * one.signature.bins / longer
         what = f"same record as {other.id}"
         if part < WHOLE:
             what = f"the same measurement as {other.id} in {part:.0%} of the longer record"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
@@ -14,6 +16,9 @@ BIN = 1.0 / 32.0
 
 LIKE = 0.97
 """Least correlation of two forces for a closer look."""
+
+LARGER = 1.1
+"""Two forces are not one measurement where the rms of one is larger than this times the other's."""
 
 PLACES = 6
 """Most places, of those at which two forces are alike, that are looked at: cycles repeat."""
@@ -57,9 +62,31 @@ class Signature:
         """Number of whole bins."""
         return int(self.time[-1] / BIN)
 
-    def means(self, first: float, count: int) -> tuple[Array, Array]:
-        """Mean force and displacement in `count` bins from the time `first`, s, on."""
-        edges = first + BIN * np.arange(count + 1)
+    @cached_property
+    def forces(self) -> Array:
+        """Mean force in every whole bin, (bins,)."""
+        return np.asarray(self.means(np.zeros(1), self.bins)[0][0])
+
+    @cached_property
+    def sums(self) -> tuple[Array, Array]:
+        """Sums of the mean force, and of its square, over the bins before each, (bins + 1,)."""
+        once, twice = (np.cumsum(values) for values in (self.forces, self.forces**2))
+        return np.concatenate([[0.0], once]), np.concatenate([[0.0], twice])
+
+    @cached_property
+    def spectra(self) -> dict[int, NDArray[np.complex128]]:
+        """Fourier transforms of the mean forces, by the length that they were padded to."""
+        return {}
+
+    def spectrum(self, size: int) -> NDArray[np.complex128]:
+        """Fourier transform of the mean forces, padded to a length."""
+        if size not in self.spectra:
+            self.spectra[size] = np.fft.rfft(self.forces, size)
+        return self.spectra[size]
+
+    def means(self, first: Array, count: int) -> tuple[Array, Array]:
+        """Mean force and displacement in `count` bins from each time `first` (n,), s, on."""
+        edges = first[:, None] + BIN * np.arange(count + 1)
         parts = (np.interp(edges, self.time, values) for values in (self.force, self.displacement))
         force, displacement = (np.diff(part) / BIN for part in parts)
         return force, displacement
@@ -69,20 +96,15 @@ def find_twin(one: Signature, other: Signature) -> Twin | None:
     """Where a record is, in whole or in part, the same measurement as another; None if not."""
     if min(one.bins, other.bins) < SHORTEST:
         return None
-    lags = [_refined(one, other, k * BIN, BIN / 4) for k in _coarse_lags(one, other)]
-    lag = min(lags, key=lambda t: _misfit(one, other, t), default=None)
-    if lag is None or _misfit(one, other, lag) > NEAR:
+    near = [_refined(one, other, k * BIN, BIN / 4) for k in _coarse_lags(one, other)]
+    lag, misfit = min(near, key=lambda found: found[1], default=(0.0, np.inf))
+    if misfit > NEAR:
         return None
     for step in (BIN / 16, BIN / 64, BIN / 256):
-        lag = _refined(one, other, lag, step)
-    if _misfit(one, other, lag) > SAME:
+        lag, misfit = _refined(one, other, lag, step)
+    if misfit > SAME:
         return None
-    return Twin(min(1.0, _overlap(one, other, lag)[1] / one.bins), lag)
-
-
-def _refined(one: Signature, other: Signature, lag: float, step: float) -> float:
-    """The lag within two steps of a given one, s, at which two records differ least."""
-    return min((lag + k * step for k in range(-2, 3)), key=lambda t: _misfit(one, other, t))
+    return Twin(min(1.0, _overlap(one, other, np.array([lag]))[1] / one.bins), lag)
 
 
 def _integral(time: Array, values: Array) -> Array:
@@ -92,40 +114,52 @@ def _integral(time: Array, values: Array) -> Array:
 
 def _coarse_lags(one: Signature, other: Signature) -> list[int]:
     """Bins by which `one` begins after `other`, where both look alike, the likest first."""
-    alike = _correlation(one.means(0.0, one.bins)[0], other.means(0.0, other.bins)[0])
-    peaks = (alike >= np.roll(alike, 1)) & (alike > np.roll(alike, -1)) & (alike >= LIKE)
+    shifts = np.arange(1 - one.bins, other.bins)
+    alike, larger = _compared(one, other, shifts)
+    padded = np.concatenate([[-1.0], alike, [-1.0]])
+    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= LIKE)
     best = sorted(np.flatnonzero(peaks).tolist(), key=lambda k: -alike[k])[:PLACES]
-    return [k if k < other.bins else k - alike.size for k in best]
+    return [int(shifts[k]) for k in best if larger[k] < LARGER]
 
 
-def _correlation(a: Array, b: Array) -> Array:
-    """Correlation of b, shifted by k bins, with a, over their overlap; -1 where that is short."""
-    size = a.size + b.size
-    spectra = {}
-    for name, values in {"a": a, "aa": a**2, "1a": a**0, "b": b, "bb": b**2, "1b": b**0}.items():
-        spectra[name] = np.fft.rfft(values, size)
+def _compared(one: Signature, other: Signature, shifts: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Correlation of both forces over their overlap, and how much larger one is, by the shift.
 
-    def product(of_b: str, of_a: str) -> Array:
-        return np.fft.irfft(spectra[of_b] * np.conj(spectra[of_a]), size)
-
-    count = product("1b", "1a")
-    norm = np.sqrt(np.maximum(product("1b", "aa"), 0.0) * np.maximum(product("bb", "1a"), 0.0))
-    enough = count > max(SHORTEST, 0.5 * min(a.size, b.size)) - 0.5
+    The correlation is -1 where the overlap is short; the ratio of the rms values is at least 1.
+    """
+    size = 1 << (one.bins + other.bins - 1).bit_length()
+    products = np.fft.irfft(other.spectrum(size) * np.conj(one.spectrum(size)), size)[shifts]
+    begin, end = np.maximum(0, -shifts), np.minimum(one.bins, other.bins - shifts)
+    energies = [
+        whole.sums[1][end + by] - whole.sums[1][begin + by]
+        for whole, by in ((one, 0), (other, shifts))
+    ]
+    enough = end - begin > max(SHORTEST, 0.5 * min(one.bins, other.bins)) - 0.5
+    norm = np.sqrt(np.maximum(energies[0] * energies[1], 0.0))
     safe = np.maximum(norm, 1e-9 * max(float(norm.max()), 1e-300))
-    return np.where(enough, product("b", "a") / safe, -1.0)
+    least, most = np.minimum(*energies), np.maximum(*energies)
+    larger = np.sqrt(most / np.maximum(least, 1e-9 * max(float(most.max()), 1e-300)))
+    return np.where(enough, products / safe, -1.0), larger
 
 
-def _overlap(one: Signature, other: Signature, lag: float) -> tuple[float, int]:
-    """Begin of the overlap in the time of `one`, s, and its number of bins."""
-    begin = max(0.0, -lag)
-    end = min(one.time[-1], other.time[-1] - lag)
-    return begin, max(int((end - begin) / BIN), 0)
+def _refined(one: Signature, other: Signature, lag: float, step: float) -> tuple[float, float]:
+    """The lag within two steps of a given one, s, at which two records differ least, and by what.
 
-
-def _misfit(one: Signature, other: Signature, lag: float) -> float:
-    """Rms difference of force, and of displacement, over their sd, where both records are known."""
-    begin, count = _overlap(one, other, lag)
+    By the rms difference of force, or of displacement if greater, over its sd.
+    """
+    lags = lag + step * np.arange(-2.0, 3.0)
+    begin, count = _overlap(one, other, lags)
     if count < SHORTEST:
-        return np.inf
-    pairs = zip(one.means(begin, count), other.means(begin + lag, count), strict=True)
-    return max(float(np.std(a - b)) / max(float(np.std(a)), 1e-300) for a, b in pairs)
+        return lag, np.inf
+    pairs = zip(one.means(np.array([begin]), count), other.means(begin + lags, count), strict=True)
+    misfits = [np.std(a - b, axis=1) / max(float(np.std(a)), 1e-300) for a, b in pairs]
+    worst = np.maximum(*misfits)
+    best = int(np.argmin(worst))
+    return float(lags[best]), float(worst[best])
+
+
+def _overlap(one: Signature, other: Signature, lags: Array) -> tuple[float, int]:
+    """Begin of what is in both with each of the lags, in the time of `one`, s, and its bins."""
+    begin = max(0.0, -float(lags.min()))
+    end = min(one.time[-1], other.time[-1] - float(lags.max()))
+    return begin, max(int((end - begin) / BIN), 0)
