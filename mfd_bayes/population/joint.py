@@ -69,10 +69,10 @@ class LatentPosterior:
     ----------
     log_marginal : (n, d)
         Log density of the tests with the latent integrated out, without constants.
-    sd : (n, d, m)
-        Prior sd of the latent.
-    factor : (n, d, m, m)
-    solved : (n, d, m)
+    sd : (n, d, p)
+        Prior sd of the latent, in the columns of each quantity.
+    factor : (n, d, p, p)
+    solved : (n, d, p)
         factor⁻¹ b.
     """
 
@@ -120,6 +120,9 @@ class Joint:
         self.evaluate = evaluate or self._in_turn
         self.d = len(layout.names)
         self.design = layout.design()  # (J, m)
+        self.columns = layout.columns()  # (d, p)
+        parts = np.swapaxes(self.design.T[self.columns], 1, 2)  # (d, J, p)
+        self.parts, self.products_of_parts = parts, parts[..., :, None] * parts[..., None, :]
 
     def _in_turn(self, points: Iterable[tuple[int, Array]]) -> Iterator[Array]:
         for j, x in points:
@@ -161,19 +164,19 @@ class Joint:
 
     def latent_posterior(self, given: Given, h: Array) -> LatentPosterior:
         """Conditional density of the latent given h and what is given of the tests."""
+        d, tests, p = self.parts.shape
         precision = given.weight / self.layout.scatter(h)[:, None] ** 2  # (n, J, d)
         residual = given.x - self.layout.offsets(h, given.choice)
-        sds = np.concatenate([np.ones((len(h), 1, self.d)), self.layout.effect_sd(h)], axis=1)
-        sd = np.swapaxes(sds, 1, 2)  # (n, d, m)
-        m = self.design.shape[1]
-        outer = (self.design[:, :, None] * self.design[:, None, :]).reshape(-1, m * m)
-        gram = (np.swapaxes(precision, 1, 2) @ outer).reshape(*sd.shape, m)
-        a = sd[..., :, None] * gram * sd[..., None, :]
-        a[..., range(m), range(m)] += 1.0
+        sds = np.concatenate([np.ones((len(h), 1, d)), self.layout.effect_sd(h)], axis=1)
+        sd = sds[:, self.columns, np.arange(d)[:, None]]  # (n, d, p)
+        outer = self.products_of_parts.reshape(d, tests, p * p)
         pulled = precision * residual
-        b = (np.swapaxes(pulled, 1, 2) @ self.design) * sd
-        factor = np.linalg.cholesky(a)
-        solved = np.linalg.solve(factor, b[..., None])[..., 0]
+        by_quantity = np.moveaxis(precision, 2, 0), np.moveaxis(pulled, 2, 0)  # (d, n, J)
+        gram = np.swapaxes(by_quantity[0] @ outer, 0, 1).reshape(*sd.shape, p)
+        a = sd[..., :, None] * gram * sd[..., None, :]
+        a[..., range(p), range(p)] += 1.0
+        b = np.swapaxes(by_quantity[1] @ self.parts, 0, 1) * sd
+        factor, solved = _factored(a, b)
         log_det = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         squares = np.einsum("njk,njk->nk", pulled, residual)
         squares -= np.einsum("nkm,nkm->nk", solved, solved)
@@ -202,3 +205,16 @@ class Joint:
         given = self.conditional(chains)
         deviations: Array = (self.shared(chains) - given.means) / given.scatter
         return np.asarray(np.swapaxes(deviations, 1, 2) @ deviations)
+
+
+def _factored(a: Array, b: Array) -> tuple[Array, Array]:
+    """Cholesky factors of matrices (…, m, m) of at least 1, and factor⁻¹ b of vectors (…, m).
+
+    Both are in one factor: that of the matrix with the vector as its last row.
+    """
+    m = b.shape[-1]
+    whole = np.empty((*b.shape[:-1], m + 1, m + 1))
+    whole[..., :m, :m], whole[..., m, :m], whole[..., :m, m] = a, b, b
+    whole[..., m, m] = 1.0 + 2.0 * np.einsum("...m,...m->...", b, b)  # more than b' A⁻¹ b
+    factor = np.linalg.cholesky(whole)
+    return factor[..., :m, :m], factor[..., m, :m]

@@ -161,16 +161,31 @@ class Layout:
         effects = [effect.root[list(effect.home)] for effect in self.effects]
         return np.concatenate([np.ones((len(self.settings), 1)), *effects], axis=1)
 
+    def columns(self) -> NDArray[np.intp]:
+        """Columns of the design for each quantity, (d, p): those that it has, then some others."""
+        cells = [len(effect.cells) for effect in self.effects]
+        having = np.zeros((len(self.names), 1 + sum(cells)), dtype=np.bool_)
+        having[:, 0] = True
+        begin = 1
+        for effect, count in zip(self.effects, cells, strict=True):
+            having[list(effect.members), begin : begin + count] = True
+            begin += count
+        first = np.argsort(~having, axis=1, kind="stable")
+        return first[:, : int(having.sum(axis=1).max())]
+
     def log_prior(self, h: Array) -> Array:
         """Log prior density of each block of h, without constants, (n, G).
 
         Scatter and effects' sd are half-normal, or exponential, with the Jacobian of their logs.
         """
-        density = np.zeros((len(h), len(self.groups)))
         sd = self.sd_scale
-        for i in range(len(sd)):
-            size, sparse = np.exp(h[:, i]) / sd[i], i in np.flatnonzero(self.sparse)
-            density[:, self.block[i]] += h[:, i] - (size if sparse else 0.5 * size**2)
+        log_sd = h[:, : len(sd)]
+        size = np.exp(log_sd) / sd
+        sparse = np.zeros(len(sd), dtype=np.bool_)
+        sparse[np.flatnonzero(self.sparse)] = True
+        terms = log_sd - np.where(sparse, size, 0.5 * size**2)
+        member = self.block[: len(sd), None] == np.arange(len(self.groups))
+        density: Array = terms @ member.astype(np.float64)
         for i, (_, shape) in enumerate(self.shapes):
             at = len(sd) + i
             density[:, self.block[at]] += log_prior(shape, h[:, at])

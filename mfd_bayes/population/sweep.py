@@ -145,9 +145,10 @@ class Sampler:
     def sweep(self, chains: Chains) -> None:
         """One sweep over everything, in place."""
         given = self.joint, chains, self.rng
+        density = self.joint.log_blocks(self.joint.given(chains), chains.h)
         for _ in range(self.plan.evolutions):
-            self._note(evolve_hyperparameters(*given))
-        self._note(leap(*given))
+            self._note(evolve_hyperparameters(*given, density))
+        self._note(leap(*given, density))
         draw_latent(*given)
         draw_weights(*given)
         self._move_tests(chains)

@@ -54,7 +54,7 @@ class WorkingLikelihood:
     shape: Array
     information: float = 1.0
 
-    @property
+    @cached_property
     def own(self) -> tuple[str, ...]:
         """Quantities of the test alone."""
         return tuple(name for name in self.posterior.names if name not in self.layout.names)

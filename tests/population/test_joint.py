@@ -135,13 +135,22 @@ def latent(sampler: Sampler, chains: Chains) -> None:
 
 def hyper(sampler: Sampler, chains: Chains) -> None:
     """Update of scatter and shapes with levels integrated out, then of the levels."""
-    evolve_hyperparameters(sampler.joint, chains, sampler.rng)
+    joint = sampler.joint
+    density = joint.log_blocks(joint.given(chains), chains.h)
+    for _ in range(2):
+        evolve_hyperparameters(joint, chains, sampler.rng, density)
+    expected = joint.log_blocks(joint.given(chains), chains.h)
+    np.testing.assert_allclose(density, expected, rtol=1e-9)
     latent(sampler, chains)
 
 
 def leaps(sampler: Sampler, chains: Chains) -> None:
     """Leaps of effects and shapes with levels integrated out, some taken, then of the levels."""
-    accepted = leap(sampler.joint, chains, sampler.rng)
+    joint = sampler.joint
+    density = joint.log_blocks(joint.given(chains), chains.h)
+    accepted = leap(joint, chains, sampler.rng, density)
+    expected = joint.log_blocks(joint.given(chains), chains.h)
+    np.testing.assert_allclose(density, expected, rtol=1e-9)
     assert all(0.02 < np.mean(yes) < 1.0 for _, yes in accepted)
     latent(sampler, chains)
 
@@ -319,8 +328,8 @@ def test_proposals_near_a_gaussian_whose_density_is_forgotten_do_not(case, monke
 
 
 def test_leaps_whose_density_is_forgotten_do_not(case, monkeypatch):
-    log = leaping._Density.log
-    monkeypatch.setattr(leaping._Density, "log", lambda self, at: 0.0 * log(self, at))
+    log = leaping._Leaps.log
+    monkeypatch.setattr(leaping._Leaps, "log", lambda self, at: 0.0 * log(self, at))
     assert shift(case, MOVES["leap"], 20) > 1.5 * FAR
 
 

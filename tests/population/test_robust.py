@@ -105,7 +105,9 @@ def weights(sampler, chains):
 
 
 def hyper(sampler, chains):
-    hyperparameters.evolve_hyperparameters(sampler.joint, chains, sampler.rng)
+    joint = sampler.joint
+    density = joint.log_blocks(joint.given(chains), chains.h)
+    hyperparameters.evolve_hyperparameters(joint, chains, sampler.rng, density)
     hyperparameters.draw_latent(sampler.joint, chains, sampler.rng)
 
 

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.population.chains import Accepted, Chains
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.layout import WIDER
 
+Array = NDArray[np.float64]
 
-def evolve_hyperparameters(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
-    """Differential evolution of h block by block, with levels and effects integrated out."""
+
+def evolve_hyperparameters(
+    joint: Joint, chains: Chains, rng: np.random.Generator, density: Array
+) -> Accepted:
+    """Differential evolution of h block by block, with levels and effects integrated out.
+
+    The density of each chain's blocks, as `Joint.log_blocks` has it, is brought up to date.
+    """
     block, everything = joint.layout.block, joint.given(chains)
     inferred = joint.layout.inferred
     sizes = np.maximum(np.bincount(block[inferred], minlength=len(joint.layout.groups)), 1)
@@ -21,10 +29,10 @@ def evolve_hyperparameters(joint: Joint, chains: Chains, rng: np.random.Generato
         scale = np.where(rng.random((len(half), 1)) < 0.2, 1.0, scale)
         jump = scale * (chains.h[first] - chains.h[second])
         proposed = h + jump + 1e-3 * inferred * rng.standard_normal(h.shape)
-        given = everything.of(half)
-        old, new = joint.log_blocks(given, h), joint.log_blocks(given, proposed)
+        old, new = density[half], joint.log_blocks(everything.of(half), proposed)
         yes = np.log(rng.random(old.shape)) + old < new  # (n, G)
         chains.h[half] = np.where(yes[:, block], proposed, h)
+        density[half] = np.where(yes, new, old)
         accepted.append(("scatter and shapes", yes))
     return accepted
 
@@ -34,7 +42,8 @@ def draw_latent(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accep
     given = joint.latent_posterior(joint.given(chains), chains.h)
     noise = given.solved + rng.standard_normal(given.solved.shape)
     drawn = np.linalg.solve(np.swapaxes(given.factor, -1, -2), noise[..., None])[..., 0]
-    chains.latent = np.swapaxes(given.sd * drawn, 1, 2)
+    chains.latent = np.zeros_like(chains.latent)
+    chains.latent[:, joint.columns, np.arange(joint.d)[:, None]] = given.sd * drawn
     return []
 
 

@@ -34,8 +34,11 @@ TO_SD = 0.7413
 """Sd of a normal density over its interquartile range."""
 
 
-def leap(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
-    """Leaps of effects' sd and of shapes by block, with levels and effects integrated out."""
+def leap(joint: Joint, chains: Chains, rng: np.random.Generator, density: Array) -> Accepted:
+    """Leaps of effects' sd and of shapes by block, with levels and effects integrated out.
+
+    The density of each chain's blocks, as `Joint.log_blocks` has it, is brought up to date.
+    """
     layout = joint.layout
     begin = len(layout.names)
     if layout.dim == begin:
@@ -45,17 +48,17 @@ def leap(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
     everything = joint.given(chains)
     accepted: Accepted = []
     for own, other in chains.halves(rng):
-        density = _Density(layout, chains.h[other][..., begin:], blocks)
+        leaps = _Leaps(layout, chains.h[other][..., begin:], blocks)
         half, h = own.ravel(), chains.h[own.ravel()]
-        leapt = density.draw(rng, own.shape[1])
+        leapt = leaps.draw(rng, own.shape[1])
         new = leapt.reshape(len(half), -1)
         proposed = np.concatenate([h[:, :begin], new], axis=1)
-        ratio = density.log(chains.h[own][..., begin:]) - density.log(leapt)  # (E, n, G)
-        given = everything.of(half)
-        gain = joint.log_blocks(given, proposed) - joint.log_blocks(given, h)
-        gain += ratio.reshape(gain.shape)
+        ratio = leaps.log(chains.h[own][..., begin:]) - leaps.log(leapt)  # (E, n, G)
+        before, after = density[half], joint.log_blocks(everything.of(half), proposed)
+        gain = after - before + ratio.reshape(before.shape)
         yes = np.log(rng.random(gain.shape)) < gain
         chains.h[half, begin:] = np.where(yes[:, blocks], new, h[:, begin:])
+        density[half] = np.where(yes, after, before)
         accepted.append(("leap", yes[:, groups]))
     return accepted
 
@@ -68,7 +71,7 @@ def log_half_normal(sd: float) -> Any:
     return stats.loggamma(0.5, np.log(np.sqrt(2.0) * sd), 0.5)
 
 
-class _Density:
+class _Leaps:
     """Density of leaps, for each ensemble and each block.
 
     Parameters
