@@ -72,6 +72,21 @@ def of_session(leader: int) -> list[tuple[int, str]]:
     return found
 
 
+def workers_of(leader: int) -> list[int]:
+    """Processes of a session that do jobs: started by themselves, or forked from a server."""
+    servers = [pid for pid, line in of_session(leader) if "multiprocessing.forkserver" in line]
+    forked = [pid for pid in servers if parent_of(pid) in servers]
+    return forked + [pid for pid, line in of_session(leader) if "spawn_main" in line]
+
+
+def parent_of(pid: int) -> int:
+    """Parent of a process; 0 where it has ended."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+    except OSError:
+        return 0
+
+
 def heed_interrupts() -> None:
     """Let the processes that are started be interrupted: a shell's "&" has SIGINT ignored."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -163,13 +178,11 @@ def allow_writing(folder: Path) -> None:
 def wait_for_worker(process: subprocess.Popen[str], delay: float) -> int | None:
     """Some worker that is at work so long after the first began; None where there is none."""
     while process.poll() is None:
-        workers = [pid for pid, line in of_session(process.pid) if "spawn_main" in line]
-        if workers:
+        if workers_of(process.pid):
             time.sleep(delay)
             break
         time.sleep(0.02)
-    workers = [pid for pid, line in of_session(process.pid) if "spawn_main" in line]
-    return max(workers, default=None)
+    return max(workers_of(process.pid), default=None)
 
 
 def disturb(kind: str, process: subprocess.Popen[str], moment: float) -> bool:

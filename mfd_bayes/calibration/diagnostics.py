@@ -117,7 +117,7 @@ def effective_size(draws: Array) -> float:
     return _arviz()[1](draws, "bulk") if draws.shape[1] >= FEWEST_STEPS else 0.0
 
 
-def _import_arviz() -> Any:
+def import_arviz() -> Any:
     """ArviZ, imported without its announcements and also where no cache folder is writable."""
     with warnings.catch_warnings(), _hidden("bokeh.plotting", "bokeh.models"):
         # 0.23 announces its refactoring on the first import of a day
@@ -153,7 +153,7 @@ def _is_classic(arviz: Any) -> bool:
 
 def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
     """Rank-normalised split R̂ and ESS of an array (chain, draw), from ArviZ 0.x or 1.x."""
-    classic = _import_arviz()
+    classic = import_arviz()
     if _is_classic(classic):
         return (
             lambda x: float(classic.rhat(x, method="rank")),
@@ -186,7 +186,7 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
     ratios = log_ratios - log_ratios.max()
     if np.all(ratios == 0.0):  # equal weights have no tail to fit
         return ratios - np.log(ratios.size), -np.inf
-    classic = _import_arviz()
+    classic = import_arviz()
     with np.errstate(over="ignore"):  # harmless, in the fit to a very heavy tail
         if _is_classic(classic):
             weights, k = classic.psislw(ratios, reff=efficiency)

@@ -40,6 +40,8 @@ def calibrate(
     with mistakes("" if dry_run else resumption()):
         from mfd_bayes.pipeline import commands as pipeline
 
+        if not dry_run:
+            pipeline.get_ready()
         options = arguments.completed(
             pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
             out,

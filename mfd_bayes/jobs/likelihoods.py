@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -16,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.jobs.workers import end_with_parent, interrupts_blocked, one_thread
+from mfd_bayes.jobs.processes import context, follow_parent, started_alike
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -24,7 +22,7 @@ Likelihood = Callable[[Array], Array]
 Points = list[tuple[int, Array]]
 
 Evaluate = Callable[[Iterable[tuple[int, Array]]], Iterator[Array]]
-"""Log likelihoods, (n,) each, of pairs of a test's number and its points, in their order."""
+"""Log likelihoods, or others of a test's functions, of pairs of its number and its points."""
 
 FEWEST = 4
 """With fewer tests, one process is faster than several."""
@@ -34,6 +32,11 @@ MOST = 16
 
 _LIKELIHOODS: ContextVar[Sequence[Likelihood]] = ContextVar("_LIKELIHOODS")
 """In a worker process: the likelihoods that it was started with."""
+
+
+def in_turn(likelihoods: Sequence[Likelihood]) -> Evaluate:
+    """Function that computes likelihoods in this process, one after the other."""
+    return lambda points: (likelihoods[j](x) for j, x in points)
 
 
 @contextmanager
@@ -46,17 +49,17 @@ def several_processes(likelihoods: Sequence[Likelihood], jobs: int) -> Iterator[
     Parameters
     ----------
     likelihoods : sequence of callable
-        Log likelihood of each test: (n, D) coordinates to (n,); each process gets a copy.
+        Of each test its log likelihood, (n, D) coordinates to (n,), or another function of them;
+        each process gets a copy.
     jobs : int
         Number of processes.
     """
     if jobs < 2 or len(likelihoods) < FEWEST:
         yield None
         return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=_start, initargs=(likelihoods,))
+    pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(likelihoods,))
     try:
-        with one_thread(), interrupts_blocked():
+        with started_alike():
             for _ in range(jobs):
                 pool.submit(_compute, [])
         yield _Pool(pool, likelihoods, jobs).evaluate
@@ -73,9 +76,9 @@ def beside(jobs: int, work: Callable[[], T]) -> Iterator[Callable[[], T]]:
     if jobs < 2:
         yield work
         return
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_follow_parent)
+    pool = ProcessPoolExecutor(1, context(), initializer=follow_parent)
     try:
-        with one_thread(), interrupts_blocked():
+        with started_alike():
             future = pool.submit(work)
 
         def result() -> T:
@@ -128,11 +131,7 @@ class _Pool:
 
 def _start(likelihoods: Sequence[Likelihood]) -> None:
     _LIKELIHOODS.set(likelihoods)
-    _follow_parent()
-
-
-def _follow_parent() -> None:
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    follow_parent()
 
 
 def _compute(points: Points) -> list[Array]:

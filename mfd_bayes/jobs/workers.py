@@ -7,28 +7,24 @@ process has a pipe of its own.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
-import threading
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Job, Outcome, State, Step
+from mfd_bayes.jobs.processes import context, follow_parent, started_alike
 from mfd_bayes.jobs.signals import end_children
 
 ATTEMPTS = 3
 """The run gives up when this many processes of one job were killed, as where memory is short."""
-
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run_in_processes(
@@ -69,7 +65,7 @@ def run_in_processes(
 class _Worker:
     """A process and the job that it does."""
 
-    process: SpawnProcess
+    process: BaseProcess
     job: Job | None = None
 
 
@@ -89,10 +85,10 @@ class _Pool:
 
     def start_worker(self) -> None:
         """Start one more process; it asks for a job when it is ready."""
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs, self.out), daemon=True)
-        with one_thread(), interrupts_blocked():
+        started = context()
+        ours, theirs = started.Pipe()
+        process = started.Process(target=_work, args=(theirs, self.out), daemon=True)
+        with started_alike():
             process.start()
         theirs.close()  # so that the connection ends when the process does
         self.workers[ours] = _Worker(process)
@@ -139,7 +135,7 @@ class _Pool:
 
 def _work(connection: Connection, out: Path) -> None:
     """In a worker process: do the jobs that come, until the connection ends."""
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    follow_parent()
 
     def send(message: Step | Outcome | StoreError | None) -> None:
         try:
@@ -155,40 +151,3 @@ def _work(connection: Connection, out: Path) -> None:
                 send(job.run(out, send))
             except StoreError as error:
                 send(error)
-
-
-def end_with_parent() -> None:
-    """Wait for the parent process to end, however it does, and end this one: a run may follow."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let numpy use one thread in a process that is started: the number could change the draws."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ |= dict.fromkeys(_THREADS, "1")
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
-def interrupts_blocked() -> Iterator[None]:
-    """Let a process that is started ignore Ctrl-C; this one gets it and ends the other."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # its start would unblock Ctrl-C again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -30,6 +30,7 @@ from mfd_bayes.pipeline.preparation import (
     prior_check,
 )
 from mfd_bayes.pipeline.question import Question
+from mfd_bayes.pipeline.ready import get_ready
 from mfd_bayes.pipeline.report import check, left_out_shown, report, write_report
 from mfd_bayes.reporting.forms import Forms
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
@@ -52,6 +53,7 @@ __all__ = [
     "effort_of",
     "fails",
     "gaps",
+    "get_ready",
     "init",
     "init_priors",
     "inspect",
@@ -80,6 +82,7 @@ def calibrate_campaign(
     MfdError
         When an input cannot be used; nothing is written then.
     """
+    get_ready()
     return calibrate_plan(plan_campaign(campaign, options), out, observe)
 
 
@@ -104,6 +107,7 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     StoreError
         When the folder exists and is not to be replaced.
     """
+    get_ready()
     check_workers(options)
     check_links(out, ["campaign"])
     used = out.exists() and (not out.is_dir() or any(out.iterdir()))

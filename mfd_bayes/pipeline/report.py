@@ -14,6 +14,7 @@ from mfd_bayes.assessment.views import (
 )
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.pipeline.ready import get_ready
 from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
 from mfd_bayes.reporting.forms import PLAIN, Forms
 from mfd_bayes.reporting.tables import (
@@ -63,6 +64,8 @@ def report(
         When a form or a test is asked for that cannot be made; nothing is written then.
     """
     forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
+    if Workplace(jobs).processes > 1:
+        get_ready()
     with alone_in(out):
         check_places(out)
         return write_report(open_run(out), observe, jobs=jobs, forms=forms, units=units)

@@ -136,7 +136,8 @@ def _inferred(
     layout = lay_out(priors, names, under, settings.laws, dependence)
     working = [working_likelihood(layout, test.posterior, priors) for test in tests.values()]
     starts = [_start(one, test) for one, test in zip(working, tests.values(), strict=True)]
-    pilot = fit_pilot(working, starts)
+    with several_processes([one.residual for one in working], settings.jobs) as evaluate:
+        pilot = fit_pilot(working, starts, evaluate)
     likelihoods = pilot.tests
     layout = share(layout, likelihoods)
     with beside(settings.jobs, partial(_compare, layout, likelihoods)) as compared:

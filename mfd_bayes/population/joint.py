@@ -18,7 +18,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.jobs.likelihoods import Evaluate
+from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
 from mfd_bayes.population.chains import Chains, Choice, Index
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.test_likelihood import TestLikelihood
@@ -117,16 +117,12 @@ class Joint:
         self, layout: Layout, tests: Sequence[TestLikelihood], evaluate: Evaluate | None = None
     ) -> None:
         self.layout, self.tests = layout, tests
-        self.evaluate = evaluate or self._in_turn
+        self.evaluate = evaluate or in_turn([test.log_likelihood for test in tests])
         self.d = len(layout.names)
         self.design = layout.design()  # (J, m)
         self.columns = layout.columns()  # (d, p)
         parts = np.swapaxes(self.design.T[self.columns], 1, 2)  # (d, J, p)
         self.parts, self.products_of_parts = parts, parts[..., :, None] * parts[..., None, :]
-
-    def _in_turn(self, points: Iterable[tuple[int, Array]]) -> Iterator[Array]:
-        for j, x in points:
-            yield self.tests[j].log_likelihood(x)
 
     def with_likelihoods(self, wanted: Iterable[T]) -> Iterator[tuple[T, Array]]:
         """Each of the wanted, in order, with the log likelihoods of its points, (…,)."""

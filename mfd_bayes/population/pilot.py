@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.residual import Residual, slip_force_of
+from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
+from mfd_bayes.population.residual import Residual, memory_of, slip_force_of
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.travel import TravelBasis
 from mfd_bayes.population.working import WorkingLikelihood
@@ -28,6 +29,9 @@ STEPS = 40
 
 STEP = 1e-3
 """Step of the differences, in prior units."""
+
+STILL = 1e-3
+"""Slopes are taken anew when the coordinates have moved by more than this, in prior units."""
 
 LARGEST = 8.0
 """Largest coordinate, in prior units, that a step may reach."""
@@ -54,7 +58,11 @@ class Pilot:
     tests: tuple[TestLikelihood, ...]
 
 
-def fit_pilot(likelihoods: Sequence[WorkingLikelihood], starts: Sequence[Array]) -> Pilot:
+def fit_pilot(
+    likelihoods: Sequence[WorkingLikelihood],
+    starts: Sequence[Array],
+    evaluate: Evaluate | None = None,
+) -> Pilot:
     """First fit of tests.
 
     Parameters
@@ -63,11 +71,16 @@ def fit_pilot(likelihoods: Sequence[WorkingLikelihood], starts: Sequence[Array])
         Without discrepancy, with even noise.
     starts : sequence of (D,)
         Coordinates of each test from which to begin, in prior units.
+    evaluate : callable, optional
+        Computes the likelihoods' residuals, in several processes.
     """
-    fit = _Fit(likelihoods, starts)
+    fit = _Fit(likelihoods, starts, evaluate)
+    moved = np.inf
     for _ in range(STEPS):
-        fit.linearise()
-        fit.step()
+        if moved > STILL:
+            fit.linearise()
+            moved = 0.0
+        moved += fit.step()
         fit.learn()
     return fit.pilot()
 
@@ -100,11 +113,22 @@ class _One:
         weights[: self.likelihood.posterior.first] = 0.0
         return np.asarray(weights)
 
+    def left(self, coefficients: Array, log_shape: Array) -> Array:
+        """What a discrepancy leaves of the samples that count, over the noise's sd."""
+        left = (self.residual - self.basis @ coefficients) * self.weights(log_shape)
+        return np.asarray(left[self.likelihood.kept])
+
 
 class _Fit:
     """State of the fit: coordinates of all tests, discrepancy, and sizes."""
 
-    def __init__(self, likelihoods: Sequence[WorkingLikelihood], starts: Sequence[Array]) -> None:
+    def __init__(
+        self,
+        likelihoods: Sequence[WorkingLikelihood],
+        starts: Sequence[Array],
+        evaluate: Evaluate | None,
+    ) -> None:
+        self.evaluate = evaluate or in_turn([one.residual for one in likelihoods])
         layout = likelihoods[0].layout
         self.layout, self.d = layout, len(layout.names)
         self.basis = TravelBasis.of([one.posterior.trace for one in likelihoods])
@@ -135,13 +159,10 @@ class _Fit:
 
     def linearise(self) -> None:
         """Residuals and slopes at the current coordinates; slip forces."""
-        slips = []
-        for one in self.tests:
-            points = np.repeat(one.x[None], 2 * one.x.size + 1, axis=0)
-            size = one.x.size
-            points[range(size), range(size)] += STEP
-            points[range(size, 2 * size), range(size)] -= STEP
-            residual = one.likelihood.residual(points)
+        slips, size = [], len(self.tests[0].x)
+        steps = STEP * np.concatenate([np.eye(size), -np.eye(size), np.zeros((1, size))])
+        around = ((j, one.x + steps) for j, one in enumerate(self.tests))
+        for one, residual in zip(self.tests, self.evaluate(around), strict=True):
             one.residual = residual[-1]
             one.slopes = (residual[size : 2 * size] - residual[:size]).T / (2.0 * STEP)
             posterior = one.likelihood.posterior
@@ -151,17 +172,25 @@ class _Fit:
         for one, slip in zip(self.tests, slips, strict=True):
             one.basis = one.functions * (slip / self.slip_force)
 
-    def step(self) -> None:
-        """One damped Gauss–Newton step, if one lowers the objective."""
-        before = self._objective([one.x for one in self.tests])
+    def step(self) -> float:
+        """One damped Gauss–Newton step, if one lowers the objective; its length."""
+        before = self._objective([one.x for one in self.tests], [t.residual for t in self.tests])
         for _ in range(8):
             xs = self._proposed()
-            if self._objective(xs) <= before:
-                for one, x in zip(self.tests, xs, strict=True):
-                    one.x = x
-                self.damping = 0.0 if self.damping < 1e-3 else self.damping / 10.0
-                return
+            if max(np.max(np.abs(x)) for x in xs) <= LARGEST:
+                left = [r[0] for r in self.evaluate((j, x[None]) for j, x in enumerate(xs))]
+                if self._objective(xs, left) <= before:
+                    self.damping = 0.0 if self.damping < 1e-3 else self.damping / 10.0
+                    return self._take(xs, left)
             self.damping = max(1e-3, 6.0 * self.damping)
+        return 0.0
+
+    def _take(self, xs: Sequence[Array], residuals: Sequence[Array]) -> float:
+        """Go to coordinates of the tests; the largest change."""
+        moved = max(np.max(np.abs(x - t.x)) for x, t in zip(xs, self.tests, strict=True))
+        for one, x, residual in zip(self.tests, xs, residuals, strict=True):
+            one.x, one.residual = x, residual
+        return float(moved)
 
     def _proposed(self) -> list[Array]:
         """Coordinates of the tests after a step: what is free is eliminated first."""
@@ -187,21 +216,16 @@ class _Fit:
             xs.append(x)
         return xs
 
-    def _objective(self, xs: Sequence[Array]) -> float:
+    def _objective(self, xs: Sequence[Array], residuals: Sequence[Array]) -> float:
         """Half the weighted squares of what is left, plus the priors'."""
         total = 0.5 * float(np.sum(xs[0][: self.d][self.common] ** 2))
-        for one, x in zip(self.tests, xs, strict=True):
-            if np.max(np.abs(x)) > LARGEST:
-                return np.inf
-            left = one.likelihood.residual(x[None])[0]
+        for one, x, left in zip(self.tests, xs, residuals, strict=True):
             total += 0.5 * float(np.sum((left * one.weights(self.log_shape)) ** 2))
             total += 0.5 * float(np.sum(x[self.free] ** 2))
         return total
 
     def learn(self) -> None:
         """Discrepancy, its size, noise of each test, and shape of the noise."""
-        for one in self.tests:
-            one.residual = one.likelihood.residual(one.x[None])[0]
         self._learn_discrepancy()
         squares = self.coefficients @ self.inverse @ self.coefficients
         squares += np.sum(self.inverse * self.covariance)
@@ -234,7 +258,9 @@ class _Fit:
     def pilot(self) -> Pilot:
         """What is kept of the fit."""
         self.linearise()
-        information, noise_time = self._memory()
+        standard = [one.left(self.coefficients, self.log_shape) for one in self.tests]
+        traces = [one.likelihood.posterior.trace for one in self.tests]
+        information, noise_time = memory_of(standard, traces)
         residual = Residual(
             basis=self.basis,
             mean=self.coefficients,
@@ -245,19 +271,6 @@ class _Fit:
             information=information,
         )
         return Pilot(residual, tuple(self._test(one, information) for one in self.tests))
-
-    def _memory(self) -> tuple[float, float]:
-        """Share of independent samples, and correlation time of the noise, s."""
-        independent, samples, times = 0.0, 0, []
-        for one in self.tests:
-            weights = one.weights(self.log_shape)[one.likelihood.kept]
-            left = (one.residual - one.basis @ self.coefficients)[one.likelihood.kept] * weights
-            phi = float(np.clip(left[1:] @ left[:-1] / (left @ left), 1e-3, 0.999))
-            step = float(np.median(np.diff(one.likelihood.posterior.trace.time)))
-            independent += left.size * (1.0 - phi) / (1.0 + phi)
-            samples += left.size
-            times.append(-step / np.log(phi))
-        return independent / samples, float(np.median(times))
 
     def _test(self, one: _One, information: float) -> TestLikelihood:
         """Working likelihood of a test with discrepancy and noise, and a Gaussian near it."""

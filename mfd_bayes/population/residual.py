@@ -9,7 +9,7 @@ standard deviation. Neither depends on parameters of the model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,3 +75,14 @@ def slip_force_of(model: Model, values: Mapping[str, Array]) -> Array:
     theta = model.theta(values)
     columns = [model.parameters.index(name) for name in model.slip_forces]
     return np.asarray(theta[:, columns].mean(axis=1))
+
+
+def memory_of(standard: Sequence[Array], traces: Sequence[Trace]) -> tuple[float, float]:
+    """Share of independent samples in standardised residuals (T,), and correlation time, s."""
+    independent, samples, times = 0.0, 0, []
+    for left, trace in zip(standard, traces, strict=True):
+        phi = float(np.clip(left[1:] @ left[:-1] / (left @ left), 1e-3, 0.999))
+        independent += left.size * (1.0 - phi) / (1.0 + phi)
+        samples += left.size
+        times.append(-float(np.median(np.diff(trace.time))) / np.log(phi))
+    return independent / samples, float(np.median(times))

@@ -1,0 +1,12 @@
+"""What the processes of a run need: a module for the server that they are forked from."""
+
+from mfd_bayes.jobs.processes import importing
+
+with importing():
+    from scipy import stats  # noqa: F401
+
+    from mfd_bayes.calibration import task  # noqa: F401
+    from mfd_bayes.calibration.diagnostics import import_arviz
+    from mfd_bayes.reporting import publication  # noqa: F401
+
+    import_arviz()
