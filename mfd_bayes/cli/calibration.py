@@ -38,10 +38,12 @@ def calibrate(
       mfd-bayes calibrate campaign.toml -o out --resume
     """
     with mistakes("" if dry_run else resumption()):
-        from mfd_bayes.pipeline import commands as pipeline
+        from mfd_bayes.pipeline.ready import get_ready
 
         if not dry_run:
-            pipeline.get_ready()
+            get_ready()  # before the other imports
+        from mfd_bayes.pipeline import commands as pipeline
+
         options = arguments.completed(
             pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
             out,
@@ -183,6 +185,9 @@ def demo(
     resume += ["--effort", effort, "--seed", str(seed), "--resume"]
     resume += ["--scheduler", scheduler] if scheduler else []
     with mistakes(shlex.join(resume)):
+        from mfd_bayes.pipeline.ready import get_ready
+
+        get_ready()  # before the other imports
         from mfd_bayes.pipeline import commands as pipeline
 
         options = arguments.completed(

@@ -6,6 +6,7 @@ starts in some hundredths of a second instead of two or three seconds. Elsewhere
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -90,7 +91,11 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Let the server of processes end with its parent also while it imports libraries."""
+    """Let the server of processes end with its parent also while it imports libraries.
+
+    What it has imported stays for good: no collection of garbage looks at it, here or in the
+    processes that are forked.
+    """
     parent, done = os.getppid(), threading.Event()
 
     def watch() -> None:
@@ -100,8 +105,11 @@ def importing() -> Iterator[None]:
 
     watching = threading.Thread(target=watch, daemon=True)
     watching.start()
+    gc.disable()
     try:
         yield
     finally:
+        gc.freeze()
+        gc.enable()
         done.set()
         watching.join()  # a process with threads must not be forked

@@ -53,7 +53,6 @@ __all__ = [
     "effort_of",
     "fails",
     "gaps",
-    "get_ready",
     "init",
     "init_priors",
     "inspect",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,13 +100,9 @@ def publish(
     if forms.excel:
         write_bytes(out / "tables.xlsx", excel_tables(shown))
     observe(Step("report", "figures"))
-    images = {}
-    for key, png in draw_shared(view):
-        write_bytes(out / "figures" / f"{key}.png", png)
-        images[key] = png
+    images = _draw(view, out, processes, forms)
     for name, text in shared_tables(view):
         write_text(out / name, text)
-    images |= _draw_tests(view, out, processes, forms)
     observe(Step("report", "pages"))
     for name, page in render(view, images).items():
         write_text(out / name, page)
@@ -115,8 +112,8 @@ def publish(
     observe(Step("report", State.DONE))
 
 
-def _draw_tests(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[str, bytes]:
-    """Draw the figures of tests; the bytes that the pages need, by the figures' keys."""
+def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[str, bytes]:
+    """Draw all figures; the bytes that the pages need, by the figures' keys."""
     system, names = shown_in(view), forms.drawn([test.id for test in view.tests])
     every = [Drawing(test, system, view.actuation_unit) for test in view.tests]
     drawings = [drawing for drawing in every if drawing.id in names]
@@ -124,15 +121,31 @@ def _draw_tests(view: CampaignView, out: Path, processes: int, forms: Forms) -> 
         if drawing.id not in names:
             drawing.remove(out)
     if len(drawings) > _ALONE and processes > 1:
-        for _ in run_in_processes(drawings, out, processes, lambda _: None):
-            pass
+        with ThreadPoolExecutor(1) as beside:  # the processes draw, this one meanwhile too
+            drawn = beside.submit(_draw_in_processes, drawings, out, processes)
+            images = _draw_shared(view, out)
+            drawn.result()
     else:
+        images = _draw_shared(view, out)
         for drawing in drawings:
             drawing.run(out, lambda _: None)
-    images = {}
     for key in (key for drawing in drawings for key in drawing.pictures):
         path = out / f"{key}.png"
         if path.is_file():
             with path.open("rb") as file:
                 images[key] = needed(view, key, file)
+    return images
+
+
+def _draw_in_processes(drawings: Sequence[Drawing], out: Path, processes: int) -> None:
+    for _ in run_in_processes(drawings, out, processes, lambda _: None):
+        pass
+
+
+def _draw_shared(view: CampaignView, out: Path) -> dict[str, bytes]:
+    """Draw the figures that show all tests; their bytes by their keys."""
+    images = {}
+    for key, png in draw_shared(view):
+        write_bytes(out / "figures" / f"{key}.png", png)
+        images[key] = png
     return images
