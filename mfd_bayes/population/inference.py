@@ -15,6 +15,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import beside, several_processes
@@ -190,7 +191,8 @@ def _sampled(
 
 def _start(likelihood: WorkingLikelihood, test: TestResult) -> Array:
     """Medians of a test's posterior draws, in the prior units of its working likelihood."""
-    values = {name: np.array([np.median(v)]) for name, v in test.stored.values().items()}
+    medians = test.intervals or intervals_of(test.stored.values())
+    values = {name: np.array([median]) for name, (median, _, _) in medians.items()}
     layout = likelihood.layout
     coordinates = [layout.coordinates.of(values)]
     priors = likelihood.posterior.priors

@@ -43,30 +43,44 @@ class _Reduced:
     precision: Array
     pull: Array
 
-    def without(self, j: int) -> _Reduced:
-        """All tests but one."""
-        return _Reduced(np.delete(self.precision, j, axis=0), np.delete(self.pull, j, axis=0))
-
     def evidence(self, scatter: Mapping[int, float], k: int, unit: float) -> tuple[float, float]:
         """Log odds for a scatter of quantity k beside others, and its likeliest size."""
-        quantiles = (np.arange(POINTS) + 0.5) / POINTS
-        sizes = -unit * np.log1p(-quantiles)  # of an exponential prior of mean `unit`
+        sizes = _sizes(unit)
         log = np.array([self.log_marginal({**scatter, k: size}) for size in sizes])
         odds = float(logsumexp(log)) - np.log(POINTS) - self.log_marginal(scatter)
         return odds, float(sizes[np.argmax(log)])
 
+    def evidence_without(self, scatter: Mapping[int, float], k: int, unit: float) -> Array:
+        """The log odds without each one of the tests, (J,)."""
+        log = np.array([self.log_marginal_without({**scatter, k: x}) for x in _sizes(unit)])
+        odds = logsumexp(log, axis=0) - np.log(POINTS) - self.log_marginal_without(scatter)
+        return np.asarray(odds)
+
     def log_marginal(self, scatter: Mapping[int, float]) -> float:
         """Log density of the tests with these scatters, levels N(0, 1), without constants."""
-        a, b, total = self.precision, self.pull, 0.0
+        a, b, gain = self._eliminated(scatter)
+        matrix, vector = a.sum(axis=0) + np.eye(a.shape[1]), b.sum(axis=0)
+        total = float(gain.sum()) + 0.5 * float(vector @ np.linalg.solve(matrix, vector))
+        return total - 0.5 * float(np.linalg.slogdet(matrix)[1])
+
+    def log_marginal_without(self, scatter: Mapping[int, float]) -> Array:
+        """The same without each one of the tests, (J,)."""
+        a, b, gain = self._eliminated(scatter)
+        matrix, vector = a.sum(axis=0) + np.eye(a.shape[1]) - a, b.sum(axis=0) - b
+        solved = np.linalg.solve(matrix, vector[..., None])[..., 0]
+        total = gain.sum() - gain + 0.5 * np.einsum("js,js->j", vector, solved)
+        return np.asarray(total - 0.5 * np.linalg.slogdet(matrix)[1])
+
+    def _eliminated(self, scatter: Mapping[int, float]) -> tuple[Array, Array, Array]:
+        """Each test's precision and pull with its deviations integrated out, and what that adds."""
+        a, b, gain = self.precision, self.pull, np.zeros(len(self.pull))
         for k, tau in scatter.items():
             column, pull = a[:, :, k], b[:, k]
             shrink = tau**2 / (1.0 + tau**2 * column[:, k])
-            total += 0.5 * float(np.sum(shrink * pull**2 - np.log1p(tau**2 * column[:, k])))
+            gain = gain + 0.5 * (shrink * pull**2 - np.log1p(tau**2 * column[:, k]))
             b = b - (shrink * pull)[:, None] * column
             a = a - shrink[:, None, None] * column[:, :, None] * column[:, None, :]
-        matrix, vector = a.sum(axis=0) + np.eye(a.shape[1]), b.sum(axis=0)
-        total += 0.5 * float(vector @ np.linalg.solve(matrix, vector))
-        return total - 0.5 * float(np.linalg.slogdet(matrix)[1])
+        return a, b, gain
 
     def places(self, scatter: Mapping[int, float]) -> tuple[Array, Array]:
         """Most likely level (s,) with these scatters, and the tests' deviations from it, (J, s)."""
@@ -82,6 +96,12 @@ class _Reduced:
         left = self.pull[:, differ] - across @ level
         deviations[:, differ] = np.linalg.solve(inside, left[..., None])[..., 0]
         return level, deviations
+
+
+def _sizes(unit: float) -> Array:
+    """Values of a scatter that are equally likely by an exponential prior of mean `unit`."""
+    quantiles = (np.arange(POINTS) + 0.5) / POINTS
+    return np.asarray(-unit * np.log1p(-quantiles))
 
 
 def share(layout: Layout, tests: Sequence[TestLikelihood]) -> Layout:
@@ -161,11 +181,8 @@ def _differing(tests: Sequence[TestLikelihood], those: Index, unit: Array) -> li
         asked.remove(best)
         wider = {**found, best: told[best][1]}
         doubt = _promised_too_much(tests, those, reduced, wider)
-        left = [
-            reduced.without(j).evidence(found, best, unit[best])[0] - doubt.sum() + doubt[j]
-            for j in range(len(tests))
-        ]
-        if min(left) > np.log(EVIDENCE):
+        left = reduced.evidence_without(found, best, unit[best]) - doubt.sum() + doubt
+        if np.min(left) > np.log(EVIDENCE):
             found = wider
     return list(found)
 

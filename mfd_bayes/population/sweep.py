@@ -42,7 +42,7 @@ from mfd_bayes.population.moves.one_test import (
     evolve_tests,
     step_near,
 )
-from mfd_bayes.population.moves.shared import rescale, shift
+from mfd_bayes.population.moves.shared import rescale, shift, slopes_of
 from mfd_bayes.population.sharing import draw_common
 
 Array = NDArray[np.float64]
@@ -75,6 +75,9 @@ class Plan:
 
 ALONE = Plan(evolutions=4, near=2, shifts=4, glides=0, together=2)
 """For chains without companions."""
+
+NEAR = Plan(evolutions=4, near=1, shifts=2, glides=0, together=2)
+"""For tests with Gaussians in place of the likelihoods, of which a proposal is nearly a draw."""
 
 ACCOMPANIED = Plan(evolutions=1, near=1, shifts=1, glides=0, together=0)
 """For chains with companions: most comes from these."""
@@ -155,7 +158,7 @@ class Sampler:
         for _ in range(self.plan.glides):
             self._note(glide(*given))
         for _ in range(self.plan.shifts):
-            self._note(shift(*given, self.tuning))
+            self._note(shift(*given, self.slopes))
         self._note(rescale(*given))
         for _ in range(self.plan.together):
             self.move_together(chains)
@@ -188,7 +191,7 @@ class Sampler:
         self._tune(other.tuning)
 
     def _tune(self, tuning: Tuning) -> None:
-        self.tuning = tuning
+        self.tuning, self.slopes = tuning, slopes_of(self.joint, tuning)
         missing = np.where(self.joint.layout.inferred[: self.joint.d], tuning.missing, 0.0)
         self.weights = missing / missing.sum()
 

@@ -21,7 +21,7 @@ from mfd_bayes.population.chains import Chains
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.surrogate import surrogates_of
-from mfd_bayes.population.sweep import ACCOMPANIED, COMPANION, Sampler
+from mfd_bayes.population.sweep import ACCOMPANIED, ALONE, COMPANION, NEAR, Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
@@ -69,10 +69,11 @@ def warm_up(
 
     The size is the number of chains and that of their ensembles.
     """
-    sampler = Sampler(Joint(layout, [test.approximated() for test in tests]), rng)
+    sampler = Sampler(Joint(layout, [test.approximated() for test in tests]), rng, NEAR)
     chains = sampler.start(*size)
     _sweep(sampler, chains, GAUSSIAN)
     if all(test.gaussian for test in tests):
+        sampler.plan = ALONE
         return sampler, chains
     sampler = Sampler(Joint(layout, tests, evaluate), rng)
     sampler.tune(chains)

@@ -198,7 +198,7 @@ MOVES = {
     "near": of_one_test(one_test.step_near),
     "evolution": of_one_test(one_test.evolve_tests),
     "transport": along_lines(transport),
-    "shift": lambda sampler, chains: move_all(shared.shift, sampler, chains, sampler.tuning),
+    "shift": lambda sampler, chains: move_all(shared.shift, sampler, chains, sampler.slopes),
     "rescale": lambda sampler, chains: move_all(shared.rescale, sampler, chains),
     "together": lambda sampler, chains: sampler.move_together(chains),
     "sweep": lambda sampler, chains: sampler.sweep(chains),
@@ -274,8 +274,8 @@ def test_trajectories_whose_energy_is_forgotten_do_not(case, squared, monkeypatc
 def test_without_a_quantity_of_the_device_nothing_moves_with_all_tests(case, move):
     sampler, chains = sampler_of(case), case.chains()
     before = features(chains)
-    tuning = [sampler.tuning] if move == "shift" else []
-    assert getattr(shared, move)(sampler.joint, chains, sampler.rng, *tuning) == []
+    more = [sampler.slopes] if move == "shift" else []
+    assert getattr(shared, move)(sampler.joint, chains, sampler.rng, *more) == []
     np.testing.assert_array_equal(features(chains), before)
 
 

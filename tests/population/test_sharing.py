@@ -64,6 +64,14 @@ def test_the_evidence_is_that_of_the_marginal_densities(campaign):
     assert found == pytest.approx(density(0.3, 0.2) - density(0.0, 0.0), rel=1e-9)
 
 
+def test_the_evidence_without_a_test_is_that_of_the_others(campaign):
+    tests, those = campaign(1.0).likelihoods(), np.array([1, 2])
+    found = sharing._reduce(tests, those).evidence_without({0: 0.3}, 1, 0.2)
+    others = [sharing._reduce([t for t in tests if t is not one], those) for one in tests]
+    expected = [reduced.evidence({0: 0.3}, 1, 0.2)[0] for reduced in others]
+    assert found == pytest.approx(np.array(expected), abs=1e-9)
+
+
 def test_one_test_that_stands_apart_is_no_scatter(campaign):
     linear = campaign(0.0)
     y = linear.y.copy()

@@ -47,12 +47,19 @@ class _Proposed:
     log_ratio: Array
 
 
-def shift(joint: Joint, chains: Chains, rng: np.random.Generator, tuning: Tuning) -> Accepted:
-    """Levels of the sparse quantities, with all tests."""
+def slopes_of(joint: Joint, tuning: Tuning) -> list[Array]:
+    """Changes of each test's coordinates with the levels of the sparse quantities, (D, sparse)."""
+    those = np.flatnonzero(joint.layout.sparse)
+    return [_slopes(test, tuning.scatter, those) for test in joint.tests]
+
+
+def shift(
+    joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Sequence[Array]
+) -> Accepted:
+    """Levels of the sparse quantities, with all tests by their slopes."""
     those = np.flatnonzero(joint.layout.sparse)
     if those.size == 0:
         return []
-    slopes = [_slopes(test, tuning.scatter, those) for test in joint.tests]
     accepted: Accepted = []
     for half, first, second in chains.partners(rng):
         given, level = joint.conditional(chains), chains.latent[:, 0]
