@@ -5,6 +5,7 @@ benchmarks/interruption does the same more often, with the whole report and on a
 
 import fcntl
 import json
+import multiprocessing
 import os
 import re
 import shutil
@@ -150,13 +151,13 @@ def test_a_test_whose_processes_are_always_killed_is_given_up(campaign, tmp_path
     def kill(step):
         seen.append(step.stage)
         if step.stage == "finding modes":
-            for child in workers.multiprocessing.active_children():
+            for child in multiprocessing.active_children():
                 os.kill(child.pid, signal.SIGKILL)
 
     with pytest.raises(FitError, match=f"{task.id} was killed by SIGKILL, 3 times.*--resume"):
         list(run_in_processes([task], tmp_path, 1, kill))
     assert seen.count("finding modes") == workers.ATTEMPTS
-    assert not workers.multiprocessing.active_children()
+    assert not multiprocessing.active_children()
     assert not list(tmp_path.rglob("posterior.nc"))
 
 
@@ -248,7 +249,7 @@ def test_a_folder_without_its_first_manifest_is_begun(campaign, tmp_path):
     assert seen
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "running"
     assert not list((tmp_path / "out").rglob(".*"))
-    assert not workers.multiprocessing.active_children()
+    assert not multiprocessing.active_children()
 
 
 @pytest.mark.parametrize("content", ["", '{"status": "run', "[]", "{}"])
