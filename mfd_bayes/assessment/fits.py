@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,9 @@ SHOWN = 2000
 
 ORDERS = 4
 """Number of orders of sources for the shares of a held-out test: few, for there may be many."""
+
+_ALIKE: WeakValueDictionary[bytes, Array] = WeakValueDictionary()
+"""Draws by their bytes, as long as a view holds them."""
 
 _CORNER = (
     *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
@@ -182,8 +186,14 @@ def _marginals(
     shrunk = {row.name: row.contraction for row in rows}
     sampled = test.posterior.names
     return tuple(
-        Marginal(n, units()[n], _some(prior[n]), _some(values[n]), shrunk[n]) for n in sampled
+        Marginal(n, units()[n], _once(_some(prior[n])), _some(values[n]), shrunk[n])
+        for n in sampled
     )
+
+
+def _once(draws: Array) -> Array:
+    """One array for all that are alike: the prior is the same in many tests."""
+    return _ALIKE.setdefault(draws.tobytes(), draws)
 
 
 def _some(draws: Array) -> Array:

@@ -82,11 +82,11 @@ def test_the_server_ends_with_its_parent_while_it_imports(tmp_path, watched):
     process = run(WAITING, tmp_path)
     assert process.stdout.readline() == "ready\n"
     time.sleep(1.0)  # the server has begun to import
-    alone = seconds_until_alone(process, 5.0)
+    alone = seconds_until_alone(process, 3.0)
     for left in of_session(process.pid):
         os.kill(left, signal.SIGKILL)
     process.stdout.close()
-    assert (alone < 5.0) == watched
+    assert (alone < 3.0) == watched
 
 
 def test_processes_have_one_thread_whatever_this_one_has(monkeypatch):
