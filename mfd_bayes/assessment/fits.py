@@ -38,8 +38,8 @@ SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
 LEAST = 0.005
 """Share of the draws from which a mode is told of."""
 
-SHOWN = 2000
-"""Most draws of a quantity in figures."""
+SHOWN, FEWER, MANY = 2000, 1000, 100
+"""Most draws of a quantity in figures; the same in a run of more than so many tests."""
 
 ORDERS = 4
 """Number of orders of sources for the shares of a held-out test: few, for there may be many."""
@@ -79,7 +79,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         device=fan_of("this_test", replicas.force),
         observation=fan_of("observation", replicas.observed),
         rows=tuple(rows),
-        marginals=_marginals(test, values, prior, rows),
+        marginals=_marginals(test, values, prior, rows, SHOWN if len(run.tests) <= MANY else FEWER),
         chains={name: _by_step(stored, name) for name in posterior.names},
         corner=tuple(name for name in _CORNER if name in informed),
         checks=checks_of_test(checked),
@@ -181,12 +181,16 @@ def _identifiability(
 
 
 def _marginals(
-    test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Array], rows: list[Row]
+    test: TestResult,
+    values: Mapping[str, Array],
+    prior: Mapping[str, Array],
+    rows: list[Row],
+    most: int,
 ) -> tuple[Marginal, ...]:
     shrunk = {row.name: row.contraction for row in rows}
     sampled = test.posterior.names
     return tuple(
-        Marginal(n, units()[n], _once(_some(prior[n])), _some(values[n]), shrunk[n])
+        Marginal(n, units()[n], _once(_some(prior[n], most)), _some(values[n], most), shrunk[n])
         for n in sampled
     )
 
@@ -196,9 +200,9 @@ def _once(draws: Array) -> Array:
     return _ALIKE.setdefault(draws.tobytes(), draws)
 
 
-def _some(draws: Array) -> Array:
-    """At most `SHOWN` of the draws, evenly spaced; single precision saves memory."""
-    step = -(-len(draws) // SHOWN)
+def _some(draws: Array, most: int) -> Array:
+    """At most so many of the draws, evenly spaced; single precision saves memory."""
+    step = -(-len(draws) // most)
     return np.asarray(draws[::step], dtype=np.float32)
 
 
