@@ -30,17 +30,14 @@ ROUND = 20
 ROUNDS = 12
 """Largest number of such rounds at full power; fewer where they no longer help."""
 
-HEAT = (0.3, 0.35, 0.4, 0.5, 0.65, 0.8)
+HEAT = (0.3, 0.35, 0.5, 0.65, 0.8)
 """Powers of the density in the first rounds, so that walkers reach its tails and other modes."""
 
 BROAD = 0.5
 """The proposal learned at this power stays part of all later ones."""
 
-PATIENCE = 2
-"""The warm-up ends after this many rounds without a better acceptance rate."""
-
 FIRST = 80
-"""Kept steps after which convergence is measured first; then after half as many more, or longer."""
+"""Largest number of kept steps after which convergence is measured first."""
 
 SLOW = 40.0
 """Autocorrelation time, steps, above which the proposal is learned again."""
@@ -77,7 +74,7 @@ def sample_density(
     watch = watch or Watch()
     walk = _Walk(density, modes, effort, rng, watch.derived)
     walk.warm_up()
-    wait = FIRST
+    wait = min(FIRST, math.ceil(effort.length * LEAST))
     while True:
         walk.run(max(1, min(wait, effort.limit - walk.steps)))
         chains = walk.chains()
@@ -91,7 +88,8 @@ def sample_density(
         slow = found.worst_ess < 0.5 * effort.ess or slowest > SLOW
         if slow and 2 * walk.steps <= effort.limit:
             walk.learn_again()
-        wait = max(FIRST // 2, walk.fresh // 2)
+        longest = max(FIRST // 2, walk.fresh // 2)
+        wait = min(longest, max(ROUND, math.ceil(min(1.1 * walk.left(chains), longest))))
 
 
 class _Walk:
@@ -131,7 +129,10 @@ class _Walk:
         self._freeze()
 
     def warm_up(self) -> None:
-        """Learn the proposal in rounds, until its acceptance rate no longer rises."""
+        """Learn the proposal in rounds, until another one would cost more than it saves.
+
+        A round costs its steps; a better acceptance rate shortens what is kept in proportion.
+        """
         for power in HEAT:
             if self.steps >= self._effort.limit // 4:
                 break
@@ -142,16 +143,16 @@ class _Walk:
                 both = (self._anchors, self._independent.source)
                 self._anchors = Either(np.array([0.3, 0.7]), both)
         self._raise(1.0)
-        best, waited = 0.0, 0
+        worth = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0)
+        best = 0.0
         for _ in range(ROUNDS):
             self._independent.forget()
             self.run(ROUND)
             accepted = self._independent.acceptance
             self._learn(0.5)
-            waited = 0 if accepted > 1.05 * best else waited + 1
-            best = max(best, accepted)
-            if waited >= PATIENCE or self.steps >= self._effort.limit // 4:
+            if accepted < worth * best or self.steps >= self._effort.limit // 4:
                 break
+            best = accepted
         self._freeze()
 
     def _raise(self, power: float) -> None:
@@ -205,11 +206,15 @@ class _Walk:
         asked = self._effort.length * slowest
         return self.fresh / asked if asked > 0.0 else math.inf
 
+    def left(self, chains: Chains) -> float:
+        """Estimated number of steps still to be kept until the effort's targets are met."""
+        effort, found = self._effort, chains.convergence
+        done = min(found.share(effort.r_hat, effort.ess), self.length(chains))
+        return self.fresh * (1.0 / done - 1.0) if done > 0.0 else math.inf
+
     def progress(self, chains: Chains) -> Progress:
         """Progress of the sampling."""
-        effort, found = self._effort, chains.convergence
-        reached = min(found.share(effort.r_hat, effort.ess), self.length(chains))
-        left = self.fresh * (1.0 / reached - 1.0) if reached > 0.0 else math.inf
+        effort, found, left = self._effort, chains.convergence, self.left(chains)
         share = self.steps / max(self.steps, min(self.steps + left, effort.limit))
         seconds = time.perf_counter() - self._began
         worst = found.worst_r_hat, found.worst_ess

@@ -20,6 +20,9 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
+BLENDED = PIECE // 2
+"""Size of the arrays that are blended at a time: of these there are more than in slip."""
+
 
 @dataclass(frozen=True)
 class ThreeStage(Stepped):
@@ -113,7 +116,7 @@ def _force(columns: dict[str, Array], trace: Trace, start: Array) -> Array:
     gap = _gap(columns)
     crossing = follow(gap, path, start, at_turns)
     near = crossing.near(gap, trace.displacement, path.stretch)
-    length = max(PIECE // start.size, 1)
+    length = max(BLENDED // start.size, 1)
     for begin in range(0, near.size, length):
         rows = near[begin : begin + length]
         part = force[rows]
