@@ -136,8 +136,9 @@ def draw_truth(study: Study, rng: np.random.Generator, noisier: float = 1.0) -> 
     predictor, motion = study.predictor, study.motion
     population, model = predictor.population, predictor.model
     index = rng.choice(population.size, size=1)
-    values = population.draw_test(setting_of(motion), index, rng)
-    values |= {"start": population.draw_starts(rng, 1), "gamma1": np.ones(1)}
+    setting = setting_of(motion)
+    values = population.draw_test(setting, index, rng)
+    values |= {"start": population.draw_starts(rng, 1, setting), "gamma1": np.ones(1)}
     force = _damper(model, population.residual, motion, values, rng)
     noise = noisier * values["noise_sd"] * rng.standard_normal(motion.samples)
     measured = force + values["offset"] + noise

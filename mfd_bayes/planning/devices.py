@@ -122,7 +122,7 @@ class Devices:
     ) -> Drawn:
         """Ingredients of the force under a setting, without noise."""
         parts = self.parts(setting, rng, scattered=scattered)
-        unknown = unknown_of(self.population, self.index.size, rng)
+        unknown = unknown_of(self.population, self.index.size, rng, setting)
         return Drawn(parts, unknown, {}, discrepancy=self.discrepancy)
 
     def damper(self, loop: Loop, session: str, *, scattered: bool, seed: Sequence[int]) -> Array:

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 SHAPES = np.geomspace(1.0, 100.0, 41)
 """Equally probable shapes a of the starts' density Beta(a, a): from anywhere to the middle."""
 
+SHORTER = 0.9
+"""Share of the smallest calibrated stroke below which a motion counts as shorter than all."""
+
 _STRAIGHT = ("proportional", "affine")
 
 
@@ -167,20 +170,26 @@ class Population:
         """Weight of each law that was considered, by quantity."""
         return {name: dict(weights) for name, weights in self.layout.weights.items()}
 
-    def draw_starts(self, rng: np.random.Generator, n: int) -> Array:
+    def draw_starts(
+        self, rng: np.random.Generator, n: int, setting: Setting | None = None
+    ) -> Array:
         """Places in the gap at which n tests may begin, (n,).
 
         They have a Beta(a, a) density: neither side of the gap is preferred, and how near tests
-        begin to its middle is learned from the calibrated ones, over `SHAPES` of a.
+        begin to its middle is learned from the calibrated ones, over `SHAPES` of a. A motion that
+        is shorter than all of theirs, or of which no setting is known, may begin anywhere: its
+        start decides the force for long, and nothing says that such tests begin like the others.
         """
         if self.starts is None:
             return rng.random(n)
-        a = self.draw_start_shapes(rng, n)
+        a = self.draw_start_shapes(rng, n, setting)
         return np.asarray(rng.beta(a, a))
 
-    def draw_start_shapes(self, rng: np.random.Generator, n: int) -> Array:
+    def draw_start_shapes(
+        self, rng: np.random.Generator, n: int, setting: Setting | None = None
+    ) -> Array:
         """Shapes a of the density Beta(a, a) of the place in the gap where tests begin, (n,)."""
-        if self.starts is None:
+        if self.starts is None or setting is None or self._shorter(setting):
             return np.ones(n)
         known = self.starts.reshape(-1, self.starts.shape[-1])
         sides = np.clip(known, 1e-6, 1.0 - 1e-6)
@@ -188,6 +197,11 @@ class Population:
         log = np.outer(told, SHAPES - 1.0) - known.shape[1] * betaln(SHAPES, SHAPES)
         edges = np.cumsum(softmax(log, axis=1), axis=1)
         return np.asarray(SHAPES[np.argmax(rng.random((n, 1)) * edges[:, -1:] < edges, axis=1)])
+
+    def _shorter(self, setting: Setting) -> bool:
+        """Whether a test's stroke is shorter than that of every calibrated test."""
+        strokes = [tested.covariates.get("amplitude", 0.0) for tested in self.layout.settings]
+        return setting.covariates.get("amplitude", 0.0) < SHORTER * min(strokes)
 
     def draw_test(
         self,

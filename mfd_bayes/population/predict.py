@@ -211,7 +211,8 @@ class Predictor:
         self, trace: Trace, parts: Parts, index: NDArray[np.intp], rng: np.random.Generator
     ) -> Drawn:
         """Drawn tests of these parts, with all but their noise; index are their draws of laws."""
-        unknown = unknown_of(self.population, len(index), rng)
+        setting = setting_of(trace)
+        unknown = unknown_of(self.population, len(index), rng, setting)
         level, history = trace.reference_actuation, np.asarray(trace.actuation)
         scales = scales_of(self.population, history, level, index) if trace.varying else {}
         residual = self.population.residual

@@ -64,7 +64,7 @@ class TestPrior:
         covariance = root @ np.swapaxes(root, 1, 2)
         for _, k, sd in expected.open:
             covariance[:, k, k] += sd**2
-        shape = population.draw_start_shapes(rng, n)
+        shape = population.draw_start_shapes(rng, n, setting)
         return cls(index, expected, expected.level + expected.law, covariance, shape)
 
     @property

@@ -6,16 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.setting import Setting
 
 Array = NDArray[np.float64]
 
 
-def unknown_of(population: Population, n: int, rng: np.random.Generator) -> dict[str, Array]:
-    """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities."""
+def unknown_of(
+    population: Population, n: int, rng: np.random.Generator, setting: Setting | None = None
+) -> dict[str, Array]:
+    """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities.
+
+    The setting is None where the motion is not known.
+    """
     shared = set(population.layout.names)
     unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
     if "start" in unknown:
-        unknown["start"] = population.draw_starts(rng, n)
+        unknown["start"] = population.draw_starts(rng, n, setting)
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
 

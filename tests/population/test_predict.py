@@ -259,16 +259,36 @@ def test_new_tests_begin_in_the_gap_as_near_to_its_middle_as_calibrated_ones(mak
     shape = population.h.shape[:2]
     near = replace(population, starts=rng.beta(40.0, 40.0, (*shape, 12)))
     anywhere = replace(population, starts=rng.random((*shape, 12)))
-    n = 20_000
-    assert near.draw_starts(rng, n).std() == pytest.approx(rng.beta(40, 40, n).std(), rel=0.25)
-    assert near.draw_starts(rng, n).mean() == pytest.approx(0.5, abs=0.01)
-    assert anywhere.draw_starts(rng, n).std() > 0.8 / np.sqrt(12.0)
-    none = population.draw_starts(rng, n)
+    n, like_others = 20_000, population.layout.settings[0]
+    found = near.draw_starts(rng, n, like_others)
+    assert found.std() == pytest.approx(rng.beta(40, 40, n).std(), rel=0.25)
+    assert found.mean() == pytest.approx(0.5, abs=0.01)
+    assert anywhere.draw_starts(rng, n, like_others).std() > 0.8 / np.sqrt(12.0)
+    none = population.draw_starts(rng, n, like_others)
     assert stats.kstest(none, "uniform").pvalue > 1e-3
+
+
+def test_a_motion_shorter_than_all_calibrated_ones_may_begin_anywhere_in_the_gap(make_population):
+    population = make_population()
+    rng = np.random.default_rng(5)
+    starts = rng.beta(40.0, 40.0, (*population.h.shape[:2], 12))
+    strokes = np.linspace(0.5, 1.5, len(population.layout.settings))
+    settings = [
+        replace(setting, covariates={"amplitude": stroke})
+        for setting, stroke in zip(population.layout.settings, strokes, strict=True)
+    ]
+    near = replace(population, starts=starts, layout=replace(population.layout, settings=settings))
+    for stroke, uniform in ((0.2, True), (0.44, True), (0.46, False), (1.0, False), (9.0, False)):
+        setting = replace(settings[0], covariates={"amplitude": stroke})
+        found = near.draw_starts(rng, 4000, setting)
+        assert (stats.kstest(found, "uniform").pvalue > 1e-3) == uniform
+    unknown_motion = near.draw_starts(rng, 4000)
+    assert stats.kstest(unknown_motion, "uniform").pvalue > 1e-3
 
 
 def test_one_test_hardly_says_where_others_begin(make_population):
     population = make_population()
     rng = np.random.default_rng(6)
     one = replace(population, starts=np.full((*population.h.shape[:2], 1), 0.5))
-    assert one.draw_starts(rng, 20_000).std() > 0.3 / np.sqrt(12.0)
+    setting = population.layout.settings[0]
+    assert one.draw_starts(rng, 20_000, setting).std() > 0.3 / np.sqrt(12.0)
