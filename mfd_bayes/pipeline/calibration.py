@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step
+from mfd_bayes.jobs.likelihoods import in_turn, several_processes
 from mfd_bayes.pipeline.plan import Plan
 from mfd_bayes.population.apart import joined
 from mfd_bayes.population.inference import Inference, infer_population
+from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -35,6 +42,7 @@ from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.store.netcdf import save_trace
 
+Array = NDArray[np.float64]
 Observe = Callable[[Step], None]
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
@@ -161,7 +169,7 @@ def _infer_population(
         manifest.settings.inference(options.effort, (options.seed, 0), options.processes),
         lambda progress: observe(Step("population", "sampling", progress)),
     )
-    _save(inference, results, out)
+    _save(inference, list(results), out, options.processes)
     joint, seconds = inference.draws, time.perf_counter() - began
     worst = joint.population.convergence
     progress = Progress(joint.sweeps, joint.sweeps, worst.worst_r_hat, worst.worst_ess, seconds)
@@ -174,13 +182,21 @@ def _infer_population(
     )
 
 
-def _save(inference: Inference, results: Mapping[str, TestResult], out: Path) -> None:
-    population = inference.draws.population
+def _save(inference: Inference, results: Sequence[str], out: Path, jobs: int) -> None:
+    """Store the population and its draws of every test, by several processes."""
+    population, draws = inference.draws.population, inference.draws.tests
     layout = population.layout
-    for j, (name, draws) in enumerate(zip(results, inference.draws.tests, strict=True)):
-        own = joined(layout, j, draws)
-        save_test_draws(out / pooled_of(name), layout, own, units(), name)
+    saving = [partial(_save_test, out / pooled_of(name), layout, name) for name in results]
+    with several_processes(saving, jobs) as in_processes:
+        save = in_processes or in_turn(saving)
+        deque(save((j, joined(layout, j, own)) for j, own in enumerate(draws)), maxlen=0)
     save_population(out / POPULATION, population)
+
+
+def _save_test(path: Path, layout: Layout, name: str, draws: Array) -> Array:
+    """Store a test's draws, and give nothing back."""
+    save_test_draws(path, layout, draws, units(), name)
+    return np.empty(0)
 
 
 def _finish(manifest: Manifest, out: Path) -> Manifest:

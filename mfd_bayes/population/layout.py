@@ -215,13 +215,14 @@ class Layout:
     def offsets(self, h: Array, choice: Choice, settings: Sequence[Setting] | None = None) -> Array:
         """Laws and dependences in prior units under the tests' settings or others, (n, m, d)."""
         chosen = self.settings if settings is None else settings
-        relative = np.array([s.actuation for s in chosen]) / self.reference
+        actuations = np.array([s.actuation for s in chosen])
+        levels, level = np.unique(actuations / self.reference, return_inverse=True)
         offsets = np.zeros((len(h), len(chosen), len(self.names)))
         for name in self.laws:
             k = self.names.index(name)
             share, exponent = self.law_shapes(h, choice, name)
-            followed = ratio(relative, share[:, None], exponent[:, None])
-            offsets[..., k] += np.log(np.maximum(followed, 1e-300)) / self.spread[k]
+            followed = ratio(levels, share[:, None], exponent[:, None])
+            offsets[..., k] += (np.log(np.maximum(followed, 1e-300)) / self.spread[k])[:, level]
         begin = len(self.names) + len(self.effects)
         for i, (name, shape) in enumerate(self.shapes):
             if shape in self.covariate_reference:

@@ -129,8 +129,8 @@ class Sampler:
         mean[:, common] = draw_common(layout, joint.tests, rng, n)
         scatter[:, common] = NONE
         for test in joint.tests:
-            near = GaussianConditional.of(test, mean, scatter, rng)
-            chains.x.append(near.mean + near.noise)
+            near = GaussianConditional.of(test, (mean, scatter), rng, 1)
+            chains.x.append(near.mean + near.noise[0])
             chains.log_likelihood.append(test.log_likelihood(chains.x[-1]))
         draw_latent(joint, chains, rng)
         return chains
@@ -173,8 +173,7 @@ class Sampler:
         if not self.plan.near:
             return
         given = self.joint, chains, self.rng, self.joint.conditional(chains)
-        for _ in range(self.plan.near):
-            self._note(step_near(*given))
+        self._note(step_near(*given, self.plan.near))
         self._note(evolve_tests(*given))
 
     def move_together(self, chains: Chains) -> None:

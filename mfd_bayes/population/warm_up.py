@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 GAUSSIAN = 40
 """Sweeps with Gaussians in place of the likelihoods, which are cheap."""
 
-SETTLE = 20
+SETTLE = 10
 """Further sweeps where there are no surrogates."""
 
 FIRST = 5

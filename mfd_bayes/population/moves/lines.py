@@ -46,12 +46,16 @@ class Tuning:
         Sds of the logarithm of the scatter, and of the level.
     covariances : sequence of (D, D)
         Of each test's coordinates given a typical scatter.
+    level_mean, level_covariance : (d,), (d, d)
+        Of the levels.
     """
 
     scatter: Array
     scatter_step: Array
     level_step: Array
     covariances: Sequence[Array]
+    level_mean: Array
+    level_covariance: Array
 
     @classmethod
     def by_prior(cls, layout: Layout, tests: Sequence[TestLikelihood]) -> Tuning:
@@ -59,7 +63,8 @@ class Tuning:
         d = len(layout.names)
         scatter = 0.5 * layout.scatter_sd / layout.spread
         half, some = np.full(d, 0.5), np.full(d, 0.3)
-        return cls(scatter, half, some, _covariances(tests, scatter))
+        about = np.zeros(d), np.diag(some**2)
+        return cls(scatter, half, some, _covariances(tests, scatter), *about)
 
     @classmethod
     def by_chains(cls, layout: Layout, tests: Sequence[TestLikelihood], chains: Chains) -> Tuning:
@@ -71,6 +76,8 @@ class Tuning:
             chains.h[:, : len(layout.names)].std(axis=0),
             levels.std(axis=0),
             _covariances(tests, scatter),
+            levels.mean(axis=0),
+            np.cov(levels, rowvar=False).reshape(levels.shape[1], -1),
         )
 
     @property

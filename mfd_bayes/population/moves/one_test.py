@@ -31,8 +31,9 @@ class GaussianConditional:
         Precision of the Gaussian in place of the likelihood.
     prior : (n, D)
         Diagonal of the precision of the prior given the population.
-    mean, noise : (n, D)
-        Mean of the density, and one draw from it less the mean.
+    mean : (n, D)
+    noise : (draws, n, D)
+        Draws from the density less its mean.
     """
 
     information: Array
@@ -42,9 +43,10 @@ class GaussianConditional:
 
     @classmethod
     def of(
-        cls, test: TestLikelihood, mean: Array, scatter: Array, rng: np.random.Generator
+        cls, test: TestLikelihood, given: tuple[Array, Array], rng: np.random.Generator, draws: int
     ) -> GaussianConditional:
-        """Given the population's mean and scatter of the test, (n, d) each."""
+        """Given the population's mean and scatter of the test, (n, d) each, with so many draws."""
+        mean, scatter = given
         size, d = len(test.mean), mean.shape[1]
         prior = np.ones((len(mean), size))
         prior[:, :d] = 1.0 / scatter**2
@@ -52,10 +54,12 @@ class GaussianConditional:
         precision[:, range(size), range(size)] += prior
         pull = np.repeat((test.precision @ test.mean)[None], len(mean), axis=0)
         pull[:, :d] += prior[:, :d] * mean
-        swing = rng.standard_normal(pull.shape) @ test.root.T
-        swing += np.sqrt(prior) * rng.standard_normal(pull.shape)  # of covariance `precision`
-        solved = np.asarray(np.linalg.solve(precision, np.stack([pull, swing], axis=2)))
-        return cls(test.precision, prior, solved[..., 0], solved[..., 1])
+        shape = draws, *pull.shape
+        swings = rng.standard_normal(shape) @ test.root.T
+        swings += np.sqrt(prior) * rng.standard_normal(shape)  # of covariance `precision`
+        solved = np.linalg.solve(precision, np.stack([pull, *swings], axis=2))
+        mean, *noise = np.moveaxis(solved, 2, 0).copy()
+        return cls(test.precision, prior, mean, np.array(noise))
 
     def square(self, away: Array) -> Array:
         """Squared deviations from the mean (n, D), weighted by the precision, (n,)."""
@@ -86,22 +90,29 @@ class Proposal:
 
 
 def step_near(
-    joint: Joint, chains: Chains, rng: np.random.Generator, given: Conditional
+    joint: Joint, chains: Chains, rng: np.random.Generator, given: Conditional, times: int = 1
 ) -> Accepted:
     """Crank–Nicolson steps around the Gaussian near the conditional density of each test."""
     everyone = np.arange(len(given.scatter))
+    known: dict[int, GaussianConditional] = {}  # while it is needed again
 
-    def propose() -> Iterator[Proposal]:
+    def propose(turn: int) -> Iterator[Proposal]:
         for j, test in enumerate(joint.tests):
+            of_test = given.means[:, j], given.scatter[:, j]
+            near = known.pop(j, None) or GaussianConditional.of(test, of_test, rng, times)
+            if turn + 1 < times:
+                known[j] = near
             beta = rng.choice((1.0,) if test.gaussian else STEPS, size=everyone.size)
-            near = GaussianConditional.of(test, given.means[:, j], given.scatter[:, j], rng)
             away = chains.x[j] - near.mean
-            moved = np.sqrt(1.0 - beta**2)[:, None] * away + beta[:, None] * near.noise
+            moved = np.sqrt(1.0 - beta**2)[:, None] * away + beta[:, None] * near.noise[turn]
             log_ratio = 0.5 * (near.square(moved) - near.square(away))
             log_uniform = np.log(rng.random(everyone.size))
             yield Proposal(j, everyone, near.mean + moved, log_ratio, log_uniform)
 
-    return _accept(joint, chains, given, propose(), "near")
+    accepted: Accepted = []
+    for turn in range(times):
+        accepted += _accept(joint, chains, given, propose(turn), "near")
+    return accepted
 
 
 def evolve_tests(

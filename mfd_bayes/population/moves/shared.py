@@ -4,7 +4,8 @@ Where scatter is next to none, a test cannot move without the others. `shift` mo
 these quantities and carries every test along, its other coordinates by their regression in the
 Gaussian near its likelihood; `rescale` moves their scatter with every test's standardised
 deviation as it is (the non-centred parametrisation of Papaspiliopoulos et al., 2007). The steps
-are those of differential evolution.
+are those of differential evolution; half of the shifts are Crank–Nicolson steps around the Gaussian
+near the levels, which leave their place in a few steps.
 """
 
 from __future__ import annotations
@@ -24,6 +25,37 @@ Array = NDArray[np.float64]
 
 SIZES = (1.0, 0.5, 0.25)
 """Sizes of steps, over that which is best for a Gaussian."""
+
+AROUND = (1.0, 0.7, 0.4)
+"""Sizes of Crank–Nicolson steps; 1 is a proposal that does not depend on the current levels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """How the levels of the sparse quantities may be shifted, and every test with them.
+
+    Attributes
+    ----------
+    of_tests : sequence of (D, sparse)
+        Changes of each test's coordinates with these levels.
+    middle, root : (sparse,), (sparse, sparse)
+        Mean of the levels, and the Cholesky factor of their covariance.
+    """
+
+    of_tests: Sequence[Array]
+    middle: Array
+    root: Array
+
+    def around(self, level: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Crank–Nicolson steps from levels (n, sparse), and their log ratio of densities (n,).
+
+        The ratio is that of the Gaussian at the current levels to that at the new ones.
+        """
+        away = np.linalg.solve(self.root, (level - self.middle).T).T
+        size = rng.choice(AROUND, size=(len(level), 1))
+        new = np.sqrt(1.0 - size**2) * away + size * rng.standard_normal(away.shape)
+        log_ratio = 0.5 * (np.sum(new**2, axis=1) - np.sum(away**2, axis=1))
+        return (new - away) @ self.root.T, log_ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,15 +79,18 @@ class _Proposed:
     log_ratio: Array
 
 
-def slopes_of(joint: Joint, tuning: Tuning) -> list[Array]:
-    """Changes of each test's coordinates with the levels of the sparse quantities, (D, sparse)."""
+def slopes_of(joint: Joint, tuning: Tuning) -> Slopes:
+    """Slopes and levels of the sparse quantities by a tuning."""
     those = np.flatnonzero(joint.layout.sparse)
-    return [_slopes(test, tuning.scatter, those) for test in joint.tests]
+    covariance = tuning.level_covariance[np.ix_(those, those)] + 1e-10 * np.eye(those.size)
+    return Slopes(
+        [_slopes(test, tuning.scatter, those) for test in joint.tests],
+        tuning.level_mean[those],
+        np.asarray(np.linalg.cholesky(covariance)),
+    )
 
 
-def shift(
-    joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Sequence[Array]
-) -> Accepted:
+def shift(joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Slopes) -> Accepted:
     """Levels of the sparse quantities, with all tests by their slopes."""
     those = np.flatnonzero(joint.layout.sparse)
     if those.size == 0:
@@ -65,12 +100,15 @@ def shift(
         given, level = joint.conditional(chains), chains.latent[:, 0]
         jump = _size(rng, len(half), those.size) * (level[first] - level[second])[:, those]
         jump += 1e-5 * rng.standard_normal(jump.shape)
+        near, log_ratio = slopes.around(level[half][:, those], rng)
+        turned = rng.random(len(half)) < 0.5
+        jump[turned] = near[turned]
         new = level[half].copy()
         new[:, those] += jump
-        ratio = 0.5 * np.sum(level[half] ** 2 - new**2, axis=1)
+        ratio = 0.5 * np.sum(level[half] ** 2 - new**2, axis=1) + np.where(turned, log_ratio, 0.0)
         xs = []
         for j, x in enumerate(chains.x):
-            moved = x[half] + jump @ slopes[j].T
+            moved = x[half] + jump @ slopes.of_tests[j].T
             mean = given.means[half, j].copy()
             ratio -= joint.log_prior_of_test(j, x[half], mean, given.scatter[half, j])
             mean[:, those] += jump
