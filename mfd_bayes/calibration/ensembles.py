@@ -89,7 +89,7 @@ def sample_density(
         if slow and 2 * walk.steps <= effort.limit:
             walk.learn_again()
         longest = max(FIRST // 2, walk.fresh // 2)
-        wait = min(longest, max(ROUND, math.ceil(min(1.1 * walk.left(chains), longest))))
+        wait = max(ROUND, walk.fresh // 4, math.ceil(min(1.1 * walk.left(chains), longest)))
 
 
 class _Walk:

@@ -149,6 +149,7 @@ def climb(density: Density, begin: Array, sd: Array) -> Mode:
     begin, sd : (dim,)
         Start, and the scale of each coordinate under its prior.
     """
+    # whitening by the curvature at `begin` takes fewer steps, and finds fewer of two modes
     q, covariance = begin, np.diag((0.1 * sd) ** 2)
     for _ in range(2):  # the second time whitened by the curvature near the mode
         q = ascend(density, q, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
@@ -158,20 +159,19 @@ def climb(density: Density, begin: Array, sd: Array) -> Mode:
 
 def ascend(density: Density, origin: Array, axes: Array) -> Array:
     """Point that BFGS reaches from `origin` in coordinates along `axes`, (dim,)."""
+    dim = len(origin)
+    around = STEP * np.concatenate([np.zeros((1, dim)), np.eye(dim), -np.eye(dim)])
 
-    def whitened(w: Array) -> Array:
-        return np.maximum(density(origin + w @ axes.T), -1e15)
-
-    def loss(w: Array) -> float:
-        return -float(whitened(w[None])[0])
-
-    def slope(w: Array) -> Array:
-        return np.asarray(-_gradient(whitened, w[None], STEP)[0])
+    def loss(w: Array) -> tuple[float, Array]:
+        """Loss and its slope by central differences, in one batch: small ones cost the same."""
+        here, *near = -np.maximum(density(origin + (w + around) @ axes.T), -1e15)
+        higher, lower = np.reshape(near, (2, dim))
+        return float(here), (higher - lower) / (2 * STEP)
 
     fit = optimize.minimize(
         loss,
         np.zeros_like(origin),
-        jac=slope,
+        jac=True,
         method="BFGS",
         options={"maxiter": 150, "gtol": 1e-2},
     )
