@@ -7,7 +7,7 @@ import pytest
 
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.together import Tested, compare_tests
+from mfd_bayes.records.together import Tested, compare_tests, twins
 from mfd_bayes.records.together.odd import deviation, find_odd
 from mfd_bayes.records.together.twins import Signature, find_twin
 from mfd_bayes.records.trace import Trace
@@ -24,12 +24,12 @@ def motion(seed, cycles=6):
     return time, size * np.sin(np.pi * time)
 
 
-def trace_of(level, seed, *, length=1.0, force=1.0, actuation=1.0, cut=slice(None)):
+def trace_of(level, seed, *, length=1.0, force=1.0, actuation=1.0, cut=slice(None), noise=0):
     """A damper at a level in lbf; the record is wrong by the factors."""
     time, x = motion(seed)
     slip = 0.4 * level**0.5 * (1.0 + 0.05 * (-1) ** seed)
     theta = [[80, 0, 0, slip, slip, 1.1 * slip, 1.1 * slip, 0.3, 25, 0.1, 0.12, 1, 0.01, 0.5]]
-    rng = np.random.default_rng(100 + seed)
+    rng = np.random.default_rng(100 + seed + 1000 * noise)
     bent = 0.15 * slip * x**2  # both directions differ
     clean = ThreeStage().force(np.array(theta), Trace.from_arrays(time, x, 0.03))[0] + bent
     measured = clean + 0.03 * rng.normal(size=time.size)
@@ -166,6 +166,25 @@ def test_a_twin_is_named_once_and_with_its_original():
 def test_the_same_test_made_twice_is_no_twin():
     one, other = trace_of(35.0, 2), trace_of(35.0, 3)
     assert find_twin(Signature.of(one), Signature.of(other)) is None
+
+
+def test_a_repeated_test_with_two_percent_more_friction_is_no_twin():
+    """Its loop is as near as that of a copy, but a copy has the same noise."""
+    one = Signature.of(trace_of(35.0, 2))
+    other = Signature.of(trace_of(35.0, 2, noise=1, force=1.02))
+    assert np.std(one.forces - other.forces) < twins.SAME * np.std(one.forces)
+    assert find_twin(one, other) is None
+    assert find_twin(one, one) is not None
+
+
+def test_a_record_without_noise_is_its_own_twin():
+    trace = trace_of(35.0, 2)
+    smooth = np.sin(np.pi * trace.time) + 0.2 * np.sin(0.4 * np.pi * trace.time)
+    finer = np.linspace(0.0, trace.time[-1], 3001)
+    again = np.interp(finer, trace.time, smooth)
+    one = Signature.of(Trace.from_arrays(trace.time, trace.displacement, 0.035, smooth))
+    x = np.interp(finer, trace.time, trace.displacement)
+    assert find_twin(Signature.of(Trace.from_arrays(finer, x, 0.035, again)), one) is not None
 
 
 def test_a_record_with_another_force_is_no_twin():

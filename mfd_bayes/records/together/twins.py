@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
@@ -28,6 +29,13 @@ SAME = 0.025
 
 NEAR = 0.25
 """The same, before the lag is known to a small part of a bin."""
+
+NOISE = 1.2
+"""Two forces are one measurement if they typically differ by less than so many sds of their noise:
+tests that were repeated differ by 1.4 of them, and by what friction scatters."""
+
+QUIET = 1e-3
+"""Least noise that is expected of a force, as a share of its sd."""
 
 SHORTEST = 64
 """Fewest bins in which two records must overlap."""
@@ -102,7 +110,7 @@ def find_twin(one: Signature, other: Signature) -> Twin | None:
         return None
     for step in (BIN / 16, BIN / 64, BIN / 256):
         lag, misfit = _refined(one, other, lag, step)
-    if misfit > SAME:
+    if misfit > SAME or not _of_same_noise(one, other, lag):
         return None
     return Twin(min(1.0, _overlap(one, other, np.array([lag]))[1] / one.bins), lag)
 
@@ -156,6 +164,25 @@ def _refined(one: Signature, other: Signature, lag: float, step: float) -> tuple
     worst = np.maximum(*misfits)
     best = int(np.argmin(worst))
     return float(lags[best]), float(worst[best])
+
+
+def _of_same_noise(one: Signature, other: Signature, lag: float) -> bool:
+    """Whether two forces that are alike differ by less than independent noise would make them.
+
+    The noise is read off the smallest third differences, which the loop's corners leave alone.
+    """
+    begin, count = _overlap(one, other, np.array([lag]))
+    first, second = one.means(np.array([begin]), count), other.means(np.array([begin + lag]), count)
+    forces = first[0][0], second[0][0]
+    noise = max(_sd_of_small(np.diff(force, 3)) / np.sqrt(20.0) for force in forces)
+    away = forces[0] - forces[1]
+    typical = _sd_of_small(away - np.median(away), 0.5)
+    return typical < NOISE * max(float(noise), QUIET * float(np.std(forces[0])))
+
+
+def _sd_of_small(values: Array, share: float = 0.25) -> float:
+    """Standard deviation of normal values of which a share is as small as that of these."""
+    return float(np.quantile(np.abs(values), share) / special.ndtri(0.5 + 0.5 * share))
 
 
 def _overlap(one: Signature, other: Signature, lags: Array) -> tuple[float, int]:
