@@ -43,7 +43,8 @@ class Expected:
     level, law : (n, d)
         As in `Parts`, without the effects of a level or session that no test was made in.
     open : tuple of (str, int, (n,))
-        Those effects: "level" or "session", the quantity, and its sd.
+        Those effects, "level" or "session", or "beyond" for a motion outside those of the tests;
+        the quantity, and its sd.
     scatter : (n, d)
         Sd from test to test.
     together : (n, d, d)

@@ -11,6 +11,7 @@ from scipy.special import betaln, softmax
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.population.beyond import unknown_beyond
 from mfd_bayes.population.laws import INTERCEPTS, ratio
 from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.parts import Expected, Parts
@@ -238,12 +239,13 @@ class Population:
         rng : numpy.random.Generator
         scattered : bool
             Whether to add test-to-test scatter, and what is unknown of a new session; without
-            it, the median over tests, with what is unknown of a new level.
+            it, the median over tests, with what is unknown of a new level and of a motion outside
+            those of the tests.
         """
         expected = self.expected(setting, index)
         law = expected.law.copy()
         for name, k, sd in expected.open:
-            if scattered or name == "level":
+            if scattered or name != "session":
                 law[:, k] += sd * rng.standard_normal(len(law))
         scatter = np.zeros_like(law)
         if scattered:
@@ -266,5 +268,6 @@ class Population:
                 if new > 0:
                     unknown.append((effect.name, k, new * sd[:, begin, k]))
             begin += len(row)
+        unknown += unknown_beyond(layout, setting, len(law))
         together = self.together.reshape(self.size, *self.together.shape[2:])[index]
         return Expected(latent[:, 0], law, tuple(unknown), layout.scatter(h), together)

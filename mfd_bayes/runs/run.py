@@ -288,7 +288,8 @@ class Run:
     def _remarks(self, trace: Trace, test: str) -> tuple[str, ...]:
         """Reasons to trust a prediction less than its band suggests."""
         left = self.departures(trace, test)
-        remarks = [departure.sentence(self.system) for departure in left]
+        widened = not test  # this very test does not change with the motion
+        remarks = [departure.sentence(self.system, widened=widened) for departure in left]
         verdicts = self.manifest.verdicts
         if verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote it
             remarks.append(f"the run is not usable as it is: {self._verdict()}")

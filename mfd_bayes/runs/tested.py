@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mfd_bayes.population.beyond import SLOPE
 from mfd_bayes.population.setting import SAME_LEVEL
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
@@ -75,17 +76,34 @@ class Departure:
         low = self.tested.lowest * (1.0 - margin) / FAR
         return self.asked.name == "actuation" and self.asked.lowest < low
 
-    def sentence(self, system: System) -> str:
-        """What lies outside, of what, and what the prediction rests on there."""
+    def sentence(self, system: System, *, widened: bool = False) -> str:
+        """What lies outside, of what, and what the prediction rests on there.
+
+        Parameters
+        ----------
+        system : System
+        widened : bool
+            Whether the band is wider for it.
+        """
         name = self.asked.name
         how = "far outside" if self.far else "outside"
         times = self.times
         many = f" ({times:.2g} times the {'largest' if times > 1 else 'smallest'})"
         return (
             f"the {name}, {self.asked.words(system)}, lies {how} the tested range, "
-            f"{self.tested.words(system)}{many}: there the band relies only on "
-            f"{_FORM.get(name, 'the form of the model')}"
+            f"{self.tested.words(system)}{many}: there the band {_relies(name, widened=widened)}"
         )
+
+
+def _relies(condition: str, *, widened: bool) -> str:
+    """What a band does outside the tested range of a condition."""
+    form = _FORM.get(condition, "the form of the model")
+    if not widened or condition == "actuation":
+        return f"relies only on {form}"
+    return (
+        f"is wider, by what slip force and gap may do ({100 * SLOPE:.0f} % for each factor of "
+        f"2.7), but relies on {form}"
+    )
 
 
 def reach_of(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
