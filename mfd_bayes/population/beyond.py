@@ -12,10 +12,14 @@ from mfd_bayes.population.setting import Setting
 
 Array = NDArray[np.float64]
 
-SLOPE = 0.2
+STROKE = 0.2
 """Sd of what a quantity that differs between tests may change by for each e-fold (a factor of 2.7)
-outside the tests: twice that of a dependence within them. Slip forces of the band brake change by
-0.15 to 0.2 for an e-fold of stroke."""
+of stroke outside the tests: twice that of a dependence within them. Slip forces of the band brake
+change by 0.15 to 0.2 for an e-fold of stroke."""
+
+RATE = 0.1
+"""The same for speed and frequency, as a dependence within the tests. The friction models know the
+speed, and the gap does not change with it."""
 
 _STAY = ("offset", "noise_")
 
@@ -23,34 +27,34 @@ _STAY = ("offset", "noise_")
 def unknown_beyond(layout: Layout, setting: Setting, n: int) -> list[tuple[str, int, Array]]:
     """Open effects of n draws as in `Expected`: none where the motion is like that of a test.
 
-    The quantities are those that differ between tests, but for offset and noise. What is the same
-    in all tests, such as a stiffness, stays so.
+    With the stroke, quantities may change that differ between tests, but for offset and noise;
+    with the speed those that follow the actuation. What is the same in all tests, such as a
+    stiffness, stays so.
     """
-    folds = folds_beyond(setting, layout.settings)
-    if not folds:
+    stroke, rate = folds_beyond(setting, layout.settings)
+    if not stroke and not rate:
         return []
     sparse = layout.sparse or (False,) * len(layout.names)
-    return [
-        ("beyond", k, np.full(n, SLOPE * folds / layout.spread[k]))
-        for k, name in enumerate(layout.names)
-        if not sparse[k] and not name.startswith(_STAY)
-    ]
+    found = []
+    for k, name in enumerate(layout.names):
+        if not sparse[k] and not name.startswith(_STAY):
+            sd = np.hypot(STROKE * stroke, RATE * rate * (name in layout.laws))
+            found.append(("beyond", k, np.full(n, sd / layout.spread[k])))
+    return found
 
 
-def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> float:
-    """E-folds by which a motion lies outside the tests' strokes, speeds and frequencies.
+def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, float]:
+    """E-folds by which the stroke, and speed or frequency, lie outside those of the tests.
 
-    Stroke and speed count as two directions. The frequency, which follows from both, counts where
-    it lies farther outside. Speeds and frequencies below those of the tests do not count: every
-    test passes through all speeds down to rest.
+    Of speed and frequency the one that lies farther outside counts. Below those of the tests they
+    do not: every test passes through all speeds down to rest.
     """
     known = [_logarithms(one) for one in tested if _moves(one)]
     if not known or not _moves(setting):
-        return 0.0
+        return 0.0, 0.0
     asked, low, high = _logarithms(setting), np.min(known, axis=0), np.max(known, axis=0)
     stroke, speed, frequency = np.maximum(asked - high, 0.0)
-    stroke = max(stroke, low[0] - asked[0])
-    return float(max(np.hypot(stroke, speed), frequency))
+    return float(max(stroke, low[0] - asked[0])), float(max(speed, frequency))
 
 
 def _moves(setting: Setting) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,7 +216,8 @@ def predict_given(
     setting = setting_of(trace, forecast.session)
     part = given_part(trace, window, pace.step(setting.covariates["velocity"]))
     rng = np.random.default_rng(forecast.seed)
-    prior = TestPrior.of(predictor.population, setting, rng, TRIED)
+    left = partial(predictor.left_by, trace=trace)
+    prior = TestPrior.of(predictor.population, setting, rng, TRIED, left)
     counting = counting_of(predictor, prior, pace, setting)
     problem = GivenProblem(predictor, prior, part, setting.actuation, counting)
     known, told = draw_known(problem, forecast.draws, rng)

@@ -36,6 +36,7 @@ from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.sharing import share
+from mfd_bayes.population.starts import left_by
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 
@@ -148,7 +149,9 @@ def _inferred(
         apart = set_apart(weighed, likelihoods)
         given = some.priors, settings.actuation_unit, pilot.residual
         draws = _sampled(JointProblem(weighed, apart, *given), settings, report)
-        draws = replace(draws, population=replace(draws.population, starts=_starts(working, draws)))
+        starts, left = _starts(working, draws), _left(working, draws)
+        population = replace(draws.population, starts=starts, left=left)
+        draws = replace(draws, population=population)
         found = compared()
     return Inference(draws, found.scores, found.exponents, found.dependence)
 
@@ -211,6 +214,20 @@ def _starts(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | 
         prior = one.posterior.priors["start"]
         found.append(prior.value(one.middle[k] + one.scale[k] * x[..., k]))
     return np.stack(found, axis=-1)
+
+
+def _left(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | None:
+    """Places at which the tests' own motions leave the device, (J,), by their medians."""
+    if any("start" not in one.own for one in working):
+        return None
+    found = []
+    for one, x in zip(working, draws.tests, strict=True):
+        middle = np.median(x.reshape(-1, x.shape[-1]), axis=0)
+        posterior = one.posterior
+        theta = posterior.model.theta(posterior.values(one.points(middle[None])))
+        found.append(left_by(posterior.model, theta, posterior.trace))
+    known = [place for place in found if place is not None]
+    return np.array(known) if len(known) == len(found) else None
 
 
 def usual_dependence(

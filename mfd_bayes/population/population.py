@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaln, softmax
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
@@ -17,11 +16,9 @@ from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.starts import learned_density
 
 Array = NDArray[np.float64]
-
-SHAPES = np.geomspace(1.0, 100.0, 41)
-"""Equally probable shapes a of the starts' density Beta(a, a): from anywhere to the middle."""
 
 SHORTER = 0.9
 """Share of the smallest calibrated stroke below which a motion counts as shorter than all."""
@@ -54,6 +51,8 @@ class Population:
         Discrepancy and noise that the tests have in common; runs of older versions have none.
     starts : (chain, draw, J), optional
         Places in the gap at which the tests began; none with a model or a run without them.
+    left : (J,), optional
+        Places at which their own motions leave the device.
     """
 
     layout: Layout
@@ -67,6 +66,7 @@ class Population:
     convergence: Convergence
     residual: Residual | None = None
     starts: Array | None = None
+    left: Array | None = None
 
     @property
     def size(self) -> int:
@@ -172,32 +172,41 @@ class Population:
         return {name: dict(weights) for name, weights in self.layout.weights.items()}
 
     def draw_starts(
-        self, rng: np.random.Generator, n: int, setting: Setting | None = None
+        self,
+        rng: np.random.Generator,
+        n: int,
+        setting: Setting | None = None,
+        left: float | None = None,
     ) -> Array:
-        """Places in the gap at which n tests may begin, (n,).
+        """Places in the gap at which n tests may begin, (n,); see `start_density`."""
+        return np.asarray(rng.beta(*self.start_density(rng, n, setting, left)))
 
-        They have a Beta(a, a) density: neither side of the gap is preferred, and how near tests
-        begin to its middle is learned from the calibrated ones, over `SHAPES` of a. A motion that
-        is shorter than all of theirs, or of which no setting is known, may begin anywhere: its
-        start decides the force for long, and nothing says that such tests begin like the others.
+    def start_density(
+        self,
+        rng: np.random.Generator,
+        n: int,
+        setting: Setting | None = None,
+        left: float | None = None,
+    ) -> tuple[Array, Array]:
+        """Exponents of the Beta densities of the places where n tests may begin, (n,) each.
+
+        The densities are learned from the calibrated tests (`learned_density`). A motion that is
+        shorter than all of theirs, or of which no setting is known, may begin anywhere: its start
+        decides the force for long, and nothing says that such tests begin like the others.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+        n : int
+        setting : Setting, optional
+        left : float, optional
+            Place at which the motion leaves the device, `left_by`, where the motion is known.
         """
-        if self.starts is None:
-            return rng.random(n)
-        a = self.draw_start_shapes(rng, n, setting)
-        return np.asarray(rng.beta(a, a))
-
-    def draw_start_shapes(
-        self, rng: np.random.Generator, n: int, setting: Setting | None = None
-    ) -> Array:
-        """Shapes a of the density Beta(a, a) of the place in the gap where tests begin, (n,)."""
         if self.starts is None or setting is None or self._shorter(setting):
-            return np.ones(n)
-        known = self.starts.reshape(-1, self.starts.shape[-1])
-        sides = np.clip(known, 1e-6, 1.0 - 1e-6)
-        told = np.log(sides * (1.0 - sides)).sum(axis=1)[rng.integers(len(known), size=n)]
-        log = np.outer(told, SHAPES - 1.0) - known.shape[1] * betaln(SHAPES, SHAPES)
-        edges = np.cumsum(softmax(log, axis=1), axis=1)
-        return np.asarray(SHAPES[np.argmax(rng.random((n, 1)) * edges[:, -1:] < edges, axis=1)])
+            return np.ones(n), np.ones(n)
+        known = self.starts.reshape(-1, self.starts.shape[-1])[rng.integers(self.size, size=n)]
+        both = None if self.left is None or left is None else (self.left, left)
+        return learned_density(known, both, rng)
 
     def _shorter(self, setting: Setting) -> bool:
         """Whether a test's stroke is shorter than that of every calibrated test."""

@@ -23,6 +23,7 @@ from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
 from mfd_bayes.population.shown import ShownBand
+from mfd_bayes.population.starts import left_by
 from mfd_bayes.population.unshared import scales_of, unknown_of
 from mfd_bayes.population.whole import whole_band
 from mfd_bayes.records.numbers import whole_number
@@ -212,7 +213,8 @@ class Predictor:
     ) -> Drawn:
         """Drawn tests of these parts, with all but their noise; index are their draws of laws."""
         setting = setting_of(trace)
-        unknown = unknown_of(self.population, len(index), rng, setting)
+        left = self.left_by(self.population.values(parts), trace)
+        unknown = unknown_of(self.population, len(index), rng, setting, left)
         level, history = trace.reference_actuation, np.asarray(trace.actuation)
         scales = scales_of(self.population, history, level, index) if trace.varying else {}
         residual = self.population.residual
@@ -270,6 +272,16 @@ class Predictor:
             return force
         slip = slip_force_of(self.model, values)
         return force + residual.discrepancy(trace, slip, drawn.discrepancy)
+
+    def left_by(self, values: Mapping[str, Array], trace: Trace) -> float | None:
+        """Place at which a motion leaves the typical one of tests with these quantities (n,)."""
+        population = self.population
+        if population.left is None:
+            return None
+        others = {name: prior.typical for name, prior in population.priors.items()}
+        middle = {"gamma1": 1.0, **others, **{k: float(np.median(v)) for k, v in values.items()}}
+        theta = self.model.theta({name: np.array([value]) for name, value in middle.items()})
+        return left_by(self.model, theta, trace)
 
     def draw_noise(
         self, rng: np.random.Generator, trace: Trace, values: Mapping[str, Array]

@@ -6,6 +6,7 @@ Beta density of its start in the gap; the population's prediction is the mixture
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -41,31 +42,42 @@ class TestPrior:
         Level and law of each.
     mean : (N, d)
     covariance : (N, d, d)
-    shape : (N,)
-        a of the start's Beta(a, a).
+    start : (N,), (N,)
+        Exponents of the start's Beta density.
     """
 
     index: Index
     expected: Expected
     mean: Array
     covariance: Array
-    shape: Array
+    start: tuple[Array, Array]
 
     __test__ = False  # pytest is not to collect it
 
     @classmethod
     def of(
-        cls, population: Population, setting: Setting, rng: np.random.Generator, n: int
+        cls,
+        population: Population,
+        setting: Setting,
+        rng: np.random.Generator,
+        n: int,
+        left: Callable[[Mapping[str, Array]], float | None] = lambda _: None,
     ) -> TestPrior:
-        """Prior of a test under a setting, from n draws of the hyperparameters."""
+        """Prior of a test under a setting, from n draws of the hyperparameters.
+
+        `left` gives, of quantities (n,) by name, the place where the motion leaves the device, if
+        the motion is known.
+        """
         index = rng.choice(population.size, size=n, replace=n > population.size)
         expected = population.expected(setting, index)
         root = expected.scatter[:, :, None] * expected.together
         covariance = root @ np.swapaxes(root, 1, 2)
         for _, k, sd in expected.open:
             covariance[:, k, k] += sd**2
-        shape = population.draw_start_shapes(rng, n, setting)
-        return cls(index, expected, expected.level + expected.law, covariance, shape)
+        mean = expected.level + expected.law
+        place = left(population.values(Parts(mean, np.zeros_like(mean), np.zeros_like(mean))))
+        start = population.start_density(rng, n, setting, place)
+        return cls(index, expected, mean, covariance, start)
 
     @property
     def size(self) -> int:
@@ -83,7 +95,7 @@ class TestPrior:
         between = np.atleast_2d(np.cov(self.mean, rowvar=False))
         mean = middle + np.sqrt(1.0 - SMOOTH) * (self.mean - middle)
         covariance = self.covariance + SMOOTH * between + 1e-12 * np.eye(middle.size)
-        return TestPrior(self.index, self.expected, mean, covariance, self.shape)
+        return TestPrior(self.index, self.expected, mean, covariance, self.start)
 
     @cached_property
     def root(self) -> Array:
@@ -97,21 +109,23 @@ class TestPrior:
     @cached_property
     def _log_scale(self) -> Array:
         diagonal = np.diagonal(self.root, axis1=1, axis2=2)
-        return np.asarray(-np.log(diagonal).sum(axis=1) - betaln(self.shape, self.shape))
+        return np.asarray(-np.log(diagonal).sum(axis=1) - betaln(*self.start))
 
     def draw(self, labels: Index, rng: np.random.Generator) -> Array:
         """Points of the densities with these labels (n,), (n, d + 1)."""
         standard = rng.standard_normal((len(labels), self.mean.shape[1]))
         x = self.mean[labels] + np.einsum("nij,nj->ni", self.root[labels], standard)
-        start = np.clip(rng.beta(self.shape[labels], self.shape[labels]), 1e-12, 1.0 - 1e-12)
+        drawn = rng.beta(self.start[0][labels], self.start[1][labels])
+        start = np.clip(drawn, 1e-12, 1.0 - 1e-12)
         return np.concatenate([x, np.log(start / (1.0 - start))[:, None]], axis=1)
 
     def log_density(self, labels: Index, points: Array) -> Array:
         """Log density of points (..., d + 1) under their labels' (...), without constants."""
         away = points[..., :-1] - self.mean[labels]
         standard = (self._inverse[labels] @ away[..., None])[..., 0]
-        t, a = points[..., -1], self.shape[labels]
-        of_start = a * (log_expit(t) + log_expit(-t))  # with the logit's Jacobian
+        t, (a, b) = points[..., -1], self.start
+        # with the logit's Jacobian
+        of_start = a[labels] * log_expit(t) + b[labels] * log_expit(-t)
         return np.asarray(
             -0.5 * np.einsum("...i,...i->...", standard, standard)
             + self._log_scale[labels]

@@ -51,6 +51,7 @@ def save_population(path: Path, population: Population) -> None:
         arrays["starts"] = np.asarray(population.starts, dtype=np.float32)
     facts = {
         **_facts(population.layout),
+        "left": None if population.left is None else population.left.tolist(),
         "actuation_unit": population.actuation_unit,
         "walkers": population.walkers,
         "r_hat": convergence.r_hat.tolist(),
@@ -122,6 +123,7 @@ def _population(
         ),
         residual=_residual_of(facts.get("residual")),
         starts=arrays["starts"].astype(np.float64) if "starts" in arrays else None,
+        left=None if facts.get("left") is None else np.array(facts["left"], dtype=np.float64),
     )
 
 

@@ -106,6 +106,7 @@ class _Facts(Part):
     common: tuple[bool, ...] = ()
     odd: Annotated[float, Field(ge=0, lt=1)] = 0.0
     residual: _Residual | None = None
+    left: list[Annotated[float, Field(ge=0, le=1)]] | None = None
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:
@@ -115,6 +116,10 @@ class _Facts(Part):
             _need(len(getattr(self, key)) == d, f"{key} must be as many as the names")
         for key in ("sparse", "common"):
             _need(len(getattr(self, key)) in (0, d), f"{key} must be as many as the names")
+        _need(
+            self.left is None or len(self.left) == len(self.settings),
+            "left must be as many as the settings",
+        )
         _need(max(self.member) < len(self.groups), "member must be indices of groups")
         _need(set(self.laws) <= set(self.names), "laws must be of known names")
         _need(set(self.laws.values()) <= {*LAWS, COMPARE}, "laws must be known")

@@ -12,16 +12,21 @@ Array = NDArray[np.float64]
 
 
 def unknown_of(
-    population: Population, n: int, rng: np.random.Generator, setting: Setting | None = None
+    population: Population,
+    n: int,
+    rng: np.random.Generator,
+    setting: Setting | None = None,
+    left: float | None = None,
 ) -> dict[str, Array]:
     """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities.
 
-    The setting is None where the motion is not known.
+    The setting is None where the motion is not known; `left` is the place where it leaves the
+    device (`left_by`).
     """
     shared = set(population.layout.names)
     unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
     if "start" in unknown:
-        unknown["start"] = population.draw_starts(rng, n, setting)
+        unknown["start"] = population.draw_starts(rng, n, setting, left)
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mfd_bayes.population.beyond import SLOPE
+from mfd_bayes.population.beyond import RATE, STROKE
 from mfd_bayes.population.setting import SAME_LEVEL
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
@@ -100,9 +100,10 @@ def _relies(condition: str, *, widened: bool) -> str:
     form = _FORM.get(condition, "the form of the model")
     if not widened or condition == "actuation":
         return f"relies only on {form}"
+    what, slope = ("slip force and gap", STROKE) if condition == "stroke" else ("slip force", RATE)
     return (
-        f"is wider, by what slip force and gap may do ({100 * SLOPE:.0f} % for each factor of "
-        f"2.7), but relies on {form}"
+        f"is wider, by what {what} may do ({100 * slope:.0f} % for each factor of 2.7), but relies "
+        f"on {form}"
     )
 
 

@@ -73,6 +73,8 @@ def population(priors):
         walkers=6,
         convergence=Convergence(np.array([1.001, 1.0]), np.array([500.0, 6e3]), np.ones(2)),
         residual=residual_of(rng),
+        starts=rng.random((4, 60, 3)).astype(np.float32).astype(np.float64),
+        left=np.array([0.1, 0.5, 0.7]),
     )
 
 
@@ -107,6 +109,15 @@ def test_a_population_comes_back_bit_by_bit(population, back):
     assert (back.actuation_unit, back.walkers) == ("ksi", 6)
 
 
+def test_where_tests_begin_and_end_comes_back(tmp_path, priors, population, back):
+    np.testing.assert_array_equal(back.starts, population.starts)
+    np.testing.assert_array_equal(back.left, population.left)
+    save_population(tmp_path / "one.nc", population)
+    rewritten(tmp_path / "one.nc", left=[0.1])
+    with pytest.raises(StoreError, match="left must be as many as the settings"):
+        load_population(tmp_path / "one.nc", priors)
+
+
 def test_discrepancy_and_noise_come_back_bit_by_bit(population, back):
     for name in Residual.__dataclass_fields__:
         stored, expected = getattr(back.residual, name), getattr(population.residual, name)
@@ -128,9 +139,10 @@ def rewritten(path, **changes):
 def test_a_file_of_an_earlier_version_has_no_discrepancy(tmp_path, priors, population):
     path = tmp_path / "older.nc"
     save_population(path, population)
-    rewritten(path, residual=None, sparse=None)
+    rewritten(path, residual=None, sparse=None, left=None)
     found = load_population(path, priors)
     assert found.residual is None
+    assert found.left is None
     assert found.layout.sparse == ()
     np.testing.assert_array_equal(found.h, population.h)
 
