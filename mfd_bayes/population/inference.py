@@ -149,8 +149,8 @@ def _inferred(
         apart = set_apart(weighed, likelihoods)
         given = some.priors, settings.actuation_unit, pilot.residual
         draws = _sampled(JointProblem(weighed, apart, *given), settings, report)
-        starts, left = _starts(working, draws), _left(working, draws)
-        population = replace(draws.population, starts=starts, left=left)
+        begun, left = _starts(working, draws), _left(working, draws)
+        population = replace(draws.population, starts=begun, left=left)
         draws = replace(draws, population=population)
         found = compared()
     return Inference(draws, found.scores, found.exponents, found.dependence)
