@@ -76,18 +76,19 @@ def table(results: list[dict]) -> tuple[str, bool]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tests", type=int, default=TESTS)
+    parser.add_argument("--first", type=int, default=0, help="number of the first test")
     parser.add_argument("--out", type=Path, default=Path("out_given"))
     options = parser.parse_args()
     options.out.mkdir(exist_ok=True)
     study, results = make_study(), []
-    for index in range(options.tests):
+    for index in range(options.first, options.first + options.tests):
         path = options.out / f"{index}.json"
         if not path.is_file():
             path.write_text(json.dumps(one_test(study, index)))
         results.append(json.loads(path.read_text()))
     lines, good = table(results)
     print(f"Bands given a first part, {len(results)} synthetic tests, {DRAWS} draws each.")
-    print(f"python -m benchmarks.given.coverage --tests {len(results)}")
+    print(f"python -m benchmarks.given.coverage --tests {len(results)} --first {options.first}")
     print(f"{processor()}, {versions('numpy', 'arviz')}")
     print(lines)
     return 0 if good else 1

@@ -6,7 +6,8 @@ calibrates the sessions of the band brake and predicts what was left out:
 
 -   the 36 lb harmonic tests, each in turn, and the earthquakes from all of them;
 -   the 2022 session: each tension in turn, and each test whose tension another test has too;
--   semi-active tests of another session, under the tension measured at the band's slack end;
+-   semi-active tests of another session, under the tension measured at the band's slack end,
+    alone and given their first seconds;
 -   with --zero, instead: the two tests at zero tension from those at 30 and 36 lb, and each from
     all others.
 
@@ -35,6 +36,8 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.population.given import predict_given
+from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.runs.results import Score
 from mfd_bayes.runs.run import Run
@@ -56,6 +59,8 @@ PUBLISHED = {
     "36lb_0.25Hz_1.5in": 0.180,
 }
 """RRSE of the LuGre model that the dataset's authors published (shared/data/brfd/README.md)."""
+GIVEN = 4.0
+"""First part of a semi-active test that is given, s; scored is the rest."""
 WINDOWS = {"36lb_ImperialValleyDBE": (3.0, 7.5), "36lb_KocaeliDBE": (6.0, 14.0)}
 """Where they are scored, s; other records as a whole."""
 
@@ -206,18 +211,34 @@ def zero(run: Run, options: argparse.Namespace) -> None:
 
 
 def semi_active(runs: dict[str, Run], options: argparse.Namespace) -> None:
-    """Tests under a changing tension, from all other sessions together."""
+    """Tests under a changing tension, from all other sessions together; alone and given 4 s."""
     header("semi-active, 2023-08: slack end's tension as measured; from all other sessions")
     population, some = records.join(runs, options.fold_effort)
+    predictor = Predictor(population, some.model, some.noise)
+    pace = Pace.of(test.trace for run in runs.values() for test in run.tests.values())
     with (options.data / "brfd" / "manifest.csv").open(newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["kind"] == "semi-active"]
     for row in rows:
+        name = Path(row["file"]).stem[8:]
         trace = records.semi_active_trace(options.data / "brfd" / row["file"])
         forecast = Forecast("observation", draws=DRAWS, session=row["session"])
-        band = Predictor(population, some.model, some.noise).predict(trace, forecast)
-        found = score(band.draws, np.asarray(trace.force))
+        begin = float(trace.time[0])
+        later = trace.time > begin + GIVEN
+        bands = [
+            predictor.predict(trace, forecast),
+            predict_given(predictor, trace, forecast, (begin, begin + GIVEN), pace),
+        ]
+        force = np.asarray(trace.force)[later]
+        alone, known = (score(band.draws[:, later], force) for band in bands)
         low, high = np.quantile(1000.0 * np.asarray(trace.actuation), [0.05, 0.95])
-        line(Path(row["file"]).stem[8:], found, f"tension {low:.0f} to {high:.0f} lb")
+        line(name, alone, f"tension {low:.0f} to {high:.0f} lb")
+        line(f"  given its first {GIVEN:g} s", known)
+        half = known.rrse / alone.rrse
+        bar(f"{name}: RRSE given {GIVEN:g} s over that alone", half, half <= 0.5, "at most 0.5")
+        for words, found in (("alone", alone), (f"given {GIVEN:g} s", known)):
+            covered = found.coverage[2]
+            good = 0.90 <= covered <= 0.98
+            bar(f"{name}: coverage of 95 % bands, {words}", covered, good, "0.90 to 0.98")
 
 
 def speed(run: Run) -> None:
