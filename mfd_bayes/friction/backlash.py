@@ -128,18 +128,42 @@ class BacklashLuGre(Model):
         and slip forward, 1.
         """
         damper = _damper(self, theta)
-        first = damper.begin(check_start(start, damper.size))
-        shares = trace_shares(trace, damper.size, scales, ACTUATED)
-        moves, rate, nearest, rows = _path(trace)
-        shares = {name: share.T[nearest] for name, share in shares.items()}
-        force = np.empty((trace.samples, damper.size))
-        force[0] = damper.spring.force(first)
-        for chosen, course in courses(damper, moves):
-            drive = Drive(rate, {name: _of(share, chosen) for name, share in shares.items()})
-            found, _ = follow(damper.of(chosen), course, drive, first[chosen])
-            force[1:, chosen] = found[rows[1:] - 1]
+        force, _ = _followed(damper, trace, check_start(start, damper.size), scales)
         force += trace.velocity[:, None] * damper.columns["sigma2"]
         return force.T
+
+    def end(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Place of the deflection z at the last sample in the range of `start`, (n,), 1.
+
+        A motion that begins there has the whole state of the device, but for a deflection beyond
+        that range, which static friction, or an actuation above the reference, may hold: it is
+        taken as the end of the range.
+        """
+        damper = _damper(self, theta)
+        _, z = _followed(damper, trace, check_start(start, damper.size), scales)
+        if not np.all(np.isfinite(z)):
+            raise FitError(f"the place at the end of a motion is no finite number in {self.name}")
+        return damper.place(z)
+
+    def start_at(
+        self,
+        place: Array,
+        trace: Trace,
+        before: ArrayLike | None = None,
+        theta: ArrayLike | None = None,
+    ) -> Array:
+        """`start` of a motion at a place in the gap, (n,): see `Damper.taken_over`."""
+        if before is None or theta is None:
+            return place
+        ended, damper = _damper(self, before), _damper(self, theta)
+        return damper.place(damper.taken_over(ended.begin(place), ended))
 
     def start(
         self,
@@ -240,6 +264,23 @@ class BacklashLuGre(Model):
         inside = np.abs(z) < 0.5 * damper.columns["gap"]
         stage = np.select([loads & (share < 0.5), inside, loads], [1, 4, 3], 2)
         return stage.T.astype(np.int8)
+
+
+def _followed(
+    damper: Damper, trace: Trace, start: Array, scales: Mapping[str, Array] | None
+) -> tuple[Array, Array]:
+    """Spring force at the samples, (T, n), kip, and the deflection z at the last, (n,), in."""
+    first = damper.begin(start)
+    shares = trace_shares(trace, damper.size, scales, ACTUATED)
+    moves, rate, nearest, rows = _path(trace)
+    shares = {name: share.T[nearest] for name, share in shares.items()}
+    force, last = np.empty((trace.samples, damper.size)), np.empty(damper.size)
+    force[0] = damper.spring.force(first)
+    for chosen, course in courses(damper, moves):
+        drive = Drive(rate, {name: _of(share, chosen) for name, share in shares.items()})
+        found, last[chosen] = follow(damper.of(chosen), course, drive, first[chosen])
+        force[1:, chosen] = found[rows[1:] - 1]
+    return force, last
 
 
 def _path(trace: Trace) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:

@@ -112,11 +112,33 @@ class Damper:
             which[chosen] = i
         return [plan for _, plan in self.plans], which
 
+    @cached_property
+    def range(self) -> tuple[Array, Array]:
+        """Deflections z, (n,) each, in, between which a motion may begin."""
+        c = self.columns
+        half = 0.5 * c["gap"]
+        return -half - c["Fc_bwd"] / c["k_bwd"], half + c["Fc_fwd"] / c["k_fwd"]
+
     def begin(self, start: Array) -> Array:
         """Deflection z at the first sample, (n,), in, at a share of its range."""
-        c = self.columns
-        low = -0.5 * c["gap"] - c["Fc_bwd"] / c["k_bwd"]
-        return low + start * (0.5 * c["gap"] + c["Fc_fwd"] / c["k_fwd"] - low)
+        low, high = self.range
+        return low + start * (high - low)
+
+    def place(self, z: Array) -> Array:
+        """Share of the range at a deflection z, (n,), in; what lies beyond is at its end."""
+        low, high = self.range
+        return np.clip((z - low) / (high - low), 0.0, 1.0)
+
+    def taken_over(self, z: Array, other: Damper) -> Array:
+        """Deflection z, (n,), in, that a deflection of other dampers is in these.
+
+        Inside the gap it is the same share of the gap, and beyond it the spring keeps its
+        deflection.
+        """
+        theirs, own = 0.5 * other.columns["gap"], 0.5 * self.columns["gap"]
+        inside = np.clip(z, -theirs, theirs)
+        share = np.divide(inside, theirs, out=np.zeros(z.shape), where=theirs > 0)
+        return share * own + z - inside
 
 
 SIDES = ("fwd", "bwd")

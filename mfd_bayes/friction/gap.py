@@ -117,6 +117,20 @@ def travel(gap: Gap, path: MotionPath, start: Array) -> Array:
     return along
 
 
+def place_at_end(gap: Gap, path: MotionPath, start: Array) -> Array:
+    """Place in the gap at the last sample, (n,), 1: 0 at its backward end, 1 at its forward end.
+
+    The play operator alone: motion beyond either end drags the gap along.
+    """
+    edge = begin(gap, float(path.displacement[0]), path.direction, start).edge[0]
+    last = float(path.displacement[-1])
+    for x in (*path.displacement[path.turning_points].tolist(), last):
+        edge = np.minimum(np.maximum(edge, x - gap.width), x)
+    width = gap.width
+    place = np.divide(last - edge, width, out=np.full(edge.shape, 0.5), where=width > 0)
+    return np.asarray(np.clip(place, 0.0, 1.0))
+
+
 def _side(
     before: Crossing, slipped: NDArray[np.bool_], directions: Array
 ) -> tuple[Array, NDArray[np.intp]]:

@@ -9,8 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mfd_bayes.errors import FitError
 from mfd_bayes.friction.evaluation import checked
 from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -109,6 +111,53 @@ class Model:
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
         return travel_since_turn(theta, trace)
+
+    def end(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Place in the gap at the last sample of every parameter vector, (n,), 1.
+
+        0 is where the device slips backward, 1 where it slips forward: there it stays while it
+        slips. Without a gap it is ½, which is without effect. `start_at` makes a `start` of it.
+
+        Parameters
+        ----------
+        theta, trace, start, scales
+            As in `force`.
+
+        Raises
+        ------
+        FitError
+            When a shape or a value does not fit, or the model has a gap and does not say this.
+        """
+        if self.has_gap:
+            raise FitError(f"the model {self.name} does not say where in its gap a motion ends")
+        return np.full(len(real_numbers("theta", theta, FitError)), 0.5)
+
+    def start_at(
+        self,
+        place: Array,
+        trace: Trace,
+        before: ArrayLike | None = None,
+        theta: ArrayLike | None = None,
+    ) -> Array:
+        """`start` of a motion that begins at a place in the gap, as `end` has it, (n,), 1.
+
+        Parameters
+        ----------
+        place : (n,), 1
+        trace : Trace
+            The motion that begins there.
+        before, theta : (n, p), optional
+            Parameters of the motion that ended there, and of the one that begins, where they
+            differ.
+        """
+        return place
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p), of values by name, (n,) each."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bristles import PIECE, friction_of, slip_force
-from mfd_bayes.friction.gap import Gap, blend, follow, travel
+from mfd_bayes.friction.gap import Gap, blend, follow, place_at_end, travel
 from mfd_bayes.friction.paper import PARAMETERS, actuate, check_theta, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
@@ -56,6 +56,35 @@ class ThreeStage(Stepped):
         """
         columns = check_theta(self, theta)
         return travel(_gap(columns), trace.path, check_start(start, columns["k2"].shape[1])).T
+
+    def end(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Place in the gap at the last sample, ½ + y/D, (n,), 1; see `Model.end`.
+
+        A motion that begins there does not know the deflection of the bristles, the force that
+        fades after an early turn, and, inside the gap, on which side the device last slipped: it
+        takes the side that its first direction leads away from. All that is forgotten at its
+        first turn after slip.
+        """
+        columns = check_theta(self, theta)
+        w0 = check_start(start, columns["k2"].shape[1])
+        return place_at_end(_gap(columns), trace.path, w0)
+
+    def start_at(
+        self,
+        place: Array,
+        trace: Trace,
+        before: ArrayLike | None = None,
+        theta: ArrayLike | None = None,
+    ) -> Array:
+        """`start` of a motion at a place in the gap, (n,): it counts along its first direction."""
+        return place if trace.path.direction > 0 else 1.0 - place
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap, D = d2 + d3, (n,), in."""
