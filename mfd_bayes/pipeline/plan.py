@@ -176,6 +176,7 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
             fit=test.window,
             session=test.session,
             columns={role: _stored(source) for role, source in test.columns.items()},
+            **({"after": test.after} if test.after else {}),
         )
         for test in campaign.tests
     }
@@ -246,7 +247,8 @@ def _read(campaign: Campaign, test: Test) -> Record:
 
 
 def _entry(test: Test, record: Record, trace: Trace) -> Entry:
-    return Entry(
+    before, after = record.around(trace)
+    entry = Entry(
         role=test.role,
         status=State.WAITING,
         samples=trace.samples,
@@ -255,6 +257,7 @@ def _entry(test: Test, record: Record, trace: Trace) -> Entry:
         unit=record.columns["displacement"][1],
         derived=record.derived,
     )
+    return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 
 
 def _checks_noise(campaign: Campaign, options: Options) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -27,6 +27,7 @@ from mfd_bayes.population.setting import Setting, levels_of, setting_of
 from mfd_bayes.population.whole import holds_whole
 from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
 from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.order import Order
 from mfd_bayes.runs.predictions import read_predictions_of
 from mfd_bayes.runs.results import PartKind, Prediction, Score
 from mfd_bayes.runs.run import Run
@@ -222,12 +223,15 @@ def leave_out(
         lambda progress: observe(Step(fold.id, "sampling", progress)),
     )
     found = []
+    motions = {**run.held_out, **{name: run.tests[name].trace for name in fold.left_out}}
     for name in fold.left_out:
         test = run.tests[name]
         posterior = test.posterior
         predictor = Predictor(inference.draws.population, posterior.model, posterior.noise)
         session = run.session(name)
         forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=session)
+        before = Order(run.manifest, others, motions, predictor).before(name, test.trace, forecast)
+        forecast = replace(forecast, before=before)
         band = predictor.predict(test.trace, forecast)
         force = np.asarray(test.trace.force)
         scores = score(band.draws, force), _fitted(test)

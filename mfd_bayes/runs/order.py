@@ -1,0 +1,124 @@
+"""Which tests of a run follow each other without a reset, and where in their gap they end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.errors import FitError
+from mfd_bayes.population.kinds import THIS_TEST
+from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.sequel import Ending, ending_of
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Manifest
+
+NO_GAP = "after is without effect: the model of the run has no gap in which a motion could begin"
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """The tests of a run in their order.
+
+    Attributes
+    ----------
+    manifest : Manifest
+    tests : mapping of str to TestResult
+        Those whose posteriors may be used.
+    motions : mapping of str to Trace
+        Those that are predicted: held out, or left out.
+    predictor : Predictor
+    """
+
+    manifest: Manifest
+    tests: Mapping[str, TestResult]
+    motions: Mapping[str, Trace]
+    predictor: Predictor
+
+    def before(self, test: str, trace: Trace, forecast: Forecast) -> Ending | None:
+        """Where a test of the campaign begins; None where nothing is known of that."""
+        after = self.manifest.settings.tests[test].after
+        return self.ending(after, trace, forecast, self.manifest.tests[test].before)
+
+    def begun(self, forecast: Forecast, trace: Trace, after: str | Ending) -> Forecast:
+        """The forecast of a motion that follows a test, or begins where one ended.
+
+        Raises
+        ------
+        FitError
+            When nothing is known of such a test.
+        """
+        if isinstance(after, Ending):
+            return replace(forecast, before=after)
+        known = [*self.tests, *self.motions]
+        if after not in known:
+            raise FitError(
+                f"after must be the id of a test of the run, one of {', '.join(known)}, got "
+                f"{after!r}"
+            )
+        return replace(forecast, before=self.ending(after, trace, forecast))
+
+    def ending(
+        self, after: str, trace: Trace, forecast: Forecast, turns: tuple[float, ...] = ()
+    ) -> Ending | None:
+        """Where a motion begins that follows a test; None where nothing is known of that.
+
+        From the last displacement of the test to the first of the motion the device is moved
+        slowly, by way of what the fit windows leave out.
+
+        Parameters
+        ----------
+        after : str
+            Id of the test; "" for none.
+        trace : Trace
+            The motion.
+        forecast : Forecast
+            Its kind, number of draws and seed.
+        turns : tuple of float, in
+            Ends and turns of the motion's record before the trace.
+
+        Raises
+        ------
+        StoreError
+            When the stored posterior cannot be read.
+        """
+        if not after or not self.predictor.model.has_gap:
+            return None
+        chain, order = [after], self.manifest.settings.order
+        while chain[-1] in self.motions and order.get(chain[-1], after) not in chain:
+            chain.append(order[chain[-1]])  # back to one with a posterior, or that follows none
+        found: Ending | None = None
+        for name, following in zip(reversed(chain), [*reversed(chain[:-1]), ""], strict=True):
+            found = self._ended(name, replace(forecast, before=found))
+            if found is None:
+                continue
+            first = self.motions[following] if following else trace
+            lead = self.manifest.tests[following].before if following else turns
+            rest = self.manifest.tests[name].after
+            way = self._trace(name).displacement[-1], *rest, *lead, first.displacement[0]
+            found = found.moved(self.predictor.model, way)
+        return found
+
+    def _trace(self, name: str) -> Trace:
+        return self.tests[name].trace if name in self.tests else self.motions[name]
+
+    def _ended(self, name: str, forecast: Forecast) -> Ending | None:
+        """Where a test ended: by its posterior, or as it is predicted after the one before."""
+        model = self.predictor.model
+        if name in self.tests:
+            values = self.tests[name].stored.values()
+            total = len(values["start"])
+            pick = np.linspace(0, total - 1, min(forecast.draws, total)).astype(np.intp)
+            taken = {quantity: draws[pick] for quantity, draws in values.items()}
+            return ending_of(model, name, self.tests[name].trace, taken)
+        if name not in self.motions:
+            return None  # it could not be calibrated
+        kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
+        session = self.manifest.settings.tests[name].session
+        asked, trace = replace(forecast, kind=kind, session=session), self.motions[name]
+        drawn = self.predictor.draw(trace, asked, np.random.default_rng((forecast.seed, 2)))
+        values = self.predictor.values(self.predictor.begun(trace, asked, drawn))
+        found = ending_of(model, name, trace, values, drawn.scales or None)
+        return replace(found, predicted=True)
