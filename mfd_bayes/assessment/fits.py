@@ -108,8 +108,8 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
     session = run.session(name)
-    begun = run.order.before(name, trace, Forecast(draws=800, session=session)) or ""
-    asked: dict[str, Any] = {"draws": 800, "session": session, "after": begun}
+    before = run.order.before(name, trace, Forecast(draws=800, session=session))
+    asked: dict[str, Any] = {"draws": 800, "session": session, "after": before or ""}
     band = run.predict(trace, "observation", explain=ORDERS, **asked)
     damper = run.predict(trace, kind="new_test", **asked)
     return TestView(
@@ -122,6 +122,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         score=score_of(name, "validate", trace, band.draws, 0),
         derived=held_out_rows(run, name, trace, damper),
         shares=band.shares,
+        begun=before.words if before else "",
     )
 
 

@@ -1,13 +1,18 @@
 """Parts that are left out: which there are, and as jobs whose scores are stored."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.validation.folds import FOLDER, Fold, parts_of
+from mfd_bayes.runs.opening import open_run
+from mfd_bayes.validation import folds
+from mfd_bayes.validation.folds import FOLDER, Fold, leave_out, parts_of
 
 
 def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):
@@ -35,3 +40,42 @@ def test_the_level_without_actuation_is_a_part():
 def test_all_tests_with_an_actuation_cannot_be_left_out(by, part):
     with pytest.raises(CampaignError, match=f"cannot leave out {part}: no other calibrated test"):
         parts_of(settings(0.0, 0.03), by, "kip", "a.toml")
+
+
+@pytest.fixture
+def left_out(benchmark_module, tmp_path, monkeypatch):
+    """Function that leaves out some of the tests a and b, b after a; the forecasts of each."""
+    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+    run = open_run(tmp_path / "out")
+    tests = dict(run.manifest.settings.tests)
+    tests["b"] = tests["b"].model_copy(update={"after": "a"})
+    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    run = replace(run, manifest=run.manifest.changed(settings=settings))
+    drawn = SimpleNamespace(draws=SimpleNamespace(population=run.population))
+    monkeypatch.setattr(folds, "infer_population", lambda *_: drawn)
+    monkeypatch.setattr(folds, "DRAWS", 20)
+    asked = []
+
+    def predict(predictor, trace, forecast):
+        asked.append(forecast)
+        return SimpleNamespace(draws=np.zeros((20, trace.samples)))
+
+    monkeypatch.setattr(Predictor, "predict", predict)
+
+    def leave(*names):
+        kept = tuple(name for name in run.tests if name not in names)
+        leave_out(run, Fold("part", "test_1.json", names, kept, effort="quick", seed=1))
+        return asked
+
+    return leave
+
+
+def test_a_test_that_is_left_out_begins_where_a_calibrated_one_ended(left_out):
+    (forecast,) = left_out("b")
+    assert (forecast.before.test, forecast.before.predicted) == ("a", False)
+
+
+def test_the_end_of_a_test_that_is_left_out_too_is_predicted_without_its_force(left_out):
+    first, second = left_out("a", "b")
+    assert first.before is None
+    assert (second.before.test, second.before.predicted) == ("a", True)
