@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
 from mfd_bayes.campaign.content import read_content
 from mfd_bayes.campaign.goal import wanted_of
-from mfd_bayes.campaign.order import check_order
+from mfd_bayes.campaign.order import Part, check_order, check_parts
 from mfd_bayes.campaign.schema import (
     Column,
     Columns,
@@ -90,6 +91,11 @@ class Campaign:
     actuation_unit: ActuationUnit
     """The same for all tests."""
 
+    def since(self, test: Test) -> float:
+        """Time in a test's file at which the test before it ended, s, if it is in the same file."""
+        same = (t for t in self.tests if t.id == test.after and t.path == test.path)
+        return max((t.window[1] for t in same if t.window), default=-math.inf)
+
 
 def load_campaign(
     path: str | Path, model: ModelName | None = None, noise: NoiseName | None = None
@@ -125,7 +131,9 @@ def load_campaign(
         raise CampaignError(f"cannot read {path}: {error}") from error
     tests = tuple(_test(path, folder, content.columns, entry) for entry in content.test)
     _check_together(path, tests, content.campaign.area)
-    check_order(path, {test.id: test.after for test in tests})
+    after = {test.id: test.after for test in tests}
+    check_order(path, after)
+    check_parts(path, after, {test.id: Part(test.path, test.window) for test in tests})
     wanted_of(path, content.goal, tests[0].actuation_unit)
     return Campaign(
         path=path,

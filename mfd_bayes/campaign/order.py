@@ -4,9 +4,43 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.records.record import Window
+
+
+@dataclass(frozen=True)
+class Part:
+    """The part of a file that a test is: all of it where there is no window, s."""
+
+    file: Path
+    window: Window | None = None
+
+
+def check_parts(path: Path, after: Mapping[str, str], parts: Mapping[str, Part]) -> None:
+    """Refuse a test that follows one of the same file, of which it is no later part.
+
+    Raises
+    ------
+    CampaignError
+        When a window is missing, or begins before the other ends.
+    """
+    for name, before in after.items():
+        if not before or parts[name].file != parts[before].file:
+            continue
+        own, other = parts[name].window, parts[before].window
+        if own is None or other is None or own[0] < other[1]:
+            raise CampaignError(
+                f"after of test {name!r} in {path} is a test of the same file, {before!r}: the "
+                "fit window of the one must begin where that of the other ends, or later, got "
+                f"{_words(own)} after {_words(other)}"
+            )
+
+
+def _words(window: Window | None) -> str:
+    return "all of the file" if window is None else f"{window[0]:g} s to {window[1]:g} s"
 
 
 def check_order(path: Path, after: Mapping[str, str]) -> None:

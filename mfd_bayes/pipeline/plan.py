@@ -127,7 +127,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     for test in campaign.tests:
         record = _read(campaign, test)
         traces[test.id] = trace = record.trace(campaign.rate, gap=priors.gap)
-        entries[test.id] = _entry(test, record, trace)
+        entries[test.id] = _entry(campaign, test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
         whole = record.trace()
         faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
@@ -246,8 +246,8 @@ def _read(campaign: Campaign, test: Test) -> Record:
     return record
 
 
-def _entry(test: Test, record: Record, trace: Trace) -> Entry:
-    before, after = record.around(trace)
+def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entry:
+    before, after = record.around(trace, campaign.since(test))
     entry = Entry(
         role=test.role,
         status=State.WAITING,

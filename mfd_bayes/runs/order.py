@@ -40,7 +40,7 @@ class Order:
     def before(self, test: str, trace: Trace, forecast: Forecast) -> Ending | None:
         """Where a test of the campaign begins; None where nothing is known of that."""
         after = self.manifest.settings.tests[test].after
-        return self.ending(after, trace, forecast, self.manifest.tests[test].before)
+        return self.ending(after, trace, forecast, test)
 
     def begun(self, forecast: Forecast, trace: Trace, after: str | Ending) -> Forecast:
         """The forecast of a motion that follows a test, or begins where one ended.
@@ -60,9 +60,7 @@ class Order:
             )
         return replace(forecast, before=self.ending(after, trace, forecast))
 
-    def ending(
-        self, after: str, trace: Trace, forecast: Forecast, turns: tuple[float, ...] = ()
-    ) -> Ending | None:
+    def ending(self, after: str, trace: Trace, forecast: Forecast, test: str = "") -> Ending | None:
         """Where a motion begins that follows a test; None where nothing is known of that.
 
         From the last displacement of the test to the first of the motion the device is moved
@@ -76,8 +74,8 @@ class Order:
             The motion.
         forecast : Forecast
             Its kind, number of draws and seed.
-        turns : tuple of float, in
-            Ends and turns of the motion's record before the trace.
+        test : str
+            Id of the test whose motion it is; "" for a new one.
 
         Raises
         ------
@@ -95,11 +93,21 @@ class Order:
             if found is None:
                 continue
             first = self.motions[following] if following else trace
-            lead = self.manifest.tests[following].before if following else turns
-            rest = self.manifest.tests[name].after
-            way = self._trace(name).displacement[-1], *rest, *lead, first.displacement[0]
+            way = self._between(name, following or test)
+            way = self._trace(name).displacement[-1], *way, first.displacement[0]
             found = found.moved(self.predictor.model, way)
         return found
+
+    def _between(self, name: str, following: str) -> tuple[float, ...]:
+        """Ends and turns of the records between the fit windows of two tests, in.
+
+        Of two windows in one file it is what lies between them. "" is a new motion.
+        """
+        rest = self.manifest.tests[name].after
+        if not following:
+            return rest
+        lead, tests = self.manifest.tests[following].before, self.manifest.settings.tests
+        return lead if tests[name].file == tests[following].file else (*rest, *lead)
 
     def _trace(self, name: str) -> Trace:
         return self.tests[name].trace if name in self.tests else self.motions[name]

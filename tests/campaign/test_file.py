@@ -279,7 +279,8 @@ def in_order(**after):
     entries = []
     for name, before in after.items():
         told = f'after = "{before}"\n' if before else ""
-        entries.append(TEST.replace("p500_f0.05", name) + told)
+        file = f'file = "{"b" if name == "b" else "a"}.csv"'
+        entries.append(TEST.replace("p500_f0.05", name).replace('file = "a.csv"', file) + told)
     return "".join(entries)
 
 
@@ -306,6 +307,30 @@ def test_a_test_may_follow_another_at_another_level_and_in_any_place(folder):
 )
 def test_an_order_that_cannot_be_is_refused_in_one_sentence(folder, after, expected):
     assert re.search(expected, refused(folder, in_order(**after)))
+
+
+WINDOWS = "0 s to 5 s", "5 s to 9 s"
+
+
+@pytest.mark.parametrize(
+    ("windows", "got"),
+    [
+        ((None, None), "all of the file after all of the file"),
+        (("0 s to 5 s", None), "all of the file after 0 s to 5 s"),
+        (("0 s to 5 s", "4 s to 9 s"), "4 s to 9 s after 0 s to 5 s"),
+    ],
+)
+def test_of_one_file_a_later_part_may_follow(folder, windows, got):
+    def text(*parts):
+        tests = [TEST.replace("p500_f0.05", name) for name in "xy"]
+        tests[1] += 'after = "x"\n'
+        told = [f'fit = "{part}"\n' if part else "" for part in parts]
+        return "".join(f"{test}{fit}" for test, fit in zip(tests, told, strict=True))
+
+    campaign = load(folder, text(*WINDOWS))
+    assert [campaign.since(test) for test in campaign.tests] == [-np.inf, 5.0]
+    assert f"after of test 'y' in {folder / 'c.toml'}" in refused(folder, text(*windows))
+    assert got in refused(folder, text(*windows))
 
 
 def test_a_long_order_is_checked_quickly(folder):

@@ -35,13 +35,17 @@ def write_campaign(folder, *more):
 
 def test_the_order_is_in_the_plan_with_the_turns_outside_the_windows(tmp_path):
     follows = 'after = "t0"\nfit = "0 s to 8.2 s"\nrole = "validate"'
-    path = write_campaign(tmp_path, 'fit = "1.1 s to 8.2 s"', follows, "")
+    path = write_campaign(tmp_path, 'fit = "1.1 s to 6.2 s"', follows, "")
     manifest = plan_campaign(path, Options(effort="quick")).manifest
     assert manifest.settings.order == {"t1": "t0"}
     before, after = manifest.tests["t0"].before, manifest.tests["t0"].after
     assert before == pytest.approx((0.0, 1.0, np.sin(1.1 * np.pi)), abs=0.06)
-    assert after == pytest.approx((np.sin(8.2 * np.pi), 1.0, -1.0, 0.0), abs=0.06)
+    assert after == pytest.approx((np.sin(6.2 * np.pi), 1.0, -1.0, 1.0, -1.0, 0.0), abs=0.06)
     assert manifest.tests["t1"].before == ()
+    text = path.read_text().replace("t1.csv", "t0.csv").replace("0 s to 8.2 s", "6.7 s to 9.9 s")
+    path.write_text(text)
+    of_one = plan_campaign(path, Options(effort="quick")).manifest.tests["t1"]
+    assert of_one.before == pytest.approx(np.sin(np.pi * np.array([6.2, 6.5, 6.7])), abs=0.06)
     assert (manifest.tests["t2"].before, manifest.tests["t2"].after) == ((), ())
     assert "after" not in manifest.content["settings"]["tests"]["t2"]
 

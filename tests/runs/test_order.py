@@ -37,7 +37,7 @@ def ordered(run, turns=None, **after):
     """The run with tests that follow others, and with parts of records outside their windows."""
     tests = dict(run.manifest.settings.tests)
     for name, before in after.items():
-        tests[name] = tests[name].model_copy(update={"after": before})
+        tests[name] = tests[name].model_copy(update={"after": before, "file": f"{name}.csv"})
     entries = dict(run.manifest.tests)
     for name, around in (turns or {}).items():
         entries[name] = entries[name].model_copy(update=around)
@@ -71,6 +71,22 @@ def test_what_the_windows_leave_out_moves_the_device_in_between(run):
     ):
         found = ordered(run, turns, c="b").order.before("c", trace, ASKED)
         np.testing.assert_allclose(found.place, place, atol=1e-9)
+
+
+def test_of_two_windows_in_one_file_what_lies_between_them_counts(run):
+    turns = {"b": {"after": (90.0, -90.0)}, "c": {"before": (80.0, 70.0, 90.0)}}
+    chained = ordered(run, turns, c="b")
+    assert np.all(chained.order.before("c", run.held_out["c"], ASKED).place == 0.0)
+    motion = Trace.from_arrays(np.arange(9) / 10, 100.0 + np.arange(9), 0.7)
+    after = chained.order.ending("b", motion, ASKED)  # a new motion, after all of the file
+    np.testing.assert_allclose(after.place, 1.0)
+    tests = dict(chained.manifest.settings.tests)
+    tests["c"] = tests["c"].model_copy(update={"file": tests["b"].file})
+    settings = chained.manifest.settings.model_copy(update={"tests": tests})
+    order = replace(chained, manifest=chained.manifest.changed(settings=settings)).order
+    assert order._between("b", "c") == (80.0, 70.0, 90.0)
+    assert chained.order._between("b", "c") == (90.0, -90.0, 80.0, 70.0, 90.0)
+    assert chained.order._between("b", "") == (90.0, -90.0)
 
 
 def test_a_prediction_says_which_test_it_follows(run):
