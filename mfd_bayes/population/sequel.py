@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.model import Model
+from mfd_bayes.population.population import Population
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -82,6 +83,22 @@ def ending_of(
     """
     theta = model.theta(values)
     return Ending(test, theta, model.end(theta, trace, values["start"], scales=scales))
+
+
+def pooled_values(population: Population, j: int, shared: Mapping[str, Array]) -> dict[str, Array]:
+    """Quantities of calibrated test j as pooled with the others, by name, (n,) each.
+
+    Parameters
+    ----------
+    population : Population
+    j : int
+    shared : mapping of str to (chain, draw)
+        What tests share; the start in the gap is added, where it was inferred.
+    """
+    found = {name: np.ravel(values).astype(np.float64) for name, values in shared.items()}
+    if population.starts is not None:
+        found["start"] = population.starts[..., j].ravel()
+    return found
 
 
 def told(source: str, before: Ending | None) -> str:

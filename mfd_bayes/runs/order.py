@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.kinds import THIS_TEST
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Forecast, Predictor
-from mfd_bayes.population.sequel import Ending, ending_of
+from mfd_bayes.population.sequel import Ending, ending_of, pooled_values
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.folder import check_stored, pooled_of
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.store.netcdf import load_arrays
+
+Array = NDArray[np.float64]
 
 NO_GAP = "after is without effect: the model of the run has no gap in which a motion could begin"
 
@@ -30,12 +37,29 @@ class Order:
     motions : mapping of str to Trace
         Those that are predicted: held out, or left out.
     predictor : Predictor
+    pooled : callable
+        Quantities of a test with a posterior as pooled with the others, by its id; empty where
+        that is not known.
     """
 
     manifest: Manifest
     tests: Mapping[str, TestResult]
     motions: Mapping[str, Trace]
     predictor: Predictor
+    pooled: Callable[[str], Mapping[str, Array]] = lambda _: {}
+
+    def values(self, name: str) -> Mapping[str, Array]:
+        """Draws of all quantities of a test with a posterior, (m,) each, with its start.
+
+        As pooled with the others: a short motion by itself says little of the gap. What is not
+        sampled is as in the test's own posterior, which is taken where nothing is pooled.
+        """
+        test = self.tests[name]
+        own, pooled = test.stored.values(), self.pooled(name)
+        if not pooled or ("start" in test.posterior.names and "start" not in pooled):
+            return own
+        size = len(next(iter(pooled.values())))
+        return {**{k: np.full(size, np.median(v)) for k, v in own.items()}, **pooled}
 
     def before(self, test: str, trace: Trace, forecast: Forecast) -> Ending | None:
         """Where a test of the campaign begins; None where nothing is known of that."""
@@ -116,7 +140,7 @@ class Order:
         """Where a test ended: by its posterior, or as it is predicted after the one before."""
         model = self.predictor.model
         if name in self.tests:
-            values = self.tests[name].stored.values()
+            values = self.values(name)
             total = len(values["start"])
             pick = np.linspace(0, total - 1, min(forecast.draws, total)).astype(np.intp)
             taken = {quantity: draws[pick] for quantity, draws in values.items()}
@@ -130,3 +154,22 @@ class Order:
         values = self.predictor.values(self.predictor.begun(trace, asked, drawn))
         found = ending_of(model, name, trace, values, drawn.scales or None)
         return replace(found, predicted=True)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPooled:
+    """The pooled quantities of the tests that a run folder holds; called with a test's id."""
+
+    folder: Path
+    manifest: Manifest
+    population: Population
+    tests: tuple[str, ...]
+
+    def __call__(self, name: str) -> Mapping[str, Array]:
+        """Quantities by name, (n,) each; empty where an earlier version has stored none."""
+        file = pooled_of(name)
+        if not (self.folder / file).is_file():
+            return {}
+        values, _ = load_arrays(check_stored(self.folder, file, self.manifest.files or {}))
+        shared = {k: values[k] for k in self.population.layout.names}
+        return pooled_values(self.population, self.tests.index(name), shared)

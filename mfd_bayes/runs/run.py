@@ -31,7 +31,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs import asked
 from mfd_bayes.runs.folder import POPULATION, check_stored
 from mfd_bayes.runs.manifest import Manifest
-from mfd_bayes.runs.order import NO_GAP, Order
+from mfd_bayes.runs.order import NO_GAP, Order, StoredPooled
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
@@ -129,7 +129,8 @@ class Run:
     @cached_property
     def order(self) -> Order:
         """Which tests follow each other without a reset, and where they end."""
-        return Order(self.manifest, self.tests, self.held_out, self._predictor())
+        pooled = StoredPooled(self.folder, self.manifest, self.population, tuple(self.tests))
+        return Order(self.manifest, self.tests, self.held_out, self._predictor(), pooled)
 
     def predict(
         self,

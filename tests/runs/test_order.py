@@ -61,6 +61,21 @@ def test_a_test_begins_where_the_posterior_of_the_one_before_ends(run):
     assert chained.order.before("b", trace, ASKED) is None
 
 
+def test_the_test_before_is_known_as_pooled_with_the_others_where_that_is_stored(run):
+    own = run.order.values("b")
+    np.testing.assert_array_equal(own["start"], run.tests["b"].stored.values()["start"])
+    pooled = {name: np.full(7, 0.25) for name in ("start", "d2", "Fc_fwd")}
+    found = replace(run.order, pooled={"b": pooled}.get).values("b")
+    assert all(column.shape == (7,) for column in found.values())
+    assert set(found) == set(own)
+    np.testing.assert_array_equal(found["d2"], pooled["d2"])
+    np.testing.assert_array_equal(found["v_s"], np.median(own["v_s"]))
+    # a version that did not keep the starts of the tests
+    del pooled["start"]
+    older = replace(run.order, pooled={"b": pooled}.get).values("b")
+    np.testing.assert_array_equal(older["d2"], own["d2"])
+
+
 def test_what_the_windows_leave_out_moves_the_device_in_between(run):
     trace = run.held_out["c"]
     for turns, place in (
