@@ -52,11 +52,11 @@ def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, f
     (found,) = contradicted_starts(with_start(run, start, first))
     assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
     assert found.sentence.startswith("the test begins at 0.20 [0.1")
-    assert "test a ended at 1.00 [1.00, 1.00]: was the device reset, or moved" in found.sentence
+    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in found.sentence
     assert not found.spoils
 
 
-@pytest.mark.parametrize(("start", "first"), [(1.0, 1.0), (0.0, -1.0)])
+@pytest.mark.parametrize(("start", "first"), [(1.0, 1.0), (0.0, -1.0), (0.88, 1.0)])
 def test_a_start_where_the_test_before_ended_is_none(run, start, first):
     assert contradicted_starts(with_start(run, start, first)) == []
 
