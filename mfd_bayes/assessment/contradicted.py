@@ -39,7 +39,8 @@ def contradicted_starts(run: Run) -> list[Finding]:
             sentence = (
                 f"the test begins at {middle:.2f} [{low:.2f}, {high:.2f}] of its gap (0: slip "
                 f"backward, 1: slip forward), but test {after} ended at {ended:.2f} "
-                f"[{lowest:.2f}, {highest:.2f}]: check whether the device was reset or moved in between"
+                f"[{lowest:.2f}, {highest:.2f}]: check whether the device was reset or moved in "
+                "between"
             )
             found.append(Finding(name, "start in the gap", sentence, stage="results"))
     return found
