@@ -67,17 +67,19 @@ def held_out_rows(run: Run, name: str, trace: Trace, damper: Band) -> tuple[Deri
 
 
 def predicted_rows(
-    run: Run, trace: Trace, band: Band, told: Trace | None = None
+    run: Run, trace: Trace, band: Band, told: Trace | None = None, after: str = ""
 ) -> tuple[DerivedRow, ...]:
     """Derived quantities of a prediction, with intervals of the band's probability.
 
     A band of kind "observation" holds offset and noise, which are not the damper's; its
     derived quantities are those of kind "new_test". `trace` is the band's, with a force
-    where one was measured; `told` has the force of a given part.
+    where one was measured; `told` has the force of a given part. `after` is the test that the
+    motion follows without a reset.
     """
     if band.kind == "observation":
         window = band.given.window if band.given else None
-        band = run.predict(told or trace, "new_test", band.probability, given=window)
+        asked = told or trace, "new_test", band.probability
+        band = run.predict(*asked, given=window, after=after)
     drawn, known = _drawn(run, trace, band), _measured(trace)
     return _rows(("", band.kind), drawn, known, full_strokes(trace), band.probability)
 

@@ -26,6 +26,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.population.predict import Forecast
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import US
@@ -107,8 +108,10 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
     session = run.session(name)
-    band = run.predict(trace, "observation", draws=800, session=session, explain=ORDERS)
-    damper = run.predict(trace, kind="new_test", draws=800, session=session)
+    before = run.order.before(name, trace, Forecast(draws=800, session=session))
+    asked: dict[str, Any] = {"draws": 800, "session": session, "after": before or ""}
+    band = run.predict(trace, "observation", explain=ORDERS, **asked)
+    damper = run.predict(trace, kind="new_test", **asked)
     return TestView(
         id=name,
         role="validate",
@@ -119,6 +122,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         score=score_of(name, "validate", trace, band.draws, 0),
         derived=held_out_rows(run, name, trace, damper),
         shares=band.shares,
+        begun=before.words if before else "",
     )
 
 

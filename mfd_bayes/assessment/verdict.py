@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from mfd_bayes.assessment.checks import CALIBRATION, convergence_checks, exponent_checks
+from mfd_bayes.assessment.contradicted import contradicted_starts
 from mfd_bayes.assessment.judgement import judge, use_of
 from mfd_bayes.assessment.law_choices import law_choices
 from mfd_bayes.assessment.laws import law_rows, law_views
@@ -93,9 +94,9 @@ def _all_checks(
 
 
 def _warnings(run: Run) -> tuple[Finding, ...]:
-    """Warnings about the records, and tests that stand apart in the results."""
+    """Warnings about the records, and tests that stand apart or contradict the one before."""
     before = [found for found in run.manifest.warnings if found.stage == "records"]
-    return (*before, *odd_tests(run))
+    return (*before, *odd_tests(run), *contradicted_starts(run))
 
 
 def fails(view: CampaignView) -> bool:

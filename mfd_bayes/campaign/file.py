@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
 from mfd_bayes.campaign.content import read_content
 from mfd_bayes.campaign.goal import wanted_of
+from mfd_bayes.campaign.order import Part, check_order, check_parts
 from mfd_bayes.campaign.schema import (
     Column,
     Columns,
@@ -51,6 +53,8 @@ class Test:
     """Role to its source, where the campaign file gives one."""
     session: str = ""
     """Tests of one session were made together, with nothing changed in between."""
+    after: str = ""
+    """Id of the test that was made directly before it, the device not reset in between."""
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
@@ -87,6 +91,11 @@ class Campaign:
     actuation_unit: ActuationUnit
     """The same for all tests."""
 
+    def since(self, test: Test) -> float:
+        """Time in a test's file at which the test before it ended, s, if it is in the same file."""
+        same = (t for t in self.tests if t.id == test.after and t.path == test.path)
+        return max((t.window[1] for t in same if t.window), default=-math.inf)
+
 
 def load_campaign(
     path: str | Path, model: ModelName | None = None, noise: NoiseName | None = None
@@ -109,7 +118,8 @@ def load_campaign(
     CampaignError
         When the file is not TOML, a key is unknown, missing or of the wrong kind, two tests
         share an id, a test's file is missing or outside the campaign's folder, actuations mix
-        pressures and forces or a force has an area, or no test has the role "calibrate".
+        pressures and forces or a force has an area, no test has the role "calibrate", or tests
+        follow each other as they cannot.
     RecordError
         When a test file that must be read for its row of units cannot be read.
     """
@@ -121,6 +131,9 @@ def load_campaign(
         raise CampaignError(f"cannot read {path}: {error}") from error
     tests = tuple(_test(path, folder, content.columns, entry) for entry in content.test)
     _check_together(path, tests, content.campaign.area)
+    after = {test.id: test.after for test in tests}
+    check_order(path, after)
+    check_parts(path, after, {test.id: Part(test.path, test.window) for test in tests})
     wanted_of(path, content.goal, tests[0].actuation_unit)
     return Campaign(
         path=path,
@@ -160,6 +173,7 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
         role=entry.role,
         columns={role: _source(c) for role, c in chosen.items() if c is not None},
         session=entry.session,
+        after=entry.after,
     )
 
 

@@ -220,6 +220,7 @@ class Entry(Part):
     role: Role = "calibrate"
     columns: Columns = Columns()
     session: Annotated[str, Field(max_length=100)] = ""
+    after: Annotated[str, Field(max_length=100)] = ""
 
 
 class Wish(Part):

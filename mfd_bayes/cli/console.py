@@ -97,6 +97,9 @@ def print_plan(plan: Plan) -> None:
     samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
     say(f"{plan.campaign.path} is fine: would calibrate {samples}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
+    follow = [f"{name} after {other}" for name, other in plan.manifest.settings.order.items()]
+    if follow:
+        say(f"without a reset: {', '.join(follow)}")
     print_warnings(warnings_of(plan))
 
 

@@ -62,6 +62,10 @@ def predict(
             help="The time in which the file's force is used.",
         ),
     ] = "",
+    after: Annotated[
+        str,
+        typer.Option(metavar="ID", help="The test before, where the device was not reset."),
+    ] = "",
     force: arguments.Replace = False,
     units: arguments.Units = None,
     quiet: arguments.Quiet = False,
@@ -79,7 +83,9 @@ def predict(
     ..._design.csv. --recalibrate is for --kind observation and needs a run of
     crossvalidate; --explain takes some seconds. --given uses the force in a
     part of the motion's file, for the kinds new_test and observation: the band of
-    the rest is narrower, and the tables and pictures mark the part.
+    the rest is narrower, and the tables and pictures mark the part. --after names
+    a test of the run that was made directly before, with no reset in between: the
+    motion begins where in its gap that test ended.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
@@ -105,6 +111,7 @@ def predict(
         design=design,
         force=force,
         given=given,
+        after=after,
     )
     with mistakes():
         answer = pipeline.predict(out, question)
@@ -113,8 +120,7 @@ def predict(
         console.say(f"warning: {remark}", err=True)
     console.say(
         f"{band.interval} {console.in_percent(band.probability)} % band of kind {band.kind} "
-        f"({answer.name}), from "
-        f"{band.source}: {bands} and {bands.with_suffix('.png')}"
+        f"({answer.name}), from {band.source}: {bands} and {bands.with_suffix('.png')}"
     )
     if answer.compared is not None:
         console.say(answer.compared.sentence(answer.system))

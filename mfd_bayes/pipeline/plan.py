@@ -127,7 +127,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     for test in campaign.tests:
         record = _read(campaign, test)
         traces[test.id] = trace = record.trace(campaign.rate, gap=priors.gap)
-        entries[test.id] = _entry(test, record, trace)
+        entries[test.id] = _entry(campaign, test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
         whole = record.trace()
         faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
@@ -176,6 +176,7 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
             fit=test.window,
             session=test.session,
             columns={role: _stored(source) for role, source in test.columns.items()},
+            **({"after": test.after} if test.after else {}),
         )
         for test in campaign.tests
     }
@@ -245,8 +246,9 @@ def _read(campaign: Campaign, test: Test) -> Record:
     return record
 
 
-def _entry(test: Test, record: Record, trace: Trace) -> Entry:
-    return Entry(
+def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entry:
+    before, after = record.around(trace, campaign.since(test))
+    entry = Entry(
         role=test.role,
         status=State.WAITING,
         samples=trace.samples,
@@ -255,6 +257,7 @@ def _entry(test: Test, record: Record, trace: Trace) -> Entry:
         unit=record.columns["displacement"][1],
         derived=record.derived,
     )
+    return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 
 
 def _checks_noise(campaign: Campaign, options: Options) -> bool:

@@ -66,6 +66,11 @@ def predict(out: Path, question: Question) -> Answer:
             "--design cannot be combined with --given: its properties are those of any test, not "
             "of the one whose first part is given"
         )
+    if question.after and question.design:
+        raise CampaignError(
+            "--design cannot be combined with --after: its properties are those of any test, not "
+            "of one that follows another"
+        )
     check_question(question)
     run = open_run(out)
     system = named_system(question.units, run.system)
@@ -76,7 +81,7 @@ def predict(out: Path, question: Question) -> Answer:
     drawn = told if question.compare else trace
     with reading(run.folder, run.manifest):
         band = _band(run, told if question.given else trace, question)
-        rows = predicted_rows(run, drawn, band, told)
+        rows = predicted_rows(run, drawn, band, told, question.after)
         narrow = design_warnings(run) if question.design else ()
         bounds = design_rows(run, trace, question.probability) if question.design else ()
     band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
@@ -99,6 +104,7 @@ def _band(run: Run, trace: Trace, question: Question) -> Band:
         recalibrate=question.recalibrate,
         explain=question.explain,
         given=question.window,
+        after=question.after,
     )
 
 

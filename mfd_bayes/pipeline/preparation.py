@@ -164,7 +164,7 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     records = [test.read() for test in campaign.tests]
     priors = load_priors(campaign.priors, campaign.folder)
     for test, record in zip(campaign.tests, records, strict=True):
-        found.append(inspect_record(test.id, record, priors.gap))
+        found.append(_followed(inspect_record(test.id, record, priors.gap), test.after))
         if (one := tested_of(test, record, found[-1].trace)) is not None:
             tested.append(one)
     together = findings_together(tested, priors, campaign.model)
@@ -172,6 +172,12 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
         replace(one, faults=(*one.faults, *(f for name, f in together if name == one.name)))
         for one in found
     ], records
+
+
+def _followed(inspection: Inspection, after: str) -> Inspection:
+    """The inspection of a test with the test that it follows, if it does."""
+    told = {"follows": f"test {after}, without a reset"} if after else {}
+    return replace(inspection, facts={**inspection.facts, **told})
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,8 @@ class Question:
         Whether mean and bounding properties are computed too.
     given : str
         Part of the record in which the force in the motion's file is known: "0 s to 3 s".
+    after : str
+        Id of the test of the run that the motion follows without a reset.
     force : bool
         Whether files of other programs are replaced.
     """
@@ -77,6 +79,7 @@ class Question:
     design: bool = False
     force: bool = False
     given: str = ""
+    after: str = ""
 
     @property
     def window(self) -> tuple[float, float] | None:

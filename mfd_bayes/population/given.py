@@ -23,6 +23,7 @@ from mfd_bayes.population.pace import Counted, Counting, Pace
 from mfd_bayes.population.predict import Band, Forecast, Predictor
 from mfd_bayes.population.prior_of_test import TestPrior, start_of
 from mfd_bayes.population.residual import Residual, slip_force_of
+from mfd_bayes.population.sequel import left_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.tempering import systematic, temper
 from mfd_bayes.population.unshared import scales_of
@@ -216,7 +217,7 @@ def predict_given(
     setting = setting_of(trace, forecast.session)
     part = given_part(trace, window, pace.step(setting.covariates["velocity"]))
     rng = np.random.default_rng(forecast.seed)
-    left = partial(predictor.left_by, trace=trace)
+    left = partial(left_of, predictor.population, predictor.model, trace=trace)
     prior = TestPrior.of(predictor.population, setting, rng, TRIED, left)
     counting = counting_of(predictor, prior, pace, setting)
     problem = GivenProblem(predictor, prior, part, setting.actuation, counting)

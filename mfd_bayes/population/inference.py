@@ -34,9 +34,9 @@ from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.pilot import fit_pilot
 from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
+from mfd_bayes.population.sequel import left_by
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.sharing import share
-from mfd_bayes.population.starts import left_by
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 

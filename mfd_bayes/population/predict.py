@@ -20,10 +20,10 @@ from mfd_bayes.population.kinds import KINDS
 from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
+from mfd_bayes.population.sequel import Ending, left_of, told
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
 from mfd_bayes.population.shown import ShownBand
-from mfd_bayes.population.starts import left_by
 from mfd_bayes.population.unshared import scales_of, unknown_of
 from mfd_bayes.population.whole import whole_band
 from mfd_bayes.records.numbers import whole_number
@@ -47,6 +47,8 @@ class Forecast:
         Whether a band of the whole history is computed too.
     permutations : int
         Orders of sources for `Band.shares`; 0 for none.
+    before : Ending, optional
+        Of the test that the motion follows without a reset.
 
     Raises
     ------
@@ -61,6 +63,7 @@ class Forecast:
     session: str = ""
     whole: bool = False
     permutations: int = 0
+    before: Ending | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -172,17 +175,30 @@ class Predictor:
             When the force is too large for a number.
         """
         rng = np.random.default_rng(forecast.seed)
+        drawn = self.begun(trace, forecast, self.draw(trace, forecast, rng))
+        scatter = "" if forecast.kind == "device" else " with scatter"
+        return self.finish(trace, forecast, drawn, rng, f"population laws{scatter}")
+
+    def draw(self, trace: Trace, forecast: Forecast, rng: np.random.Generator) -> Drawn:
+        """Drawn tests under a motion, with all but their noise, which begin anywhere."""
         index = rng.choice(self.population.size, size=forecast.draws)
-        scattered = forecast.kind != "device"
-        setting = setting_of(trace, forecast.session)
+        setting, scattered = setting_of(trace, forecast.session), forecast.kind != "device"
         parts = self.population.draw_parts(setting, index, rng, scattered=scattered)
-        source = "population laws" + (" with scatter" if scattered else "")
-        return self.finish(trace, forecast, self._drawn(trace, parts, index, rng), rng, source)
+        return self._drawn(trace, parts, index, rng)
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def begun(self, trace: Trace, forecast: Forecast, drawn: Drawn) -> Drawn:
+        """Drawn tests that begin where the one before ended, if there is one."""
+        if forecast.before is None or not self.model.has_gap:
+            return drawn
+        theta = self.model.theta(self.values(drawn))
+        start = forecast.before.starts(self.model, theta, trace, forecast.seed)
+        return replace(drawn, unknown={**drawn.unknown, "start": start})
 
     def repeat(self, trace: Trace, forecast: Forecast, own: Mapping[str, Array]) -> Band:
         """Band of the force of one calibrated test under a motion: the kind `this_test`.
 
-        The place in the gap at the start of the motion is taken as unknown.
+        The place in the gap at the start is unknown, unless a test is before it.
 
         Parameters
         ----------
@@ -204,7 +220,7 @@ class Predictor:
         level = layout.coordinates.of({name: own[name][pick] for name in layout.names})
         level = (level - layout.centre) / layout.spread
         parts = Parts(level, np.zeros_like(level), np.zeros_like(level))
-        drawn = self._drawn(trace, parts, index, rng)
+        drawn = self.begun(trace, forecast, self._drawn(trace, parts, index, rng))
         return self.finish(trace, forecast, drawn, rng, "posterior draws of this test")
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -212,9 +228,8 @@ class Predictor:
         self, trace: Trace, parts: Parts, index: NDArray[np.intp], rng: np.random.Generator
     ) -> Drawn:
         """Drawn tests of these parts, with all but their noise; index are their draws of laws."""
-        setting = setting_of(trace)
-        left = self.left_by(self.population.values(parts), trace)
-        unknown = unknown_of(self.population, len(index), rng, setting, left)
+        left = left_of(self.population, self.model, self.population.values(parts), trace)
+        unknown = unknown_of(self.population, len(index), rng, setting_of(trace), left)
         level, history = trace.reference_actuation, np.asarray(trace.actuation)
         scales = scales_of(self.population, history, level, index) if trace.varying else {}
         residual = self.population.residual
@@ -237,7 +252,7 @@ class Predictor:
             drawn = replace(drawn, noise=self.draw_noise(rng, trace, values))
         force, _ = self.total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
-        band = band_of(trace.time, force, forecast, source, values)
+        band = band_of(trace.time, force, forecast, told(source, forecast.before), values)
         return replace(band, shares=self._shares(trace, drawn, forecast))
 
     def _shares(self, trace: Trace, drawn: Drawn, forecast: Forecast) -> dict[str, float]:
@@ -261,8 +276,7 @@ class Predictor:
 
     def force(self, trace: Trace, drawn: Drawn) -> Array:
         """The damper's force with the discrepancy of the model, (n, T), kip."""
-        values = self.values(drawn)
-        theta = self.model.theta(values)
+        theta = self.model.theta(values := self.values(drawn))
         check_magnitude("a predicted parameter", theta, RANGE)
         force = self.model.force_unbounded(
             theta, trace, values.get("start"), scales=drawn.scales or None
@@ -273,16 +287,6 @@ class Predictor:
         slip = slip_force_of(self.model, values)
         return force + residual.discrepancy(trace, slip, drawn.discrepancy)
 
-    def left_by(self, values: Mapping[str, Array], trace: Trace) -> float | None:
-        """Place at which a motion leaves the typical one of tests with these quantities (n,)."""
-        population = self.population
-        if population.left is None:
-            return None
-        others = {name: prior.typical for name, prior in population.priors.items()}
-        middle = {"gamma1": 1.0, **others, **{k: float(np.median(v)) for k, v in values.items()}}
-        theta = self.model.theta({name: np.array([value]) for name, value in middle.items()})
-        return left_by(self.model, theta, trace)
-
     def draw_noise(
         self, rng: np.random.Generator, trace: Trace, values: Mapping[str, Array]
     ) -> Array:
@@ -290,9 +294,7 @@ class Predictor:
         residual = self.population.residual
         if residual is not None:
             return residual.draw_noise(rng, trace, values["noise_sd"])
-        travel = self._travel(trace, values) if self.noise.needs_travel else None
+        theta, travel = self.model.theta(values), None
+        if self.noise.needs_travel:
+            travel = self.model.travel(theta, trace, values.get("start"))
         return self.noise.draw(rng, trace.time, values, travel)
-
-    def _travel(self, trace: Trace, values: Mapping[str, Array]) -> Array:
-        """Travel since the last turn, (n, T), in."""
-        return self.model.travel(self.model.theta(values), trace, values.get("start"))

@@ -12,15 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, softmax
 
-from mfd_bayes.friction.model import Model
-from mfd_bayes.records.trace import Trace
-
 Array = NDArray[np.float64]
 
 SHAPES = np.geomspace(1.0, 100.0, 41)
 """Equally probable shapes a of the starts' density: from anywhere (1) to one place."""
-
-_RETURN = 16  # samples of the way back to the first displacement
 
 
 def start_density(a: Array, mode: Array) -> tuple[Array, Array]:
@@ -57,31 +52,3 @@ def _log_likelihood(begun: Array, places: Array) -> Array:
     alpha, beta = start_density(SHAPES[:, None], places)
     log = np.log(begun) @ (alpha - 1.0).T + np.log1p(-begun) @ (beta - 1.0).T
     return np.asarray(log - betaln(alpha, beta).sum(axis=1))
-
-
-def left_by(model: Model, theta: Array, trace: Trace) -> float | None:
-    """Place, as a `start` of it, at which a motion leaves a device with theta (1, p).
-
-    The device goes straight back to the first displacement of the motion. None for a model that
-    does not say where a motion ends.
-    """
-    if type(model).end is Model.end:
-        return None
-    place = model.end(theta, _there_and_back(trace))
-    return float(np.clip(model.start_at(place, trace)[0], 0.0, 1.0))
-
-
-def _there_and_back(trace: Trace) -> Trace:
-    """The motion with a straight way back to its first displacement."""
-    first, last = trace.displacement[[0, -1]]
-    if abs(last - first) <= trace.hysteresis:
-        return trace
-    step = float(np.median(np.diff(trace.time)))
-    back = np.linspace(last, first, _RETURN + 1)[1:]
-    after = trace.time[-1] + step * np.arange(1, _RETURN + 1)
-    level = trace.actuation
-    if trace.varying:
-        level = np.append(np.asarray(level), np.full(_RETURN, np.asarray(level)[-1]))
-    time, displacement = np.append(trace.time, after), np.append(trace.displacement, back)
-    known = None if np.any(np.isnan(level)) else level
-    return Trace.from_arrays(time, displacement, known, hysteresis=trace.hysteresis)

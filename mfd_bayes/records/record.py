@@ -100,6 +100,22 @@ class Record:
         """Number of turning points."""
         return _turns(self.displacement).size
 
+    def around(
+        self, trace: Trace, since: float = -math.inf
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Displacements at both ends and the turns of what a trace of it leaves out, in.
+
+        First of what comes before the trace, since a time in s, then of what comes after it; empty
+        where all of the record is in it.
+        """
+        if self.fit is None:
+            return (), ()
+        early = (self.time > since) & (self.time < trace.time[0])
+        parts = (early, self.time > trace.time[-1])
+        left = [self.displacement[part] for part in parts]
+        before, after = (x[[0, *_turns(x), -1]] if x.size else x for x in left)
+        return tuple(before.tolist()), tuple(after.tolist())
+
     def trace(
         self, rate: float | None = None, *, window: Window | None = None, gap: float | None = None
     ) -> Trace:

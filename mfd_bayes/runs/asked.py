@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +12,13 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.predict import Band, Forecast
 from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
+from mfd_bayes.population.sequel import Ending
 from mfd_bayes.population.setting import same_level
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.tested import Departure
+from mfd_bayes.runs.verdict import Use
 
 
 def left_out_factors(manifest: Manifest, folder: Path, forecast: Forecast) -> tuple[float, ...]:
@@ -88,8 +92,14 @@ def check_level(name: str, own: Trace, asked: Trace, unit: str) -> None:
         )
 
 
-def check_given(test: str, *, recalibrate: bool) -> None:
+def check_given(test: str, after: str | Ending, *, recalibrate: bool) -> None:
     """Refuse what a given part cannot be combined with."""
+    if after:
+        name = after.test if isinstance(after, Ending) else after
+        raise FitError(
+            f"after ({name!r}) cannot be combined with given: the given part itself shows where "
+            "in its gap the device stands"
+        )
     if recalibrate:
         raise FitError(
             "recalibrate cannot be combined with given: the tests that were left out were "
@@ -99,3 +109,21 @@ def check_given(test: str, *, recalibrate: bool) -> None:
         raise FitError(
             f"given cannot be combined with a calibrated test ({test!r}): it shows one new test"
         )
+
+
+def sentence_of(manifest: Manifest, system: System) -> str:
+    """Sentence of the verdict in the run's own units; stored are internal ones."""
+    return system.reworded(manifest.verdicts.get("sentence", ""))
+
+
+def remarks_of(
+    left: Iterable[Departure], manifest: Manifest, system: System, *, widened: bool
+) -> tuple[str, ...]:
+    """Reasons to trust a prediction less: where it leaves the tested range, an unusable run.
+
+    Bands of a new test are `widened` outside the tested range.
+    """
+    remarks = [departure.sentence(system, widened=widened) for departure in left]
+    if manifest.verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote
+        remarks.append(f"the run is not usable as it is: {sentence_of(manifest, system)}")
+    return tuple(remarks)

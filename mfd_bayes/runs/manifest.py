@@ -51,6 +51,9 @@ class Entry(Part):
     """The record's unit of displacement."""
     derived: Mapping[str, str] = Field(default_factory=dict)
     """Role to what the signal was made of, in words, where it is more than a column."""
+    before: tuple[Figure, ...] = ()
+    after: tuple[Figure, ...] = ()
+    """Displacements, in, at the ends and turns of the record before and after its fit window."""
     seconds: Figure = 0.0
     error: str = ""
 
@@ -110,6 +113,9 @@ class Manifest(Part):
         unknown = set(self.tests) - set(self.settings.tests)
         if unknown:
             raise ValueError(f"its settings do not include test {min(unknown)!r}")
+        followed = set(self.settings.order.values()) - set(self.tests)
+        if followed:
+            raise ValueError(f"its tests do not include {min(followed)!r}, which another follows")
         for name in self.truth.tests if self.truth else ():
             entry = self.tests.get(name)
             if entry is None or entry.rate is None or entry.record_rate is None:

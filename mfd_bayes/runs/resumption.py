@@ -34,7 +34,7 @@ _SAME = ("settings", "inputs", "seed", "effort", "versions")
 _MAY_CHANGE = ("settings", "inputs")
 """Those of them that may change as far as they do not concern the tests' posteriors."""
 
-ALL, TESTS = "all", "tests"
+ALL, POPULATION_TOO, TESTS = "all", "tests and population", "tests"
 
 _POPULATION_ONLY = ("laws", "dependence")
 """Settings that concern the population alone."""
@@ -66,7 +66,8 @@ def prepare_folder(
     """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
 
     Where only what concerns the population has changed (laws, dependence, sessions, priors of
-    scatter), the tests' posteriors are kept, and nothing that rests on the population.
+    scatter), the tests' posteriors are kept, and nothing that rests on the population. Where only
+    the order of the tests has changed, all is kept but the tests that were left out.
 
     Parameters
     ----------
@@ -112,10 +113,11 @@ def prepare_folder(
     _refuse_changes(manifest, before, out, () if same is None else _MAY_CHANGE)
     files = _kept_files(manifest.tests, out, before.files or {})
     kept = _with_results(manifest, before).changed(files=files)
-    if same == TESTS:
+    if same in (TESTS, POPULATION_TOO):
         shutil.rmtree(out / CROSSVALIDATED, ignore_errors=True)
-        return kept, None
-    return kept, before
+    if same == POPULATION_TOO and before.crossvalidation is not None:
+        before = before.changed(crossvalidation=None)
+    return kept, None if same == TESTS else before
 
 
 def _refuse_changes(
@@ -135,9 +137,10 @@ def _refuse_changes(
 def _same_parts(
     manifest: Manifest, before: Manifest, out: Path, priors: PriorFile | None
 ) -> str | None:
-    """What rests on the same inputs as before: `ALL`, or `TESTS`; None where nothing is known to.
+    """What rests on the same inputs as before; None where nothing is known to.
 
-    The campaign and the prior file may differ in what neither depends on, such as a comment.
+    `ALL`; or `POPULATION_TOO`, which is all but predictions of what was left out; or `TESTS` alone.
+    The campaign and the prior file may differ in what none depends on, such as a comment.
     """
     earlier = _stored_priors(out, before)
     if priors is None or earlier is None:
@@ -145,7 +148,9 @@ def _same_parts(
     old, new = before.content, json.loads(json_text(manifest.content))
     if _of_tests(old, earlier) != _of_tests(new, priors):
         return None
-    return ALL if _of_population(old, earlier) == _of_population(new, priors) else TESTS
+    if _of_population(old, earlier) != _of_population(new, priors):
+        return TESTS
+    return ALL if _order(old) == _order(new) else POPULATION_TOO
 
 
 def _stored_priors(out: Path, before: Manifest) -> PriorFile | None:
@@ -161,7 +166,7 @@ def _of_tests(content: Mapping[str, Any], priors: PriorFile) -> tuple[object, ..
     settings = content["settings"]
     rest = {k: v for k, v in settings.items() if k not in ("tests", "priors", *_POPULATION_ONLY)}
     tests = {
-        name: {k: v for k, v in test.items() if k != "session"}
+        name: {k: v for k, v in test.items() if k not in ("session", "after")}
         for name, test in settings["tests"].items()
     }
     files = {str(test.get("file")) for test in tests.values()}
@@ -177,6 +182,12 @@ def _of_population(content: Mapping[str, Any], priors: PriorFile) -> tuple[objec
     sessions = {name: test.get("session", "") for name, test in settings["tests"].items()}
     scatter = {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()}
     return tuple(settings.get(key) for key in _POPULATION_ONLY), sessions, scatter
+
+
+def _order(content: Mapping[str, Any]) -> dict[str, str]:
+    """Which test follows which, of a manifest's content: predictions rest on it."""
+    tests = content["settings"]["tests"]
+    return {name: test["after"] for name, test in tests.items() if test.get("after")}
 
 
 def _with_results(manifest: Manifest, before: Manifest) -> Manifest:

@@ -24,16 +24,17 @@ from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Band, Forecast, Predictor
+from mfd_bayes.population.sequel import Ending
 from mfd_bayes.population.setting import planned_setting
 from mfd_bayes.population.shares import PERMUTATIONS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.asked import check_given, check_level, left_out_factors, recalibrated, this_test
+from mfd_bayes.runs import asked
 from mfd_bayes.runs.folder import POPULATION, check_stored
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.order import NO_GAP, Order, StoredPooled
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
-from mfd_bayes.runs.verdict import Use
 from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given
 from mfd_bayes.store.cards import counted, grid
 
@@ -66,7 +67,8 @@ class Run:
         judged = self.manifest.verdicts
         rows = ((name, judged.get(name, "")) for name in self.tests)
         title = f"{self.manifest.title}: {counted(len(self.tests), 'calibrated test')}"
-        return grid(title, ("test", "may be used"), rows, self._verdict())
+        sentence = asked.sentence_of(self.manifest, self.system)
+        return grid(title, ("test", "may be used"), rows, sentence)
 
     @cached_property
     def population(self) -> Population:
@@ -124,6 +126,12 @@ class Run:
         """Session of a test, "" where the campaign declares none."""
         return self.manifest.settings.tests[name].session
 
+    @cached_property
+    def order(self) -> Order:
+        """Which tests follow each other without a reset, and where they end."""
+        pooled = StoredPooled(self.folder, self.manifest, self.population, tuple(self.tests))
+        return Order(self.manifest, self.tests, self.held_out, self._predictor(), pooled)
+
     def predict(
         self,
         trace: Trace,
@@ -138,6 +146,7 @@ class Run:
         recalibrate: bool = False,
         explain: bool | int = False,
         given: tuple[float, float] | None = None,
+        after: str | Ending = "",
     ) -> Band:
         """Band of the force under any motion and actuation, tested or new.
 
@@ -169,6 +178,8 @@ class Run:
         given : (float, float), s, optional
             Window of the record in which the trace's force is known: the band of all the record,
             given that part, for the kinds `new_test` and `observation`.
+        after : str, optional
+            Id of the test made directly before, the device not reset: its end is the start.
 
         Returns
         -------
@@ -178,26 +189,29 @@ class Run:
         Raises
         ------
         FitError
-            When the trace has no actuation, kind, probability, test or given window is invalid,
-            the trace has no force there, or the run cannot be used to recalibrate.
+            When the trace has no actuation, kind, probability, test, given window or test before
+            is invalid, the trace has no force there, or the run cannot be used to recalibrate.
         """
         if given is not None:
-            check_given(test, recalibrate=recalibrate)
+            asked.check_given(test, after, recalibrate=recalibrate)
         permutations = PERMUTATIONS if explain is True else int(explain)
         forecast = Forecast(kind, probability, draws, seed, session, whole, permutations)
-        scores = left_out_factors(self.manifest, self.folder, forecast) if recalibrate else ()
+        scores = asked.left_out_factors(self.manifest, self.folder, forecast) if recalibrate else ()
         predictor = self._predictor()
+        forecast = self.order.begun(forecast, trace, after) if after else forecast
         if given is not None:
             band = predict_given(predictor, trace, forecast, given, self._pace)
         elif kind == THIS_TEST or test:
-            name = this_test(self.tests, self.held_out, forecast, test)
-            check_level(name, self.tests[name].trace, trace, self.actuation_unit)
+            name = asked.this_test(self.tests, self.held_out, forecast, test)
+            asked.check_level(name, self.tests[name].trace, trace, self.actuation_unit)
             band = predictor.repeat(trace, forecast, self.tests[name].stored.values())
         else:
             band = predictor.predict(trace, forecast)
-        remarks = (*self._remarks(trace, test), *band.remarks)
+        left, gapless = self.departures(trace, test), after and forecast.before is None
+        known = asked.remarks_of(left, self.manifest, self.system, widened=not test)
+        remarks = (*known, *([NO_GAP] if gapless else []), *band.remarks)
         band = replace(band, remarks=remarks, extras=self.extras)
-        return recalibrated(band, scores, self.manifest) if recalibrate else band
+        return asked.recalibrated(band, scores, self.manifest) if recalibrate else band
 
     def respond(
         self, building: Any, grounds: Any, draws: int = 300, seed: int = 1, **settings: Any
@@ -284,17 +298,3 @@ class Run:
     def _predictor(self) -> Predictor:
         some = next(iter(self.tests.values())).posterior
         return Predictor(self.population, some.model, some.noise)
-
-    def _remarks(self, trace: Trace, test: str) -> tuple[str, ...]:
-        """Reasons to trust a prediction less than its band suggests."""
-        left = self.departures(trace, test)
-        widened = not test  # this very test does not change with the motion
-        remarks = [departure.sentence(self.system, widened=widened) for departure in left]
-        verdicts = self.manifest.verdicts
-        if verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote it
-            remarks.append(f"the run is not usable as it is: {self._verdict()}")
-        return tuple(remarks)
-
-    def _verdict(self) -> str:
-        """Sentence of the verdict in the run's own units; stored are internal ones."""
-        return self.system.reworded(self.manifest.verdicts.get("sentence", ""))

@@ -30,6 +30,8 @@ class TestSettings(Part):
     actuation: Any = None
     fit: Any = None
     session: str = ""
+    after: str = ""
+    """Id of the test that was made directly before it, the device not reset in between."""
     columns: Any = None
 
     @property
@@ -60,6 +62,11 @@ class Settings(Part):
     def sessions(self) -> Mapping[str, str]:
         """Session of each test, "" where it has none."""
         return {name: test.session for name, test in self.tests.items()}
+
+    @property
+    def order(self) -> Mapping[str, str]:
+        """The test that each follows without a reset, of those that follow one."""
+        return {name: test.after for name, test in self.tests.items() if test.after}
 
     def inference(self, effort: str, seed: Sequence[int], jobs: int = 1) -> InferenceSettings:
         """Settings of the inference of the population."""

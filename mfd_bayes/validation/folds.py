@@ -9,29 +9,36 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.population.inference import infer_population
+from mfd_bayes.population.apart import joined
+from mfd_bayes.population.inference import Inference, infer_population
 from mfd_bayes.population.predict import Forecast, Predictor
 from mfd_bayes.population.recalibration import factors_of
+from mfd_bayes.population.sequel import pooled_values
 from mfd_bayes.population.setting import Setting, levels_of, setting_of
 from mfd_bayes.population.whole import holds_whole
 from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
 from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.order import Order
 from mfd_bayes.runs.predictions import read_predictions_of
 from mfd_bayes.runs.results import PartKind, Prediction, Score
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import read_json, write_json
 from mfd_bayes.validation.scores import score
+
+Array = NDArray[np.float64]
 
 DRAWS = 800
 """Number of draws of each scored band."""
@@ -222,18 +229,30 @@ def leave_out(
         lambda progress: observe(Step(fold.id, "sampling", progress)),
     )
     found = []
+    motions = {**run.held_out, **{name: run.tests[name].trace for name in fold.left_out}}
     for name in fold.left_out:
         test = run.tests[name]
         posterior = test.posterior
         predictor = Predictor(inference.draws.population, posterior.model, posterior.noise)
         session = run.session(name)
         forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=session)
+        order = Order(run.manifest, others, motions, predictor, partial(_pooled, inference, others))
+        forecast = replace(forecast, before=order.before(name, test.trace, forecast))
         band = predictor.predict(test.trace, forecast)
         force = np.asarray(test.trace.force)
         scores = score(band.draws, force), _fitted(test)
         more = holds_whole(band.draws, force), factors_of(band.draws, force)
         found.append(Prediction(fold.part, name, *scores, *more))
     return tuple(found)
+
+
+def _pooled(inference: Inference, others: Mapping[str, Any], name: str) -> dict[str, Array]:
+    """Quantities of one of the other tests as pooled with them, by name, (n,) each."""
+    population, j = inference.draws.population, list(others).index(name)
+    layout = population.layout
+    draws = joined(layout, j, inference.draws.tests[j])[..., : len(layout.names)]
+    q = (layout.centre + layout.spread * draws).reshape(population.size, -1)
+    return pooled_values(population, j, layout.coordinates.values(q))
 
 
 def _fitted(test: TestResult) -> Score:

@@ -1,10 +1,12 @@
 import json
 import pickle
+import re
 
 import numpy as np
 import pytest
 
 from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.order import check_order
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.records.sources import Source, Subtracted
 
@@ -270,3 +272,77 @@ def test_columns_by_number_and_what_is_taken_off_them(folder):
 def test_columns_that_cannot_be_are_refused(folder, column, expected):
     text = COLUMNS.replace('{ name = "force_kip", unit = "kip" }', column)
     assert expected in refused(folder, text + TEST)
+
+
+def in_order(**after):
+    """Tests with these ids, each after another or after none."""
+    entries = []
+    for name, before in after.items():
+        told = f'after = "{before}"\n' if before else ""
+        file = f'file = "{"b" if name == "b" else "a"}.csv"'
+        entries.append(TEST.replace("p500_f0.05", name).replace('file = "a.csv"', file) + told)
+    return "".join(entries)
+
+
+def test_a_test_may_follow_another_at_another_level_and_in_any_place(folder):
+    text = in_order(c="b", a="", b="a") + 'actuation = "900 psi"\n'
+    text = text.replace('actuation = "500 psi"\nafter = "a"\nactuation', 'after = "a"\nactuation')
+    campaign = load(folder, text)
+    assert {test.id: test.after for test in campaign.tests} == {"a": "", "b": "a", "c": "b"}
+
+
+@pytest.mark.parametrize(
+    ("after", "expected"),
+    [
+        ({"one": "", "two": "on"}, "after of test 'two' in .* another test, got 'on'; did you mea"),
+        ({"one": "", "two": "zzz"}, "after of test 'two' in .* another test, got 'zzz'$"),
+        ({"one": "", "two": "two"}, "after of test 'two' in .* another test, got its own"),
+        ({"a": "", "b": "a", "c": "a"}, "after of test 'c' in .* got 'a', which test 'b' follows"),
+        (
+            {"a": "c", "b": "a", "c": "b"},
+            "after of test 'a' .* a circle: a after c after b after a",
+        ),
+        ({"x": "", "y": "x", "a": "b", "b": "a"}, "after of test 'a' .* circle: a after b after a"),
+    ],
+)
+def test_an_order_that_cannot_be_is_refused_in_one_sentence(folder, after, expected):
+    assert re.search(expected, refused(folder, in_order(**after)))
+
+
+WINDOWS = "0 s to 5 s", "5 s to 9 s"
+
+
+@pytest.mark.parametrize(
+    ("windows", "got"),
+    [
+        ((None, None), "all of the file after all of the file"),
+        (("0 s to 5 s", None), "all of the file after 0 s to 5 s"),
+        (("0 s to 5 s", "4 s to 9 s"), "4 s to 9 s after 0 s to 5 s"),
+    ],
+)
+def test_of_one_file_a_later_part_may_follow(folder, windows, got):
+    def text(*parts):
+        tests = [TEST.replace("p500_f0.05", name) for name in "xy"]
+        tests[1] += 'after = "x"\n'
+        told = [f'fit = "{part}"\n' if part else "" for part in parts]
+        return "".join(f"{test}{fit}" for test, fit in zip(tests, told, strict=True))
+
+    campaign = load(folder, text(*WINDOWS))
+    assert [campaign.since(test) for test in campaign.tests] == [-np.inf, 5.0]
+    assert f"after of test 'y' in {folder / 'c.toml'}" in refused(folder, text(*windows))
+    assert got in refused(folder, text(*windows))
+
+
+def test_a_long_order_is_checked_quickly(folder):
+    names = [f"t{i}" for i in range(3000)]
+    check_order(folder, dict(zip(names, ["", *names[:-1]], strict=True)))
+    with pytest.raises(CampaignError, match="a circle"):
+        check_order(folder, dict(zip(names, [names[-1], *names[:-1]], strict=True)))
+
+
+@pytest.mark.parametrize(("value", "said"), [("3", "valid string, got 3"), ('["a"]', "string")])
+def test_what_a_test_follows_is_one_id(folder, value, said):
+    assert f"test 'p500_f0.05'.after in {folder / 'c.toml'}" in refused(
+        folder, TEST + f"after = {value}\n"
+    )
+    assert said in refused(folder, TEST + f"after = {value}\n")

@@ -11,8 +11,9 @@ import pytest
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.population.sequel import left_by
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.starts import learned_density, left_by
+from mfd_bayes.population.starts import learned_density
 from mfd_bayes.records.trace import Trace
 
 LEFT = np.array([0.2, 0.7, 0.35, 0.6, 0.8, 0.3])

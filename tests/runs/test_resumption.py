@@ -67,6 +67,17 @@ def test_sessions_concern_the_population_alone(plan, out):
     assert manifest.tests["a"].status == "done"
 
 
+def test_an_order_of_the_tests_concerns_predictions_of_what_was_left_out_alone(plan, out):
+    tests = dict(plan.manifest.settings.tests)
+    last, first, *_ = tests
+    tests[last] = tests[last].model_copy(update={"after": first})
+    manifest, before = resume(plan, out, tests=tests)
+    assert manifest.tests[last].status == "done"
+    assert before.status == "finished"  # its population is taken over
+    assert before.crossvalidation is None
+    assert not (out / "crossvalidation").exists()
+
+
 def test_priors_of_scatter_concern_the_population_alone(plan, out):
     scatter = dict(plan.priors.scatter)
     name = next(iter(scatter))

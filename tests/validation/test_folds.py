@@ -1,13 +1,22 @@
 """Parts that are left out: which there are, and as jobs whose scores are stored."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.population.apart import joined
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.validation.folds import FOLDER, Fold, parts_of
+from mfd_bayes.population.storage import save_test_draws
+from mfd_bayes.runs.folder import hash_stored, pooled_of
+from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.order import StoredPooled
+from mfd_bayes.validation import folds
+from mfd_bayes.validation.folds import FOLDER, Fold, _pooled, leave_out, parts_of
 
 
 def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):
@@ -35,3 +44,71 @@ def test_the_level_without_actuation_is_a_part():
 def test_all_tests_with_an_actuation_cannot_be_left_out(by, part):
     with pytest.raises(CampaignError, match=f"cannot leave out {part}: no other calibrated test"):
         parts_of(settings(0.0, 0.03), by, "kip", "a.toml")
+
+
+def drawn_of(run):
+    """An inference of the tests a and b, with draws that no sampler has seen."""
+    rng, layout = np.random.default_rng(0), run.population.layout
+    shape = run.population.h.shape[:2]
+    population = replace(run.population, starts=rng.random((*shape, 2)))
+    tests = [0.1 * rng.normal(size=(*shape, len(layout.names) + 1)) for _ in "ab"]
+    return SimpleNamespace(draws=SimpleNamespace(population=population, tests=tests))
+
+
+def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
+    benchmark_module, tmp_path
+):
+    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+    run = open_run(tmp_path / "out")
+    inference = drawn_of(run)
+    population, layout = inference.draws.population, run.population.layout
+    path = tmp_path / "out" / pooled_of("b")
+    save_test_draws(path, layout, joined(layout, 1, inference.draws.tests[1]), {}, "b")
+    files = {k: v for k, v in run.manifest.files.items() if k != pooled_of("b")}
+    files |= hash_stored(run.folder, [pooled_of("b")])
+    manifest = run.manifest.changed(files=files)
+    stored = StoredPooled(run.folder, manifest, population, ("a", "b"))("b")
+    found = _pooled(inference, run.tests, "b")
+    assert set(found) == set(stored) == {*layout.names, "start"}
+    for name in found:
+        np.testing.assert_allclose(found[name], stored[name], rtol=1e-6)
+    np.testing.assert_array_equal(found["start"], population.starts[..., 1].ravel())
+
+
+@pytest.fixture
+def left_out(benchmark_module, tmp_path, monkeypatch):
+    """Function that leaves out some of the tests a and b, b after a; the forecasts of each."""
+    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+    run = open_run(tmp_path / "out")
+    tests = dict(run.manifest.settings.tests)
+    tests["b"] = tests["b"].model_copy(update={"after": "a"})
+    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    run = replace(run, manifest=run.manifest.changed(settings=settings))
+    drawn = drawn_of(run)
+    monkeypatch.setattr(folds, "infer_population", lambda *_: drawn)
+    monkeypatch.setattr(folds, "DRAWS", 20)
+    asked = []
+
+    def predict(predictor, trace, forecast):
+        asked.append(forecast)
+        return SimpleNamespace(draws=np.zeros((20, trace.samples)))
+
+    monkeypatch.setattr(Predictor, "predict", predict)
+
+    def leave(*names):
+        kept = tuple(name for name in run.tests if name not in names)
+        leave_out(run, Fold("part", "test_1.json", names, kept, effort="quick", seed=1))
+        return asked
+
+    return leave
+
+
+def test_a_test_that_is_left_out_begins_where_a_calibrated_one_ended(left_out):
+    (forecast,) = left_out("b")
+    assert (forecast.before.test, forecast.before.predicted) == ("a", False)
+
+
+def test_the_end_of_a_test_that_is_left_out_too_is_predicted_without_its_force(left_out):
+    first, second = left_out("a", "b")
+    assert first.before is None
+    assert (second.before.test, second.before.predicted) == ("a", True)

@@ -197,6 +197,8 @@ class TestView:
         Travel in the gap since the last slip, for the posterior medians.
     shares : mapping of str to float
         What makes the band of a predicted test wide: share of each source in the variance.
+    begun : str
+        In words, where in its gap a predicted test begins; "" where that is unknown.
     """
 
     __test__ = False
@@ -222,3 +224,4 @@ class TestView:
     readings: tuple[ReadingRow, ...] = ()
     noises: tuple[NoiseRow, ...] = ()
     modes: tuple[Mapping[str, float], ...] = ()
+    begun: str = ""
