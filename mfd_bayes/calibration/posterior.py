@@ -280,7 +280,7 @@ def _check_priors(file: PriorFile, wanted: list[Quantity]) -> dict[str, Prior]:
         beyond = f"values above {q.most:g}" if lowest >= q.least else f"values below {q.least:g}"
         raise PriorError(
             f"prior of {q.name} in {file.path.name}: {prior.family} allows "
-            f"{'negative values' if lowest < 0 else beyond}, which {q.name} cannot have"
+            f"{'negative values' if lowest < 0 <= q.least else beyond}, which {q.name} cannot have"
         )
     return priors
 
