@@ -112,7 +112,10 @@ KERNELS = {
 """Numerical code that reads top to bottom."""
 
 CONTRACTS = {
-    *(f"mfd_bayes.friction.{name}.step" for name in ("backlash", "bouc_wen", "stepping")),
+    *(
+        f"mfd_bayes.friction.{name}.step"
+        for name in ("backlash", "bouc_wen", "stepping", "weakened")
+    ),
     "mfd_bayes.records.trace.from_arrays",
     "mfd_bayes.runs.response.respond_of_run",
     "mfd_bayes.runs.run.predict",

@@ -20,7 +20,7 @@ from scipy import optimize
 
 from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import load, processor
-from benchmarks.heldout.records import lay_out
+from benchmarks.heldout.records import Kind, lay_out
 from benchmarks.heldout.run import PUBLISHED, WINDOWS
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
@@ -75,7 +75,9 @@ def error(trace: Trace, residual: np.ndarray, window: tuple[float, float] | None
 def records(data: Path) -> dict[str, Trace]:
     """Traces of the session's records by id, at the rates of a calibration."""
     with tempfile.TemporaryDirectory() as folder:
-        plan = plan_campaign(lay_out(data / "brfd", Path(folder), "36lb", "iid"), Options())
+        plan = plan_campaign(
+            lay_out(data / "brfd", Path(folder), "36lb", Kind("iid", "three_stage")), Options()
+        )
         traces = {task.id: task.trace for task in plan.tasks} | dict(plan.held_out)
     return {name: _until(traces[name], WINDOWS.get(name)) for name in PUBLISHED}
 

@@ -119,7 +119,9 @@ def finished(options: argparse.Namespace) -> Run:
     """Calibrated run of the session, or of three of its tests."""
     name = "smallest" if options.smallest else options.effort
     place = options.out / f"campaign_{name}"
-    campaign = records.lay_out(options.data / "brfd", place, SESSION, "staged", "three_stage")
+    campaign = records.lay_out(
+        options.data / "brfd", place, SESSION, records.Kind("staged", "three_stage")
+    )
     if options.smallest:
         head, *tests = campaign.read_text(encoding="utf-8").split("\n[[test]]")
         kept = [test for test in tests if any(f'"{known}"' in test for known in SMALLEST)]

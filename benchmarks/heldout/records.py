@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +52,29 @@ force = { name = "force_N" } }
 """
 
 
-def lay_out(source: Path, folder: Path, session: str, noise: str, model: str) -> Path:
+DEPENDENCE = """
+[dependence]
+Fc_fwd = {covariates}
+Fc_bwd = {covariates}
+"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is chosen of a campaign besides its records; `dependence` is that of friction."""
+
+    noise: str
+    model: str
+    dependence: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """In names of folders; that of the three stages alone is the noise's."""
+        model = () if self.model == "three_stage" else (self.model,)
+        return "_".join((self.noise, *model, *self.dependence))
+
+
+def lay_out(source: Path, folder: Path, session: str, kind: Kind) -> Path:
     """Copy the records of a session, or of one tension of 2023, and write their campaign file.
 
     The whole session of 2023-04 has tests at zero tension, and laws with residual friction.
@@ -61,7 +83,9 @@ def lay_out(source: Path, folder: Path, session: str, noise: str, model: str) ->
     with (source / "manifest.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     law = "affine" if session == "2023-04" else "power"
-    text = HEADER.format(session=session, noise=noise, law=law, model=model)
+    text = HEADER.format(session=session, noise=kind.noise, law=law, model=kind.model)
+    if kind.dependence:
+        text += DEPENDENCE.format(covariates=list(kind.dependence)).replace("'", '"')
     for row in rows:
         if row["session"] != session and f"{row['tension_lbf']}lb" != session:
             continue

@@ -13,8 +13,9 @@ calibrates the sessions of the band brake and predicts what was left out:
 
 The calibrated runs stay in out_heldout/, so that a second run does not sample them again; delete
 the folder when records or code have changed. --noise staged shows what the stages of the noise are
-worth. For comparison LuGre alone is fitted to each record by least squares. Exit status 1: a limit
-was missed. The real records come from --data (MFD_BAYES_DATA, ../shared/data).
+worth, --dependence travel whether it helps that slip force falls after a turn. For comparison
+LuGre alone is fitted to each record by least squares. Exit status 1: a limit was missed. The real
+records come from --data (MFD_BAYES_DATA, ../shared/data).
 """
 
 from __future__ import annotations
@@ -45,7 +46,6 @@ from mfd_bayes.validation.folds import folds_of, run_folds
 from mfd_bayes.validation.scores import score
 
 DRAWS = 800
-STAGED = "three_stage"
 PUBLISHED = {
     "36lb_0.25Hz_0.5in": 0.245,
     "36lb_0.50Hz_0.5in": 0.256,
@@ -94,10 +94,10 @@ def header(title: str, *more: str) -> None:
 
 def finished(folder: Path, session: str, options: argparse.Namespace) -> Run:
     """Calibrated run of a session's records."""
-    noise, model = options.noise, options.model
-    out = folder / (f"{session}_{noise}" + ("" if model == STAGED else f"_{model}"))
+    kind = records.Kind(options.noise, options.model, tuple(options.dependence))
+    out = folder / f"{session}_{kind.name}"
     place = folder / f"campaign_{out.name}"
-    campaign = records.lay_out(options.data / "brfd", place, session, noise, model)
+    campaign = records.lay_out(options.data / "brfd", place, session, kind)
     chosen = Options(effort=options.effort, seed=1, jobs=options.jobs, resume=out.exists())
     plan = plan_campaign(campaign, chosen)
     return calibrate(plan, out, lambda s: print(s.id, s.stage, file=sys.stderr))
@@ -263,7 +263,11 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--fold-effort", default="quick", help="of each population in a fold")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--noise", default="ou", help="as in a campaign file")
-    parser.add_argument("--model", default=STAGED, help="of the force, as in a campaign file")
+    parser.add_argument(
+        "--model", default="three_stage", help="of the force, as in a campaign file"
+    )
+    dependence = "of friction, as in a campaign file: such as travel velocity"
+    parser.add_argument("--dependence", nargs="+", default=[], help=dependence)
     parser.add_argument("--one-level", action="store_true", help="the 36 lb session alone")
     parser.add_argument("--zero", action="store_true", help="zero tension in and out, alone")
     return parser.parse_args()

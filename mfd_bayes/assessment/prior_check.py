@@ -79,7 +79,7 @@ def most_wrong(priors: PriorFile, model: str, traces: Sequence[Trace]) -> Misfit
 
     None where the records show no scales, or no prior can be compared with one.
     """
-    known = {quantity.name for quantity in models.MODELS[model].quantities}
+    known = {quantity.name for quantity in models.find_model(model).quantities}
     found = [
         misfit
         for trace in traces

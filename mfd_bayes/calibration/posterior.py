@@ -47,7 +47,7 @@ class Posterior(ShownPosterior):
     noise : str
         A name in `noises.NOISES`: "ou", "iid", "student_t" or "staged".
     model : Model or str, optional
-        The three-stage model when left out.
+        The three-stage model when left out. The name of one may be followed by "+weakening".
     start : {"sample", "mask"}
         The place in the gap at the first sample is unknown: it is sampled, or the samples up to
         the first slip are left out of the likelihood.
@@ -280,7 +280,7 @@ def _check_priors(file: PriorFile, wanted: list[Quantity]) -> dict[str, Prior]:
         beyond = f"values above {q.most:g}" if lowest >= q.least else f"values below {q.least:g}"
         raise PriorError(
             f"prior of {q.name} in {file.path.name}: {prior.family} allows "
-            f"{'negative values' if lowest < 0 else beyond}, which {q.name} cannot have"
+            f"{'negative values' if lowest < 0 <= q.least else beyond}, which {q.name} cannot have"
         )
     return priors
 

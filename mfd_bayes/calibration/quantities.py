@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mfd_bayes.calibration import noises
-from mfd_bayes.friction import models
+from mfd_bayes.friction import models, weakening
 from mfd_bayes.friction.quantity import Quantity
 
 OF_RECORDS = (
@@ -22,6 +22,7 @@ OF_RECORDS = (
 def known_quantities() -> dict[str, Quantity]:
     """Quantities of all models, of records and of all noises, by name."""
     parts = [model.quantities for model in models.MODELS.values()]
+    parts += [tuple(weakening.QUANTITIES.values())]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
     return {quantity.name: quantity for part in parts for quantity in part}
 

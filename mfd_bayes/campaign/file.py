@@ -15,11 +15,11 @@ from mfd_bayes.campaign.schema import (
     Columns,
     DisplacementColumn,
     Entry,
-    ModelName,
     NoiseName,
     Role,
 )
 from mfd_bayes.errors import CampaignError, UnitError
+from mfd_bayes.friction.weakening import weakened_name
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers import read_table
@@ -72,7 +72,8 @@ class Campaign:
     """The campaign file's name where no title is given."""
     priors: str
     """A name, or a path relative to `folder`."""
-    model: ModelName
+    model: str
+    """With "+weakening" after it where friction depends on travel."""
     noise: NoiseName
     noise_check: bool | None
     """Whether each test is fitted under other noises too; None where the file does not say."""
@@ -98,7 +99,7 @@ class Campaign:
 
 
 def load_campaign(
-    path: str | Path, model: ModelName | None = None, noise: NoiseName | None = None
+    path: str | Path, model: str | None = None, noise: NoiseName | None = None
 ) -> Campaign:
     """Campaign of a TOML file; test files must exist but are not read yet.
 
@@ -108,8 +109,9 @@ def load_campaign(
     Parameters
     ----------
     path : str or Path
-    model : {"three_stage", "lugre", "bouc_wen", "backlash"}, optional
-        Replaces the file's own.
+    model : str, optional
+        Replaces the file's own: "three_stage", "lugre", "bouc_wen" or "backlash", each also with
+        "+weakening" after it. A dependence on travel in the file holds for it too.
     noise : {"ou", "iid", "student_t", "staged"}, optional
         Replaces the file's own.
 
@@ -140,14 +142,14 @@ def load_campaign(
         folder=folder,
         title=content.campaign.title or path.stem,
         priors=content.campaign.priors,
-        model=model or content.campaign.model,
+        model=weakened_name(model or content.campaign.model, content.dependence.weakening),
         noise=noise or content.campaign.noise,
         noise_check=content.campaign.noise_check,
         rate=content.campaign.rate,
         start=content.campaign.start,
         area=content.campaign.area,
         laws=complete_laws(content.laws),
-        dependence={name: chosen for name, chosen in content.dependence if chosen},
+        dependence=content.dependence.covariates,
         tolerances=dict(content.tolerances),
         tests=tests,
         actuation_unit=tests[0].actuation_unit,

@@ -41,7 +41,7 @@ def findings_together(
     tests: Sequence[Tested], priors: PriorFile, model: str
 ) -> list[tuple[str, Fault]]:
     """What the comparison of tests with each other, and with the priors of a model, shows."""
-    gap = priors.gap if models.MODELS[model].has_gap else None
+    gap = priors.gap if models.find_model(model).has_gap else None
     found = compare_tests(tests)
     named = {name for name, fault in found if fault.name != "duplicate"}
     beyond = [

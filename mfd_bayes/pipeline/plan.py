@@ -17,7 +17,7 @@ from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.campaign.file import Campaign, Test, load_campaign
-from mfd_bayes.campaign.schema import ModelName, NoiseName
+from mfd_bayes.campaign.schema import NoiseName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
@@ -53,7 +53,7 @@ class Options(Workplace):
         Whether to finish or replace a run folder that exists.
     command : str
         The command line, stored in the manifest.
-    model : {"three_stage", "lugre", "bouc_wen", "backlash"}, optional
+    model : str, optional
         Instead of the campaign's own.
     noise : {"ou", "iid", "student_t", "staged"}, optional
         Instead of the campaign's own.
@@ -68,7 +68,7 @@ class Options(Workplace):
     resume: bool = False
     force: bool = False
     command: str = ""
-    model: ModelName | None = None
+    model: str | None = None
     noise: NoiseName | None = None
     by: str = ""
     noises: tuple[str, ...] = ()

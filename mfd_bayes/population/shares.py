@@ -53,8 +53,8 @@ class Source:
 
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd"),
-    "backward slip force": ("Fc_bwd", "static_excess_bwd", "Fy_bwd"),
+    "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd", "weakening_fwd"),
+    "backward slip force": ("Fc_bwd", "static_excess_bwd", "Fy_bwd", "weakening_bwd"),
     "gap": ("d2", "d3", "gap"),
     "sigma0": ("sigma0",),
     "stiffness beyond the gap": ("k_fwd", "k_bwd"),

@@ -80,7 +80,7 @@ def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candid
         )
     chosen = tuple(name for name in known if name in noises)
     several = check_models(names) if len(names) > 1 or len(noises) < 2 else tuple(names)
-    if unknown := [name for name in several if name not in models.MODELS]:
+    if unknown := [name for name in several if name not in models.every_name()]:
         raise CampaignError(
             f"--models must be of {', '.join(models.MODELS)}, got {', '.join(map(repr, unknown))}"
         )
@@ -98,11 +98,13 @@ def check_models(names: Sequence[str]) -> tuple[str, ...]:
     CampaignError
         When one is unknown or named twice, or there are fewer than two.
     """
-    known = tuple(models.MODELS)
+    known = models.every_name()
     wrong = [name for name in names if name not in known]
     if wrong or len(set(names)) < max(len(names), 2):
         got = ", ".join(map(repr, names)) or "nothing"
-        raise CampaignError(f"--models must name two or more of {', '.join(known)}, got {got}")
+        raise CampaignError(
+            f"--models must name two or more of {', '.join(models.MODELS)}, got {got}"
+        )
     return tuple(name for name in known if name in names)
 
 

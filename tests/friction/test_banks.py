@@ -10,8 +10,10 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.friction.weakened import Weakened
 
 N = 6
+FOLLOWERS = ("Fc_fwd", "Fs_fwd", "sigma0")
 
 
 def three_stage(rng):
@@ -41,6 +43,17 @@ def backlash(rng):
     return BacklashLuGre(), np.column_stack([rng.uniform(*ends, N) for ends in ranges])
 
 
+def weakened(made):
+    def both(rng):
+        model, theta = made(rng)
+        return Weakened(model), np.column_stack([theta, rng.uniform(-0.3, 0.3, (N, 2))])
+
+    return both
+
+
+WEAKENED = tuple(map(weakened, (three_stage, lugre, bouc_wen)))
+
+
 def motion(rng):
     """Displacements and velocities of N motions of two frequencies, as functions of time."""
     size, sign = rng.uniform(0.05, 1.5, N), rng.choice([-1.0, 1.0], N)
@@ -54,15 +67,14 @@ def motion(rng):
     return at
 
 
-@pytest.mark.parametrize("made", [three_stage, lugre, bouc_wen, backlash])
+@pytest.mark.parametrize("made", [three_stage, lugre, bouc_wen, backlash, *WEAKENED])
 @pytest.mark.parametrize("varying", [False, True])
 def test_a_bank_equals_its_dampers_one_by_one(made, varying):
     rng = np.random.default_rng(3)
     model, theta = made(rng)
     start, at = rng.uniform(0, 1, N), motion(rng)
     bank, each = bank_of(model, theta, start), OneByOne.at_rest(model, theta, start)
-    names = {bouc_wen: ("Fy_fwd", "Fy_bwd"), backlash: ("Fc_fwd", "Fc_bwd")}
-    names = names.get(made, ("Fc_fwd", "Fs_fwd", "sigma0"))
+    names = model.slip_forces if made in (bouc_wen, backlash, WEAKENED[2]) else FOLLOWERS
     # the backlash model solves each step by a method of its own there
     near, change = (0.02, 0.1) if made is backlash else (1e-9, 0.5)
     for k in range(1, 150):
@@ -72,7 +84,7 @@ def test_a_bank_equals_its_dampers_one_by_one(made, varying):
     assert np.ptp(bank.force) > 0.1
 
 
-@pytest.mark.parametrize("made", [three_stage, bouc_wen, backlash])
+@pytest.mark.parametrize("made", [three_stage, bouc_wen, backlash, *WEAKENED])
 def test_chosen_dampers_go_on_as_they_would_have(made):
     rng = np.random.default_rng(4)
     model, theta = made(rng)
@@ -114,7 +126,7 @@ def test_a_model_without_steps_is_refused():
         bank_of(Still(), np.ones((1, 1)))
 
 
-@pytest.mark.parametrize("made", [three_stage, lugre, bouc_wen, backlash])
+@pytest.mark.parametrize("made", [three_stage, lugre, bouc_wen, backlash, *WEAKENED])
 def test_some_dampers_stepped_again_are_put_back_in_their_places(made):
     rng = np.random.default_rng(4)
     model, theta = made(rng)

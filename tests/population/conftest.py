@@ -262,18 +262,20 @@ def make_population():
     return _make_population
 
 
-def _make_population(laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessions=None):
-    """A population with medians known to 1 % at 1 ksi, and 10 % scatter."""
-    priors = load_priors("mfd")
+def _make_population(
+    laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessions=None, also=None
+):
+    """A population with medians, and also others, known to 1 % at 1 ksi, and 10 % scatter."""
+    priors, medians = load_priors("mfd"), MEDIANS | (also or {})
     settings = [
         Setting(p, session, {"velocity": 3.1})
         for p, session in zip((0.5, 1.0, 2.0), sessions or [""] * 3, strict=True)
     ]
-    layout = replace(lay_out(priors, tuple(MEDIANS), settings, laws), reference=1.0)
+    layout = replace(lay_out(priors, tuple(medians), settings, laws), reference=1.0)
     rng = np.random.default_rng(1)
-    d, shape = len(MEDIANS), (4, 100)
+    d, shape = len(medians), (4, 100)
     cells = sum(len(e.cells) for e in layout.effects)
-    level = layout.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
+    level = layout.coordinates.of({n: np.array([v]) for n, v in medians.items()})[0]
     spread = np.where(np.array(layout.names) == "offset", min(scatter, 0.02), scatter)
     h = np.zeros((*shape, layout.dim))
     h[..., :d] = np.log(np.maximum(spread, 1e-9))
@@ -282,7 +284,7 @@ def _make_population(laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sess
     latent = np.zeros((*shape, 1 + cells, d))
     latent[:, :, 0] = level + level_sd * rng.normal(size=(*shape, d)) - layout.centre
     latent[:, :, 0] /= layout.spread
-    priors_of = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
+    priors_of = {name: priors.parameters[name] for name in (*medians, "start", "gamma1")}
     return Population(
         layout=layout,
         h=h,

@@ -8,6 +8,7 @@ from scipy import stats
 
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import FitError, RecordError
+from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.kinds import NESTED
 from mfd_bayes.population.predict import Forecast, Predictor, band_of
@@ -159,6 +160,21 @@ def test_a_valve_that_closes_leaves_no_friction(population):
     assert np.all(np.isfinite(band.draws))
     slides = (TIME > 3.3) & (np.abs(MOTION) < 0.3)
     assert np.all(np.abs(band.draws[:, slides]) < 0.3)
+
+
+@pytest.mark.parametrize("history", [1.0, 1.0 + 0.3 * np.sin(TIME)], ids=["constant", "history"])
+def test_friction_falls_after_a_turn_whatever_the_actuation(history, make_population):
+    model = find_model("three_stage+weakening")
+    fallen = make_population(also={"weakening_fwd": 0.2, "weakening_bwd": -0.1}, level_sd=1e-6)
+    trace = Trace.from_arrays(TIME, MOTION, history)
+    band = Predictor(fallen, model, NOISE).predict(trace, Forecast("device", draws=20))
+    plain = make_population(level_sd=1e-6)
+    without = Predictor(plain, model.base, NOISE).predict(trace, Forecast("device", draws=20))
+    slip = SLIDING & (np.abs(trace.velocity) > 2.5)
+    travel = np.where(trace.velocity > 0, MOTION + 1.0, 1.0 - MOTION)[slip]
+    w = np.where(trace.velocity > 0, 0.2, -0.1)[slip]
+    found = np.median(band.draws, axis=0)[slip] / np.median(without.draws, axis=0)[slip]
+    assert found == pytest.approx(1.0 + w * (np.exp(-travel / 0.5) - np.exp(-1.0)), abs=0.01)
 
 
 def test_the_device_does_not_change_its_meaning_beside_a_tested_level(make_population):

@@ -213,6 +213,11 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path, monkeypatch):
         ([], ["staged", "ou"], [("ou", None), ("staged", None)]),
         (["lugre"], ["iid", "ou"], [("ou", "lugre"), ("iid", "lugre")]),
         (
+            ["lugre+weakening", "lugre"],
+            [],
+            [("lugre",) * 2, ("lugre+weakening",) * 2],
+        ),
+        (
             ["lugre", "three_stage"],
             ["staged"],
             [("three_stage_staged", "three_stage"), ("lugre_staged", "lugre")],
@@ -232,6 +237,7 @@ def test_candidates_are_every_model_with_every_noise(models, noises, expected):
         ([], ["ou", "ou"], "each once"),
         ([], ["ou"], "--models must name two or more"),
         (["lugree"], ["ou", "iid"], "--models must be of three_stage"),
+        (["lugre", "lugre+travel"], [], "--models must name two or more"),
         (["lugre"], [], "--models must name two or more"),
     ],
 )

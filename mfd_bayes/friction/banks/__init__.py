@@ -11,9 +11,11 @@ from mfd_bayes.friction.banks.hysteresis import HystereticBank
 from mfd_bayes.friction.banks.one_by_one import OneByOne
 from mfd_bayes.friction.banks.paper import PaperBank
 from mfd_bayes.friction.banks.plastic import PlasticBank
+from mfd_bayes.friction.banks.weakened import WeakenedBank
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.paper import PaperModel
+from mfd_bayes.friction.weakened import Weakened
 
 __all__ = [
     "BacklashBank",
@@ -22,6 +24,7 @@ __all__ = [
     "OneByOne",
     "PaperBank",
     "PlasticBank",
+    "WeakenedBank",
     "bank_of",
 ]
 
@@ -55,4 +58,8 @@ def bank_of(
         return HystereticBank.at_rest(model, theta)
     if isinstance(model, BacklashLuGre):
         return BacklashBank.at_rest(model, theta, start)
+    if isinstance(model, Weakened):
+        own, weakening = model.parts(theta)
+        without = bank_of(model.base, own, start, direction)
+        return WeakenedBank.at_rest(model, without, weakening, direction)
     return OneByOne.at_rest(model, theta, start, direction)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.backlash import BacklashLuGre
-from mfd_bayes.friction.banks.bank import Array, Scales, with_state
+from mfd_bayes.friction.banks.bank import Array, Scales, with_scales, with_state
 from mfd_bayes.friction.banks.turns import turns_within
 from mfd_bayes.friction.damper import FLOOR, Damper
 
@@ -128,7 +128,8 @@ class BacklashBank:
 
     def replaced(self, rows: Rows, part: BacklashBank) -> BacklashBank:
         """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
-        return with_state(self, ("z", "displacement", "velocity", "spring"), rows, part)
+        whole = with_state(self, ("z", "displacement", "velocity", "spring"), rows, part)
+        return replace(whole, scales=with_scales(self.scales, rows, part.scales))
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,6 +53,11 @@ def with_rows(whole: Array, rows: NDArray[np.intp], part: Array | float) -> Arra
     return whole
 
 
+def with_scales(whole: Scales, rows: NDArray[np.intp], part: Scales) -> dict[str, Array]:
+    """Factors with those of some dampers replaced; 1 where the others have none."""
+    return {name: with_rows(share, rows, part.get(name, 1.0)) for name, share in whole.items()}
+
+
 def with_state(whole: S, names: Iterable[str], rows: NDArray[np.intp], part: S) -> S:
     """A state with some rows of the named arrays replaced by those of another state."""
     new = {name: with_rows(getattr(whole, name), rows, getattr(part, name)) for name in names}

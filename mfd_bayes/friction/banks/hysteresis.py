@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.banks.bank import Array, Scales, with_state
+from mfd_bayes.friction.banks.bank import Array, Scales, with_scales, with_state
 from mfd_bayes.friction.banks.turns import turns_within
 from mfd_bayes.friction.bouc_wen import FLOOR, BoucWen, State
 from mfd_bayes.friction.hysteresis import Curve
@@ -108,7 +108,8 @@ class HystereticBank:
 
     def replaced(self, rows: NDArray[np.intp], part: HystereticBank) -> HystereticBank:
         """The bank with the state of some of its dampers replaced; see `Bank.replaced`."""
-        return with_state(self, ("z", "displacement", "velocity"), rows, part)
+        whole = with_state(self, ("z", "displacement", "velocity"), rows, part)
+        return replace(whole, scales=with_scales(self.scales, rows, part.scales))
 
 
 def chosen_curve(curve: Curve, rows: NDArray[np.intp]) -> Curve:
