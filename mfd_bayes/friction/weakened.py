@@ -108,6 +108,13 @@ class Weakened(Model):
     ) -> Array:
         """Force of every parameter vector, (n, p), (n, T), kip; see `Model.force`."""
         own, weakening = self.parts(theta)
+        along = self._along(weakening, trace, scales)
+        return self.base.force_unbounded(own, trace, start, scales=along)
+
+    def _along(
+        self, weakening: Mapping[str, Array], trace: Trace, scales: Mapping[str, Array] | None
+    ) -> dict[str, Array]:
+        """Factors of the base's parameters along a record, (n, T), with the weakening."""
         given: Given | None = scales
         if scales is None and trace.varying:
             given = self._by_actuation(trace.actuation, trace.reference_actuation)
@@ -115,7 +122,31 @@ class Weakened(Model):
             side: (1.0 + np.multiply.outer(fall_along(trace, side), w)).T
             for side, w in weakening.items()
         }
-        return self.base.force_unbounded(own, trace, start, scales=self.scaled(given, factors))
+        return self.scaled(given, factors)
+
+    def end(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """Place in the gap at the last sample, (n,), 1; that of the base."""
+        own, weakening = self.parts(theta)
+        along = self._along(weakening, trace, scales)
+        return self.base.end(own, trace, start, scales=along)
+
+    def start_at(
+        self,
+        place: Array,
+        trace: Trace,
+        before: ArrayLike | None = None,
+        theta: ArrayLike | None = None,
+    ) -> Array:
+        """`start` of a motion at a place in the gap, (n,); that of the base."""
+        own = [None if t is None else self.parts(t)[0] for t in (before, theta)]
+        return self.base.start_at(place, trace, *own)
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, (n, T), in; that of the base."""

@@ -45,6 +45,28 @@ def test_without_any_fall_the_force_is_that_of_the_model(name, actuation):
     assert np.allclose(model.force(theta, trace, start), plain, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["three_stage", "backlash"])
+def test_a_motion_ends_where_that_of_the_model_ends(name):
+    model, trace = find_model(f"{name}+weakening"), trace_of()
+    theta, start = dampers(model)
+    theta[:, -2:] = 0.0
+    place = model.base.end(theta[:, :-2], trace, start)
+    assert np.allclose(model.end(theta, trace, start), place, rtol=0, atol=1e-6)
+    begun = model.base.start_at(place, trace, theta[:, :-2], theta[::-1, :-2])
+    assert np.array_equal(model.start_at(place, trace, theta, theta[::-1]), begun)
+    assert np.allclose(model.start_at(place, trace), model.base.start_at(place, trace))
+
+
+def test_friction_that_falls_moves_the_end_of_a_spring():
+    model = find_model("backlash+weakening")
+    trace = trace_of(1.2 * np.sin(2.5 * TIME[TIME < 2.4]))  # it ends in slip
+    theta, start = dampers(model)
+    theta[:, -2:] = 0.0
+    even = model.end(theta, trace, start)
+    theta[:, -2:] = 0.5
+    assert np.all(np.abs(model.end(theta, trace, start) - even) > 1e-3)
+
+
 @pytest.mark.parametrize("side", ["fwd", "bwd"])
 def test_the_slip_force_falls_as_its_formula_says(side):
     x = 2.0 * np.sin(0.5 * np.pi * TIME[TIME < 4.1])
