@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Forecast, Predictor
@@ -166,10 +166,20 @@ class StoredPooled:
     tests: tuple[str, ...]
 
     def __call__(self, name: str) -> Mapping[str, Array]:
-        """Quantities by name, (n,) each; empty where an earlier version has stored none."""
-        file = pooled_of(name)
+        """Quantities by name, (n,) each; empty where an earlier version has stored none.
+
+        Raises
+        ------
+        StoreError
+            When the stored file is damaged.
+        """
+        file, population = pooled_of(name), self.population
         if not (self.folder / file).is_file():
             return {}
-        values, _ = load_arrays(check_stored(self.folder, file, self.manifest.files or {}))
-        shared = {k: values[k] for k in self.population.layout.names}
+        path = check_stored(self.folder, file, self.manifest.files or {})
+        values, _ = load_arrays(path)
+        shared = {k: values[k] for k in population.layout.names if k in values}
+        shapes = {draws.shape for draws in shared.values()}
+        if len(shared) < len(population.layout.names) or shapes != {population.h.shape[:2]}:
+            raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
         return pooled_values(self.population, self.tests.index(name), shared)

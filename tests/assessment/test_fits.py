@@ -1,11 +1,14 @@
-"""Rows of one test, of facts as JSON gives them back."""
+"""Rows of one test, of facts as JSON gives them back; tests that were held out."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from mfd_bayes.assessment.fits import _rows
+from mfd_bayes.assessment.fits import _rows, held_out_view
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.opening import open_run
 from mfd_bayes.store.netcdf import StoredTest
 
 TRACE = Trace.from_arrays([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], 1.0, [0.0, 1.0, 2.0])
@@ -36,3 +39,17 @@ def test_a_fixed_quantity_has_no_contraction():
     row = row_of("start", np.full((2, 20), 0.5), np.full(2000, 0.5), [1.0, 1.0, 1.0])
     assert np.isnan(row.contraction)
     assert row.note == ""
+
+
+def test_a_test_that_was_held_out_says_where_it_begins(benchmark_module, tmp_path):
+    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+    run = open_run(tmp_path / "out")
+    free = held_out_view(run, "c", run.held_out["c"])
+    tests = dict(run.manifest.settings.tests)
+    tests["c"] = tests["c"].model_copy(update={"after": "b"})
+    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    run = replace(run, manifest=run.manifest.changed(settings=settings))
+    view = held_out_view(run, "c", run.held_out["c"])
+    assert free.begun == ""
+    assert view.begun == "begun where in its gap test b ended"
+    assert not np.array_equal(view.observation.median, free.observation.median)

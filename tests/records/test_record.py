@@ -347,3 +347,17 @@ def test_a_real_record_gets_a_rate_that_resolves_its_gap(data_folder):
     assert 30 < 1 / (trace.time[1] - trace.time[0]) < 110
     assert trace.samples < 3000
     assert trace.turning_points.size == record.turning_points
+
+
+@pytest.mark.parametrize("left", [1, 2, 3, 40])
+def test_what_a_window_leaves_out_is_told_by_its_ends_and_turns(tmp_path, left):
+    time = np.arange(400) / 100
+    motion = np.sin(2 * np.pi * time)
+    path = write(tmp_path, time_s=time, displacement_in=motion)
+    record = read_record(path, fit=(time[left], time[-1 - left]))
+    before, after = record.around(record.trace())
+    assert (before[0], before[-1]) == pytest.approx((motion[0], motion[left - 1]))
+    assert (after[0], after[-1]) == pytest.approx((motion[-left], motion[-1]))
+    assert max(before) == pytest.approx(motion[:left].max())
+    assert record.around(record.trace(), since=time[left - 1])[0] == ()
+    assert read_record(path).around(record.trace()) == ((), ())

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import CampaignError
+from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.population.apart import joined
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.setting import Setting
@@ -73,6 +73,9 @@ def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
     for name in found:
         np.testing.assert_allclose(found[name], stored[name], rtol=1e-6)
     np.testing.assert_array_equal(found["start"], population.starts[..., 1].ravel())
+    fewer = replace(population, h=population.h[:, 1:])
+    with pytest.raises(StoreError, match="does not hold the draws of its population"):
+        StoredPooled(run.folder, manifest, fewer, ("a", "b"))("b")
 
 
 @pytest.fixture
