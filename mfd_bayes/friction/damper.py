@@ -74,10 +74,16 @@ class Damper:
         kinetic = np.stack([c["Fc_fwd"], c["Fc_bwd"]])
         excess = np.stack([c["static_excess_fwd"], c["static_excess_bwd"]])
         sign = np.array([[1.0], [-1.0]])
-        slow, at = (
-            sign * self.spring.deflection(sign * kinetic * share) for share in (1.0 + excess, 1.0)
+        slow, at = sign * self.spring.deflection(
+            sign * kinetic * np.stack([1.0 + excess, np.ones(excess.shape)]), close=1e-4
         )
         return np.log(kinetic), excess, at, slow - at
+
+    @cached_property
+    def onset(self) -> Array:
+        """Exponent times slope of the spring in slip, forward and backward, (2, n), kip/in."""
+        sign = np.array([[1.0], [-1.0]])
+        return self.columns["n"] * self.spring.evaluate(sign * self.friction[2])[1]
 
     @cached_property
     def reach(self) -> Array:
@@ -197,7 +203,8 @@ def rows_of(damper: Damper, course: Course, part: slice, drive: Drive) -> Rows:
     stiff, uneven = _stiff(damper, way, level), bool(drive.shares)
     most = 2.0 * (np.exp(level) / damper.reach if uneven else 1.0 / damper.material.rate[None])
     level *= n
-    return Rows(way, sign[:, None], level, bound, most, stiff, uneven)
+    onset = None if uneven else damper.onset
+    return Rows(way, sign[:, None], level, bound, most, stiff, uneven, onset)
 
 
 def _stiff(damper: Damper, way: Array, level: Array) -> NDArray[np.bool_] | None:
