@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.arrays import add_outer
 from mfd_bayes.friction.course import Place, cut_few
 from mfd_bayes.friction.damper import SIDES, Damper, Drive, courses, follow, rows_of
 from mfd_bayes.friction.model import Model
@@ -136,10 +137,9 @@ class BacklashLuGre(Model):
         force[0] = damper.spring.force(first)
         for chosen, course in courses(damper, moves):
             drive = Drive(rate, {name: _of(share, chosen) for name, share in shares.items()})
-            found, _ = follow(damper.of(chosen), course, drive, first[chosen])
+            found, _ = follow(damper.along(chosen), course, drive, first[chosen])
             force[1:, chosen] = found[rows[1:] - 1]
-        force += trace.velocity[:, None] * damper.columns["sigma2"]
-        return force.T
+        return add_outer(trace.velocity, damper.columns["sigma2"], force).T
 
     def start(
         self,

@@ -28,7 +28,7 @@ CLOSE = 3e-6
 this share of the length over which slip sets in.
 """
 
-LEFT = 2e-8
+LEFT = 3e-10
 """Error, over the same length, that may be left elsewhere. Newton converges quadratically."""
 
 OVER = 1.0
@@ -125,7 +125,7 @@ def newton(material: Material, steps: Steps, z: Array) -> tuple[Array, Array, Ar
     z : (R + 1, n), in
         Deflection before the first step, and after each.
     """
-    room = scratch(12, *z.shape)
+    room = scratch(9, *z.shape)
     force, slope = material.spring.evaluate(z, room[:4])
     decay, drive = _linear(material, steps, z, (force, slope), room[2:])
     if steps.stiff is not None:
@@ -144,18 +144,23 @@ def _linear(
     n = material.exponent
     (p0, b0), (p1, b1) = _pushes(material, steps, spring, room[:6])
     over = _let_go(material, steps, p0, b0) if p0.max() > OVER else None
-    np.exp(p0, out=p0)
-    np.exp(np.minimum(p1, STIFF, out=p1), out=p1)
-    c0, c1, t0, t1 = (array[1:] for array in (*room[:2], *room[6:8]))
-    np.multiply(b0, p0, out=c0)
-    np.multiply(b1, p1, out=c1)
-    f0, f1 = np.subtract(1.0, p0, out=p0), np.subtract(1.0, p1, out=p1)
     # c = −h f′: with all of the rule times 12, the weights of f₀ and f₁ are 6 ∓ c
-    np.subtract(6.0, c0, out=t0)
-    np.add(6.0, c1, out=t1)
-    gain, work = room[8][1:], room[9][1:]
-    np.multiply(f0, t0, out=gain)
-    gain += np.multiply(f1, t1, out=work)
+    c, t, gain = (array[1:] for array in (*room[:2], room[6]))
+    np.exp(np.minimum(p1, STIFF, out=p1), out=p1)
+    np.multiply(b1, p1, out=c)
+    f = np.subtract(1.0, p1, out=p1)
+    np.add(6.0, c, out=t)
+    np.multiply(f, t, out=gain)
+    t -= _bend(b1, f, n)
+    t *= c
+    t += 12.0
+    # the same before each step; memory that is free again is still in the cache
+    c, decay, work = b1, p1, c
+    np.exp(p0, out=p0)
+    np.multiply(b0, p0, out=c)
+    f = np.subtract(1.0, p0, out=p0)
+    np.subtract(6.0, c, out=decay)
+    gain += np.multiply(f, decay, out=work)
     gain *= steps.ahead
     moved = np.subtract(z[:-1], z[1:], out=work)
     moved[steps.breaks] = steps.first - z[1:][steps.breaks]
@@ -163,14 +168,11 @@ def _linear(
         np.copyto(moved, over[1] - z[1:], where=over[0])
     moved *= 12.0
     gain += moved
-    t0 += _bend(b0, f0, n)
-    t0 *= c0
-    decay = np.subtract(12.0, t0, out=t0)
-    t1 -= _bend(b1, f1, n)
-    t1 *= c1
-    t1 += 12.0
-    decay /= t1
-    gain /= t1
+    decay += _bend(b0, f, n)
+    decay *= c
+    np.subtract(12.0, decay, out=decay)
+    decay /= t
+    gain /= t
     if over is not None:
         decay[over[0]] = 0.0
     return decay, gain

@@ -28,15 +28,15 @@ FEWER = 0.8
 """Newton goes on with the unsolved steps alone when they are fewer than this share."""
 
 FAR_OFF = 1.0
-"""Newton's error, over the length in which slip sets in, at which it may have gone beyond what
-friction can hold: it is cut.
+"""Error that Newton's method leaves, over the length in which slip sets in and on average over the
+vectors, from which on it may have gone beyond what friction can hold: it is cut.
 """
 
 TAIL = 24
 """Steps at the end of a stretch where the first guess follows the slip force late."""
 
-SHORT = 4
-"""In a stretch of no more steps than this it does not."""
+FEW = 16
+"""Vectors of which numpy finds a row's largest value faster along columns."""
 
 CUTS = 6
 """Most times that this is done."""
@@ -103,7 +103,7 @@ def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]
         now[1:] += step
         step *= step
         left = step @ material.error
-        cut = left.max() > FAR_OFF and done < CUTS
+        cut = left.max() > FAR_OFF * first.size and done < CUTS
         if cut:
             _bring_back(rows, kept, now[1:])
         z[kept], force[kept] = now[1:], found
@@ -127,7 +127,8 @@ def _unsolved(rows: Rows, steps: Steps, left: Array, decay: Array) -> Index:
     """
     if rows.uneven or steps.stiff is not None:
         return np.arange(left.size if left.max() > CLOSE**2 else 0)
-    passed = np.ascontiguousarray(decay.T).max(axis=0)  # of few vectors faster than along rows
+    few = decay.shape[1] < FEW
+    passed = np.ascontiguousarray(decay.T).max(axis=0) if few else decay.max(axis=1)
     np.clip(passed, 1e-20, 1.0, out=passed)
     passed = np.cumsum(np.log(passed, out=passed))
     own = np.log(np.maximum(left, 1e-300)) - passed
@@ -136,41 +137,73 @@ def _unsolved(rows: Rows, steps: Steps, left: Array, decay: Array) -> Index:
 
 def _guess(material: Material, rows: Rows, starts: Index, first: Array) -> Array:
     """About the deflections, (R, n): unloading, a rounded corner where slip sets in, and slip."""
-    z = np.empty(rows.bound.shape)
-    last = first
-    ends = [*starts[1:].tolist(), len(z)]
-    for begin, end in zip(starts.tolist(), ends, strict=True):
-        sign, part = rows.sign[begin, 0], slice(begin, end)
-        bound, way = rows.bound[part], np.cumsum(rows.way[part], axis=0)
-        room = bound - way
-        room -= sign * last
-        corner, tail = _rates(material, rows, part, room)
-        room *= corner
-        slips = (room[0] < 1.0) | rows.uneven
-        slipped = np.where(room[-TAIL:][0] < -1.0, 1.0, 0.0)
-        bend = _corner(room, material.late)
-        bend /= corner
-        np.subtract(bound, bend, out=bend)
-        if slips.any():  # already: what remains of the corner is sharp
-            bend[:, slips] = _slider(bound, way, sign * last)[:, slips]
-        if end - begin > SHORT:
-            _lag(bend[-TAIL:], bound[-TAIL:], rows.way[part][-TAIL:] * tail, slipped)
-        np.multiply(bend, sign, out=z[part])
-        last = z[end - 1]
-    return z
-
-
-def _rates(material: Material, rows: Rows, part: slice, room: Array) -> tuple[Array, Array]:
-    """1/length over which slip sets in where a stretch begins to slip, (n,), and in its tail, 1/in.
-
-    It begins where there is no `room`, (R, n), in, before the slip force any more.
-    """
+    ends = np.append(starts[1:], len(rows.sign))
+    way = np.cumsum(rows.way, axis=0)
+    stretch = np.repeat(np.arange(starts.size), ends - starts)
+    way -= (way[starts] - rows.way[starts])[stretch]
     if rows.onset is None:
-        return material.rate, material.rate
-    limit, n = rows.limit[part], material.exponent
-    onset = rows.onset[0 if rows.sign[part.start, 0] > 0 else 1]
-    at = limit[np.argmax(room < 0, axis=0), np.arange(n.size)]
-    return onset * np.exp(-at / n), onset * np.exp(-limit[-TAIL:] / n)
+        return _sharp(rows, way, starts, ends, first)
+    rate = _rates(material, rows, way, starts, ends)
+    lag = _lag(material, rows, starts, ends)
+    last, offset = first, np.empty(rate.shape)
+    for k, (begin, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        sign, bound = rows.sign[begin, 0], rows.bound
+        held = sign * last
+        # a stretch that begins near slip has less of the corner ahead of it
+        near = np.maximum((bound[begin] - held) * rate[k], 1e-300)
+        offset[k] = held * rate[k] - np.log(-np.expm1(-near))
+        rest = _corner((bound[end - 1] - way[end - 1]) * rate[k] - offset[k], material.late)
+        last = sign * (bound[end - 1] - rest / rate[k] - lag[-1, k])
+    rates = rate[stretch]
+    room = rows.bound - way
+    room *= rates
+    room -= offset[stretch]
+    bend = _corner(room, material.late)
+    bend /= rates
+    np.subtract(rows.bound, bend, out=bend)
+    long = ends - starts >= TAIL
+    bend[ends[long] - TAIL + np.arange(TAIL)[:, None]] -= lag[:, long]
+    bend *= rows.sign
+    return bend
+
+
+def _rates(material: Material, rows: Rows, way: Array, starts: Index, ends: Index) -> Array:
+    """1/length over which slip sets in, (K, n), 1/in, where it does in each of K stretches.
+
+    That is about where the way since the turn is twice the deflection in slip.
+    """
+    onset, n = np.asarray(rows.onset), material.exponent
+    about = 2.0 * rows.bound[starts].mean(axis=1)
+    before = way[:, 0] < np.repeat(about, ends - starts)
+    at = np.minimum(starts + np.add.reduceat(before, starts, dtype=np.intp), ends - 1)
+    rates: Array = onset[(rows.sign[starts, 0] < 0).astype(np.intp)] * np.exp(-rows.limit[at] / n)
+    return rates
+
+
+def _lag(material: Material, rows: Rows, starts: Index, ends: Index) -> Array:
+    """Way by which deflections in slip follow late a slip force that changes, (`TAIL`, K, n), in.
+
+    It is that at the end of each stretch, 0 in those that are shorter.
+    """
+    lag = np.zeros((TAIL, starts.size, rows.bound.shape[1]))
+    long = ends - starts >= TAIL
+    at = ends[long] - TAIL + np.arange(TAIL)[:, None]
+    back = (rows.sign[starts[long], 0] < 0).astype(np.intp)
+    ways = rows.limit[at]
+    ways /= -material.exponent
+    np.exp(ways, out=ways)
+    ways *= np.asarray(rows.onset)[back]
+    ways *= rows.way[at]
+    np.minimum(ways, 25.0, out=ways)  # exp(−25) is nothing
+    np.cumsum(ways, axis=0, out=ways)
+    grown = np.exp(ways, out=ways)
+    bound = rows.bound[at]
+    rise = bound[1:] - bound[:-1]
+    rise *= grown[:-1]  # it changes as a step begins
+    np.cumsum(rise, axis=0, out=rise)
+    rise /= grown[1:]
+    lag[1:, long] = rise
+    return lag
 
 
 def _corner(room: Array, late: Array) -> Array:
@@ -191,21 +224,14 @@ def _corner(room: Array, late: Array) -> Array:
     return room
 
 
-def _lag(z: Array, bound: Array, way: Array, slipped: Array) -> None:
-    """Let deflections in slip, (R, n), in place, follow late a slip force that changes.
-
-    The ways are over the length in which slip sets in.
-    """
-    way = np.minimum(way, 25.0)  # exp(−25) is nothing
-    grown = np.exp(np.cumsum(way[:-1], axis=0))
-    rise = bound[1:] - bound[:-1]
-    rise *= grown  # it changes as a step begins
-    np.cumsum(rise, axis=0, out=rise)
-    grown[:-1] = grown[1:]
-    grown[-1] *= np.exp(way[-1])
-    rise /= grown
-    rise *= slipped
-    z[1:] -= rise
+def _sharp(rows: Rows, way: Array, starts: Index, ends: Index, first: Array) -> Array:
+    """About the deflections, (R, n), were slip to set in at once."""
+    z, last = np.empty(rows.bound.shape), first
+    for begin, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        part, sign = slice(begin, end), rows.sign[begin, 0]
+        np.multiply(_slider(rows.bound[part], way[part], sign * last), sign, out=z[part])
+        last = z[end - 1]
+    return z
 
 
 def _slider(bound: Array, way: Array, first: Array) -> Array:
