@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.arrays import add_outer
 from mfd_bayes.friction.course import Place, cut_few
 from mfd_bayes.friction.damper import SIDES, Damper, Drive, courses, follow, rows_of
 from mfd_bayes.friction.model import Model
@@ -129,8 +130,7 @@ class BacklashLuGre(Model):
         """
         damper = _damper(self, theta)
         force, _ = _followed(damper, trace, check_start(start, damper.size), scales)
-        force += trace.velocity[:, None] * damper.columns["sigma2"]
-        return force.T
+        return add_outer(trace.velocity, damper.columns["sigma2"], force).T
 
     def end(
         self,
@@ -278,7 +278,7 @@ def _followed(
     force[0] = damper.spring.force(first)
     for chosen, course in courses(damper, moves):
         drive = Drive(rate, {name: _of(share, chosen) for name, share in shares.items()})
-        found, last[chosen] = follow(damper.of(chosen), course, drive, first[chosen])
+        found, last[chosen] = follow(damper.along(chosen), course, drive, first[chosen])
         force[1:, chosen] = found[rows[1:] - 1]
     return force, last
 

@@ -241,39 +241,35 @@ def blend(gap: Gap, crossing: Crossing, stretch: Rows, displacement: Array, forc
     """
     if not force.size:
         return
-    work, e, a, b, f2, f3 = scratch(6, *force.shape)
+    f2, a, e, f3, b = scratch(5, *force.shape)  # in this order, what is used again is in the cache
     origin = crossing.origin(gap)
     # −u/ℓ = −s (x − origin)/ℓ
-    travel = _along(-origin, stretch, displacement, np.ones(len(gap.k2)), out=a)
-    np.multiply(rows_of(crossing.side / -gap.transition, stretch, out=work), travel, out=e)
+    travel = _along(-origin, stretch, displacement, np.ones(len(gap.k2)), out=f2)
+    np.multiply(rows_of(crossing.side / -gap.transition, stretch, out=a), travel, out=e)
     backwards = e.max() > 1e-9
     if backwards:
         np.minimum(e, SATURATED, out=e)
     if gap.sharp:
-        np.exp(np.minimum(e + gap.d2 / gap.transition, SHARP), out=a)
         np.exp(np.minimum(e + gap.width / gap.transition, SHARP), out=b)
+        np.exp(np.minimum(e + gap.d2 / gap.transition, SHARP), out=a)
         np.exp(e, out=e)
     else:
         np.exp(e, out=e)
         np.multiply(e, np.exp(gap.d2 / gap.transition), out=a)
-        np.multiply(e, np.exp(gap.width / gap.transition), out=b)
-    # F2 − F1 = k2 (x − origin) − F1, and F3 − F1 = s (k2 − k3) d2 + k3 (x − origin) − F1
+    # F2 − F1 = k2 (x − origin) − F1, times A (1 − E)
     f2 = _along(-gap.k2 * origin, stretch, displacement, gap.k2, out=f2)
     f2 -= force
+    f2 *= a
+    f2 *= np.subtract(1.0, np.minimum(e, 1.0, out=f3) if backwards else e, out=f3)
+    # F3 − F1 = s (k2 − k3) d2 + k3 (x − origin) − F1
     at_zero = crossing.side * ((gap.k2 - gap.k3) * gap.d2) - gap.k3 * origin
     f3 = _along(at_zero, stretch, displacement, gap.k3, out=f3)
     f3 -= force
-    # A (1 − E) (F2 − F1), and 2 E ΔF
-    f2 *= a
-    f2 *= np.subtract(1.0, np.minimum(e, 1.0, out=work) if backwards else e, out=work)
-    carry = rows_of(2.0 * crossing.carry, stretch, out=work)
+    if not gap.sharp:
+        np.multiply(e, np.exp(gap.width / gap.transition), out=b)
     if backwards:
         fading = np.minimum(e, 1.0 / np.maximum(e, 1e-300))
         np.minimum(e, 1.0, out=e)
-        fading *= (1.0 + e) / (1.0 + fading)
-        carry *= fading
-    else:
-        carry *= e
     # the braces, from the inside out
     e += 1.0
     f3 *= e
@@ -283,8 +279,14 @@ def blend(gap: Gap, crossing: Crossing, stretch: Rows, displacement: Array, forc
     b += 1.0
     a *= b
     f2 /= a
+    carry = rows_of(2.0 * crossing.carry, stretch, out=f3)
+    if backwards:
+        f2 /= e
+        carry *= fading / (1.0 + fading)
+    else:  # (F + E 2 ΔF)/(1 + E) = (F − 2 ΔF)/(1 + E) + 2 ΔF
+        f2 -= carry
+        f2 /= e
     f2 += carry
-    f2 /= e
     force += f2
 
 

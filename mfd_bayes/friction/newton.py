@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import psi
 
 from mfd_bayes.friction.arrays import scratch
 from mfd_bayes.friction.recurrence import solve
@@ -22,6 +23,14 @@ TINY = 1e-12
 STIFF = 8.0
 """A step longer than this many lengths over which slip sets in ends in slip, or slides none."""
 
+CLOSE = 3e-6
+"""Where slip may set in at once, a step of a motion is solved when Newton moves it by less than
+this share of the length over which slip sets in.
+"""
+
+LEFT = 3e-10
+"""Error, over the same length, that may be left elsewhere. Newton converges quadratically."""
+
 OVER = 1.0
 """Largest n ln(G/g) at which a step begins: what is above, after friction fell, goes at once."""
 
@@ -33,6 +42,27 @@ class Material:
     spring: Spring
     exponent: Array
     rate: Array
+
+    @cached_property
+    def late(self) -> Array:
+        """Factor by which Gⁿ keeps the spring from reaching slip once it is near, (n,).
+
+        A spring without a gap reaches w = G/g after ξ = ∫ dw/(1 − wⁿ) (g/k), so that at the end
+        n (1 − w) = late exp(n − n ξ k/g) with late = exp(−γ − ψ(1/n) − n), Euler's γ and the
+        digamma function ψ: from 1/e at n = 1 to 1.
+        """
+        n = self.exponent
+        return np.exp(-np.euler_gamma - psi(1.0 / n) - n)
+
+    @cached_property
+    def error(self) -> Array:
+        """What Newton's method leaves over the square of its step, (n,), 1/in².
+
+        It comes from the bend of (G/g)ⁿ and from that of the spring, whose length is ℓ. Below
+        n = 2 the bend of the former is not bounded: there the step itself must be small.
+        """
+        bend = 0.5 * (1.0 + 1.0 / (self.rate * self.spring.ell))
+        return self.rate**2 * np.where(self.exponent < 2.0, LEFT / CLOSE**2, bend)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +96,11 @@ class Steps:
     spring: tuple[Array, Array]
 
     @cached_property
+    def ahead(self) -> Array:
+        """Step with its sign, (R, 1) or (R, n), in."""
+        return self.way * self.sign
+
+    @cached_property
     def starts(self) -> Index:
         """Steps that break, or turn."""
         found = np.ones(len(self.sign), dtype=bool)
@@ -73,70 +108,73 @@ class Steps:
         found[self.breaks] = True
         return np.flatnonzero(found)
 
-    def before(self, after: Array, out: Array) -> Array:
-        """Deflection before each step, of that after each, written to `out`."""
-        out[1:] = after[:-1]
-        out[self.breaks] = self.first
-        return out
+    def before(self, z: Array) -> Array:
+        """Deflection before each step, (R, n), of that before the first and after each."""
+        found = z[:-1].copy()
+        found[self.breaks] = self.first
+        return found
 
 
-def newton(material: Material, steps: Steps, z: Array) -> tuple[Array, Array]:
-    """Force G of improved deflections, kip, and their improvement, in, (R, n) each.
+def newton(material: Material, steps: Steps, z: Array) -> tuple[Array, Array, Array]:
+    """Force G of improved deflections, kip, their improvement, in, and its decay, (R, n) each.
 
-    The force is valid until the next call.
+    The force and the decay are valid until the next call.
 
     Parameters
     ----------
-    z : (R, n), in
-        Deflection after each step.
+    z : (R + 1, n), in
+        Deflection before the first step, and after each.
     """
-    room = scratch(12, *z.shape)
+    room = scratch(9, *z.shape)
     force, slope = material.spring.evaluate(z, room[:4])
     decay, drive = _linear(material, steps, z, (force, slope), room[2:])
+    if steps.stiff is not None:
+        _slide(material, steps, (steps.before(z), z[1:]), (decay, drive))
     decay[steps.breaks] = 0.0
     step = solve(decay, drive, np.zeros(z.shape[1]))
-    slope *= step
-    force += slope
-    return force, step
+    slope[1:] *= step
+    force[1:] += slope[1:]
+    return force[1:], step, decay
 
 
 def _linear(
-    material: Material, rows: Steps, z: Array, spring: tuple[Array, Array], room: list[Array]
+    material: Material, steps: Steps, z: Array, spring: tuple[Array, Array], room: list[Array]
 ) -> tuple[Array, Array]:
     """Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k for z + δ, (R, n) each, in `room`."""
     n = material.exponent
-    (log0, b0), (log1, b1) = _pushes(material, rows, spring, room[:4])
-    over = _let_go(material, rows, log0, b0) if log0.max() > OVER else None
-    p0 = np.exp(log0, out=log0)
-    p1 = np.exp(np.minimum(log1, STIFF, out=log1), out=log1)
-    c0, c1, t0, t1, gain, way = room[4:]
-    np.multiply(b0, p0, out=c0)
-    np.multiply(b1, p1, out=c1)
-    f0, f1 = np.subtract(1.0, p0, out=p0), np.subtract(1.0, p1, out=p1)
+    (p0, b0), (p1, b1) = _pushes(material, steps, spring, room[:6])
+    over = _let_go(material, steps, p0, b0) if p0.max() > OVER else None
     # c = −h f′: with all of the rule times 12, the weights of f₀ and f₁ are 6 ∓ c
-    np.subtract(6.0, c0, out=t0)
-    np.add(6.0, c1, out=t1)
-    np.multiply(f0, t0, out=gain)
-    gain += np.multiply(f1, t1, out=way)
-    gain *= rows.way * rows.sign
-    rows.before(z, out=way)
+    c, t, gain = (array[1:] for array in (*room[:2], room[6]))
+    np.exp(np.minimum(p1, STIFF, out=p1), out=p1)
+    np.multiply(b1, p1, out=c)
+    f = np.subtract(1.0, p1, out=p1)
+    np.add(6.0, c, out=t)
+    np.multiply(f, t, out=gain)
+    t -= _bend(b1, f, n)
+    t *= c
+    t += 12.0
+    # the same before each step; memory that is free again is still in the cache
+    c, decay, work = b1, p1, c
+    np.exp(p0, out=p0)
+    np.multiply(b0, p0, out=c)
+    f = np.subtract(1.0, p0, out=p0)
+    np.subtract(6.0, c, out=decay)
+    gain += np.multiply(f, decay, out=work)
+    gain *= steps.ahead
+    moved = np.subtract(z[:-1], z[1:], out=work)
+    moved[steps.breaks] = steps.first - z[1:][steps.breaks]
     if over is not None:
-        np.copyto(way, over[1], where=over[0])
-    way -= z
-    way *= 12.0
-    gain += way
-    t0 += _bend(b0, f0, n)
-    t0 *= c0
-    decay = np.subtract(12.0, t0, out=t0)
-    t1 -= _bend(b1, f1, n)
-    t1 *= c1
-    t1 += 12.0
-    decay /= t1
-    gain /= t1
+        np.copyto(moved, over[1] - z[1:], where=over[0])
+    moved *= 12.0
+    gain += moved
+    decay += _bend(b0, f, n)
+    decay *= c
+    np.subtract(12.0, decay, out=decay)
+    decay /= t
+    gain /= t
     if over is not None:
         decay[over[0]] = 0.0
-    if rows.stiff is not None:
-        _slide(material, rows, (rows.before(z, out=way), z), (decay, gain))
     return decay, gain
 
 
@@ -148,32 +186,33 @@ def _bend(b: Array, f: Array, n: Array) -> Array:
 
 
 def _pushes(
-    material: Material, rows: Steps, spring: tuple[Array, Array], room: list[Array]
+    material: Material, steps: Steps, spring: tuple[Array, Array], room: list[Array]
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Logarithm of (G/g)ⁿ, and n h G′/G, before and after each step, (R, n) each."""
-    n, start = material.exponent, rows.starts
+    n, start = material.exponent, steps.starts
     force, slope = spring
-    ahead, share = np.multiply(rows.sign, force, out=room[0]), np.multiply(slope, n, out=room[1])
-    after = push(ahead, share, n)
-    before = room[2], room[3]
-    for old, new in zip(before, after, strict=True):
-        old[1:] = new[:-1]
-    at = np.searchsorted(start, rows.breaks)
-    known = [values[start - 1] for values in (force, slope)]
-    for some, values in zip(known, rows.spring, strict=True):
-        some[at] = values
-    turn = push(rows.sign[start] * known[0], known[1] * n, n)
-    for old, new in zip(before, turn, strict=True):
-        old[start] = new
-    for log, share in (before, after):
-        log -= rows.limit
-        share *= rows.way
-    return before, after
+    ahead, share = room[:2]
+    ahead[0] = TINY
+    np.multiply(steps.sign, force[1:], out=ahead[1:])
+    log, share = push(ahead, np.multiply(slope, n, out=share), n)
+    before, after = [array[1:] for array in room[2:4]], [array[1:] for array in room[4:6]]
+    for (each, large), rows in ((before, slice(None, -1)), (after, slice(1, None))):
+        np.subtract(log[rows], steps.limit, out=each)
+        np.multiply(share[rows], steps.way, out=large)
+    known = force[start], slope[start]
+    for some, values in zip(known, steps.spring, strict=True):
+        some[np.searchsorted(start, steps.breaks)] = values
+    log, share = push(steps.sign[start] * known[0], known[1] * n, n)
+    log -= steps.limit[start]
+    share *= steps.way[start]
+    before[0][start], before[1][start] = log, share
+    return (before[0], before[1]), (after[0], after[1])
 
 
 def push(ahead: Array, share: Array, n: Array) -> tuple[Array, Array]:
     """Logarithm of Gⁿ, and n G′/G where G pushes against the motion; `ahead` is overwritten."""
-    share *= ahead > 0
+    if n.min() < 2.0:  # else it vanishes with (G/g)ⁿ
+        share *= ahead > 0
     np.maximum(ahead, TINY, out=ahead)
     share /= ahead
     np.log(ahead, out=ahead)

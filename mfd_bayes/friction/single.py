@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.newton import OVER, STIFF, Material, push
-from mfd_bayes.friction.slip import CLOSE, Rows, advance
+from mfd_bayes.friction.newton import CLOSE, OVER, STIFF, Material, push
+from mfd_bayes.friction.slip import Rows, advance
 
 Array = NDArray[np.float64]
 Bent = tuple[Array, Array, Array]

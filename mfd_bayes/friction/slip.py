@@ -10,38 +10,33 @@ and all steps are solved together by Newton's method: each of its steps is a lin
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.newton import Chosen, Index, Material, Steps, newton
+from mfd_bayes.friction.newton import CLOSE, LEFT, Chosen, Index, Material, Steps, newton
 from mfd_bayes.friction.spring import Spring
 
 Array = NDArray[np.float64]
 
-CLOSE = 3e-6
-"""A step of a motion is solved when Newton moves it by less than this share of the length over
-which slip sets in. Newton converges quadratically: what is left then is below a hundredth of that.
-"""
-
 ITERATIONS = 40
-"""Most of Newton's steps; four to six are the rule."""
+"""Most of Newton's steps; three are the rule."""
 
 FEWER = 0.8
 """Newton goes on with the unsolved steps alone when they are fewer than this share."""
 
-SURE = 0.03
-"""Newton's step, over the same length, below which a solved step of the motion stays solved."""
-
 FAR_OFF = 1.0
-"""Newton's step, over the same length, that may lead beyond what friction can hold: it is cut."""
+"""Error that Newton's method leaves, over the length in which slip sets in and on average over the
+vectors, from which on it may have gone beyond what friction can hold: it is cut.
+"""
 
 TAIL = 24
 """Steps at the end of a stretch where the first guess follows the slip force late."""
 
-SHORT = 4
-"""In a stretch of no more steps than this it does not."""
+FEW = 16
+"""Vectors of which numpy finds a row's largest value faster along columns."""
 
 CUTS = 6
 """Most times that this is done."""
@@ -61,6 +56,8 @@ class Rows:
         Deflection beyond `bound` that no step ends with.
     uneven : bool
         Whether the slip force follows an actuation.
+    onset : (2, n), kip/in, or None
+        See `Damper.onset`; None where the slip force follows an actuation.
     """
 
     way: Array
@@ -70,6 +67,7 @@ class Rows:
     most: Array
     stiff: Chosen | None = None
     uneven: bool = False
+    onset: Array | None = None
 
     def steps(self, spring: Spring, first: Array) -> Steps:
         """All of them, from a deflection (n,), in."""
@@ -79,7 +77,7 @@ class Rows:
 
     def some(self, spring: Spring, kept: Index, z: Array, first: Array) -> Steps:
         """Some of them; the deflections after all others, (R, n), in, are known."""
-        breaks = np.flatnonzero(np.diff(kept, prepend=-2) != 1)
+        breaks = np.append(0, 1 + np.flatnonzero(kept[1:] - kept[:-1] != 1))
         before = z[kept[breaks] - 1]
         if kept[0] == 0:
             before[0] = first
@@ -99,63 +97,141 @@ def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]
     steps = rows.steps(material.spring, first)
     z = _guess(material, rows, steps.starts, first)
     kept: Index | slice = slice(None)
-    force, now, size = z.copy(), z, np.empty(0)
+    force, now = np.empty(z.shape), np.concatenate([first[None], z])
     for done in range(ITERATIONS):
-        found, step = newton(material, steps, now)
-        now += step
-        np.abs(step, out=step)
-        step *= material.rate
-        size = step.max(axis=1)
-        largest = size.max()
-        if largest > FAR_OFF and done < CUTS:
-            _bring_back(rows, kept, now)
-        z[kept], force[kept] = now, found
-        if not largest > CLOSE:
+        found, step, decay = newton(material, steps, now)
+        now[1:] += step
+        step *= step
+        left = step @ material.error
+        cut = left.max() > FAR_OFF * first.size and done < CUTS
+        if cut:
+            _bring_back(rows, kept, now[1:])
+        z[kept], force[kept] = now[1:], found
+        if cut:
+            continue
+        moving = _unsolved(rows, steps, left, decay)
+        if not moving.size:
             break
-        moving = np.flatnonzero(size > CLOSE)
-        if largest < SURE and not rows.uneven and moving.size < FEWER * size.size:
+        if moving.size < FEWER * left.size:
             kept = moving if isinstance(kept, slice) else kept[moving]
-            steps, now = rows.some(material.spring, kept, z, first), z[kept]
+            steps = rows.some(material.spring, kept, z, first)
+            now = np.concatenate([first[None], z[kept]])
     return force, z[-1]
 
 
+def _unsolved(rows: Rows, steps: Steps, left: Array, decay: Array) -> Index:
+    """Steps that Newton's method would still move, by the errors that it leaves in each, (R,).
+
+    An error goes on to the steps that follow, as far as it does not decay. Where slip sets in at
+    once, none may be left.
+    """
+    if rows.uneven or steps.stiff is not None:
+        return np.arange(left.size if left.max() > CLOSE**2 else 0)
+    few = decay.shape[1] < FEW
+    passed = np.ascontiguousarray(decay.T).max(axis=0) if few else decay.max(axis=1)
+    np.clip(passed, 1e-20, 1.0, out=passed)
+    passed = np.cumsum(np.log(passed, out=passed))
+    own = np.log(np.maximum(left, 1e-300)) - passed
+    return np.flatnonzero(passed + np.maximum.accumulate(own) > math.log(LEFT))
+
+
 def _guess(material: Material, rows: Rows, starts: Index, first: Array) -> Array:
-    """About the deflections, (R, n): unloading, with a rounded corner where slip sets in."""
-    z = np.empty(rows.bound.shape)
-    last = first
-    ends = [*starts[1:].tolist(), len(z)]
-    for begin, end in zip(starts.tolist(), ends, strict=True):
-        sign = rows.sign[begin, 0]
-        bound, way = rows.bound[begin:end], np.cumsum(rows.way[begin:end], axis=0)
-        room = bound - way
-        room -= sign * last
-        slips = (room[0] * material.rate < 1.0) | rows.uneven
-        bend = room * room  # about a softplus, which is as wide as the onset of slip
-        bend += 2.0 / material.rate**2
-        np.sqrt(bend, out=bend)
-        bend += room
-        bend *= 0.5
-        np.subtract(bound, bend, out=bend)
-        if slips.any():  # already: what remains of the corner is sharp
-            bend[:, slips] = _slider(bound, way, sign * last)[:, slips]
-        if end - begin > SHORT:
-            tail = slice(-TAIL, None)
-            slipped = np.where(room[tail][0] * material.rate < -1.0, 1.0, 0.0)
-            _lag(bend[tail], bound[tail], way[tail], material.rate, slipped)
-        np.multiply(bend, sign, out=z[begin:end])
-        last = z[end - 1]
-    return z
+    """About the deflections, (R, n): unloading, a rounded corner where slip sets in, and slip."""
+    ends = np.append(starts[1:], len(rows.sign))
+    way = np.cumsum(rows.way, axis=0)
+    stretch = np.repeat(np.arange(starts.size), ends - starts)
+    way -= (way[starts] - rows.way[starts])[stretch]
+    if rows.onset is None:
+        return _sharp(rows, way, starts, ends, first)
+    rate = _rates(material, rows, way, starts, ends)
+    lag = _lag(material, rows, starts, ends)
+    last, offset = first, np.empty(rate.shape)
+    for k, (begin, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        sign, bound = rows.sign[begin, 0], rows.bound
+        held = sign * last
+        # a stretch that begins near slip has less of the corner ahead of it
+        near = np.maximum((bound[begin] - held) * rate[k], 1e-300)
+        offset[k] = held * rate[k] - np.log(-np.expm1(-near))
+        rest = _corner((bound[end - 1] - way[end - 1]) * rate[k] - offset[k], material.late)
+        last = sign * (bound[end - 1] - rest / rate[k] - lag[-1, k])
+    rates = rate[stretch]
+    room = rows.bound - way
+    room *= rates
+    room -= offset[stretch]
+    bend = _corner(room, material.late)
+    bend /= rates
+    np.subtract(rows.bound, bend, out=bend)
+    long = ends - starts >= TAIL
+    bend[ends[long] - TAIL + np.arange(TAIL)[:, None]] -= lag[:, long]
+    bend *= rows.sign
+    return bend
 
 
-def _lag(z: Array, bound: Array, way: Array, rate: Array, slipped: Array) -> None:
-    """Let deflections in slip, (R, n), in place, follow late a slip force that changes."""
-    grown = np.exp(np.minimum((way - way[0]) * rate, 600.0))
-    rise = np.diff(bound, axis=0)
-    rise *= grown[1:]
-    rise *= slipped
+def _rates(material: Material, rows: Rows, way: Array, starts: Index, ends: Index) -> Array:
+    """1/length over which slip sets in, (K, n), 1/in, where it does in each of K stretches.
+
+    That is about where the way since the turn is twice the deflection in slip.
+    """
+    onset, n = np.asarray(rows.onset), material.exponent
+    about = 2.0 * rows.bound[starts].mean(axis=1)
+    before = way[:, 0] < np.repeat(about, ends - starts)
+    at = np.minimum(starts + np.add.reduceat(before, starts, dtype=np.intp), ends - 1)
+    rates: Array = onset[(rows.sign[starts, 0] < 0).astype(np.intp)] * np.exp(-rows.limit[at] / n)
+    return rates
+
+
+def _lag(material: Material, rows: Rows, starts: Index, ends: Index) -> Array:
+    """Way by which deflections in slip follow late a slip force that changes, (`TAIL`, K, n), in.
+
+    It is that at the end of each stretch, 0 in those that are shorter.
+    """
+    lag = np.zeros((TAIL, starts.size, rows.bound.shape[1]))
+    long = ends - starts >= TAIL
+    at = ends[long] - TAIL + np.arange(TAIL)[:, None]
+    back = (rows.sign[starts[long], 0] < 0).astype(np.intp)
+    ways = rows.limit[at]
+    ways /= -material.exponent
+    np.exp(ways, out=ways)
+    ways *= np.asarray(rows.onset)[back]
+    ways *= rows.way[at]
+    np.minimum(ways, 25.0, out=ways)  # exp(−25) is nothing
+    np.cumsum(ways, axis=0, out=ways)
+    grown = np.exp(ways, out=ways)
+    bound = rows.bound[at]
+    rise = bound[1:] - bound[:-1]
+    rise *= grown[:-1]  # it changes as a step begins
     np.cumsum(rise, axis=0, out=rise)
     rise /= grown[1:]
-    z[1:] -= rise
+    lag[1:, long] = rise
+    return lag
+
+
+def _corner(room: Array, late: Array) -> Array:
+    """Way by which friction holds back less than its bound, (R, n), at a room for it, overwritten.
+
+    Both in lengths over which slip sets in.
+    """
+    e = np.abs(room)
+    np.negative(e, out=e)
+    np.exp(e, out=e)
+    share = late + e
+    share *= e
+    e += 1.0
+    share /= e
+    np.log1p(share, out=share)
+    np.maximum(room, 0.0, out=room)
+    room += share
+    return room
+
+
+def _sharp(rows: Rows, way: Array, starts: Index, ends: Index, first: Array) -> Array:
+    """About the deflections, (R, n), were slip to set in at once."""
+    z, last = np.empty(rows.bound.shape), first
+    for begin, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        part, sign = slice(begin, end), rows.sign[begin, 0]
+        np.multiply(_slider(rows.bound[part], way[part], sign * last), sign, out=z[part])
+        last = z[end - 1]
+    return z
 
 
 def _slider(bound: Array, way: Array, first: Array) -> Array:

@@ -88,20 +88,23 @@ class Spring:
             slope = self.k_fwd / (1.0 + np.exp(-a)) + self.k_bwd / (1.0 + np.exp(b))
         return force, slope + self.k_0
 
-    def deflection(self, force: Array) -> Array:
+    def deflection(self, force: Array, close: float = 1e-13) -> Array:
         """Deflection at which the force is G, (..., n): the inverse of `force`.
 
-        Bisection between bounds, with Newton's step wherever it stays inside them.
+        Bisection between bounds, with Newton's step wherever it stays inside them, until a step
+        is below `close` times ℓ + |z|.
         """
         softest = np.minimum(self.k_fwd, self.k_bwd)
         uneven = np.log1p(np.maximum(self.k_fwd, self.k_bwd) / softest)
         high = 0.5 * self.gap + self.ell * (2.0 + uneven) + np.abs(force) / softest
-        low, z = -high, np.zeros(high.shape)
+        low = -high
+        stiff = np.where(force > 0, self.k_fwd, self.k_bwd)
+        z = np.sign(force) * np.minimum(0.5 * self.gap + np.abs(force) / stiff, high)
         for _ in range(_INVERSIONS):
             found, slope = self.evaluate(z)
             error = found - force
             step = error / np.maximum(slope, 1e-300)
-            if np.all(np.abs(step) <= 1e-13 * (self.ell + np.abs(z))):
+            if np.all(np.abs(step) <= close * (self.ell + np.abs(z))):
                 return z - step
             low, high = np.where(error < 0, z, low), np.where(error > 0, z, high)
             new = z - step

@@ -148,7 +148,9 @@ def _force(columns: dict[str, Array], trace: Trace, start: Array) -> Array:
     length = max(BLENDED // start.size, 1)
     for begin in range(0, near.size, length):
         rows = near[begin : begin + length]
-        part = force[rows]
+        together = rows[-1] - rows[0] < rows.size
+        part = force[rows[0] : rows[-1] + 1] if together else force[rows]
         blend(gap, crossing, path.stretch[rows], trace.displacement[rows], part)
-        force[rows] = part
+        if not together:
+            force[rows] = part
     return force
