@@ -23,9 +23,9 @@ FLOOR = 1e-6
 PIECE = 1 << 16
 """Size of a piece's arrays, in numbers: larger ones leave the cache, smaller ones cost calls."""
 
-RESOLVED = (2.8, 0.56)
+RESOLVED = (2.0, 0.4)
 """Longest step near a turn: over the length in which slip sets in, and over g/k. Random walks are
-then within 0.05 % of an ODE solver's.
+then within 0.01 % of an ODE solver's.
 """
 
 SURE = 7.0
