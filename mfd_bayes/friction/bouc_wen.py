@@ -154,6 +154,7 @@ class BoucWen(Model):
     def start(
         self,
         theta: ArrayLike,
+        start: ArrayLike | None = None,
         *,
         direction: int | None = None,
         reference_actuation: float | None = None,
@@ -163,7 +164,7 @@ class BoucWen(Model):
         Parameters
         ----------
         theta : (n, 7)
-        direction : ignored
+        start, direction : ignored
             There is no gap.
         reference_actuation : float, ksi or kip, optional
             Actuation that theta belongs to; when left out, that of the first sample with one.

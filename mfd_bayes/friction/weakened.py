@@ -195,7 +195,7 @@ class Weakened(Model):
             raise FitError(f"the model {base.name} has no steps in time")
         own, weakening = self.parts(theta)
         options = {"direction": direction, "reference_actuation": reference_actuation}
-        begun = base.start(*((own, start) if base.has_gap else (own,)), **options)
+        begun = base.start(own, start, **options)
         return State(begun, weakening, reference_actuation, Sliding(direction or 0))
 
     def step(

@@ -412,3 +412,9 @@ def test_steps_that_do_not_fit_are_refused_by_name(name, value, words):
 def test_a_reference_actuation_that_does_not_fit_is_refused_by_name(reference):
     with pytest.raises(FitError, match=f"reference_actuation must be .*, got {reference}"):
         MODEL.start(theta(), reference_actuation=reference)
+
+
+def test_a_place_in_the_gap_is_without_effect():
+    plain, placed = MODEL.start(theta()), MODEL.start(theta(), np.array([0.2]))
+    forces = [MODEL.step(state, 0.1, 0.5, 0.01)[0] for state in (plain, placed)]
+    np.testing.assert_array_equal(*forces)
