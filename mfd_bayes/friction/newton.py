@@ -28,7 +28,7 @@ CLOSE = 3e-6
 this share of the length over which slip sets in.
 """
 
-LEFT = 3e-10
+LEFT = 3e-12
 """Error, over the same length, that may be left elsewhere. Newton converges quadratically."""
 
 OVER = 1.0
