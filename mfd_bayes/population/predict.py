@@ -294,7 +294,7 @@ class Predictor:
         residual = self.population.residual
         if residual is not None:
             return residual.draw_noise(rng, trace, values["noise_sd"])
-        theta, travel = self.model.theta(values), None
+        travel = None
         if self.noise.needs_travel:
-            travel = self.model.travel(theta, trace, values.get("start"))
+            travel = self.model.travel(self.model.theta(values), trace, values.get("start"))
         return self.noise.draw(rng, trace.time, values, travel)

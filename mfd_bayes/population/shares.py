@@ -136,7 +136,7 @@ SOURCES = (
     ),
     Source(
         "law, level and session effects",
-        "Calibrate a test at or near this actuation, in this session.",
+        "Calibrate a test at or near this actuation, with such a stroke, in this session.",
         _law,
     ),
     Source(
