@@ -1,7 +1,7 @@
 """How long a person waits for one test's posterior, by ours and by the samplers of the field.
 
     pip install -e '.[bench]' zeus-mcmc pints blackjax nutpie dynesty ultranest
-    pip install nautilus-sampler pocomc
+    pip install nautilus-sampler pocomc flowMC
     python -m benchmarks.races.run > benchmarks/races/races.txt
 
 takes about two hours of processor time. Four posteriors, three of real records (those of

@@ -248,6 +248,61 @@ def blackjax_nuts(problem, seed):
     return stepped(problem, advance, each_a_chain, 0.0, warm)
 
 
+def flowmc(problem, seed):
+    """flowMC: MALA of 32 chains and proposals of a spline flow, in coordinates that the mode scales.
+
+    The training loops are warm-up. It draws until the time is up, or as many loops as its buffers
+    hold, which are made before.
+    """
+    import jax
+    from flowMC.resource_strategy_bundle.RQSpline_MALA import RQSpline_MALA_Bundle
+
+    from benchmarks.sampling.peers import jax_density
+
+    chains, local, overall, production = 32, 10, 20, 400
+    density, begin = jax_density(problem.posterior), problem.around_mode(1000, seed)
+    middle, scale = begin.mean(axis=0), np.linalg.cholesky(np.cov(begin, rowvar=False))
+    x = jax.numpy.asarray(np.linalg.solve(scale, (begin[:chains] - middle).T).T)
+    bundle = RQSpline_MALA_Bundle(
+        jax.random.PRNGKey(seed),
+        chains,
+        problem.dim,
+        lambda x, data: density(middle + scale @ x),
+        n_local_steps=local,
+        n_global_steps=overall,
+        n_training_loops=4,
+        n_production_loops=production,
+        n_epochs=10,
+        mala_step_size=0.3,
+    )
+    split = bundle.strategy_order.index("reset_steppers")
+    key, resources = jax.random.PRNGKey(seed + 1), bundle.resources
+
+    def go(names):
+        nonlocal key, resources, x
+        for name in names:
+            key, resources, x = bundle.strategies[name](key, resources, x, {})
+        jax.block_until_ready(x)
+
+    go(bundle.strategy_order[:split])
+    warm = problem.spent
+    rest = bundle.strategy_order[split:]
+    each = max(1, len(rest) // production)
+    block, done = 5 * each, 0
+
+    def advance():
+        nonlocal done
+        if done >= len(rest):
+            raise TimeoutError("its buffers are full")
+        go(rest[done : done + block])
+        done += block
+        drawn = np.asarray(resources["positions_production"].data)
+        filled = np.isfinite(drawn[0, :, 0])
+        return (middle + drawn[:, filled] @ scale.T).swapaxes(0, 1)
+
+    return stepped(problem, advance, each_a_chain, 0.0, warm)
+
+
 def nutpie(problem, seed):
     """NUTS of nutpie with its defaults, four chains on one core, density and gradient by JAX."""
     import jax
@@ -353,6 +408,7 @@ TOOLS = {
     "PINTS, DREAM": pints_dream,
     "NumPyro, NUTS": numpyro_nuts,
     "blackjax, NUTS": blackjax_nuts,
+    "flowMC": flowmc,
     "nutpie": nutpie,
     "dynesty": dynesty,
     "UltraNest": ultranest,
