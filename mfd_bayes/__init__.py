@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
     from mfd_bayes.reporting.notebook import open_run
+    from mfd_bayes.runs.average import ModelAverage
     from mfd_bayes.runs.run import Run
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
@@ -36,6 +37,7 @@ _HOMES = {
     "Forecaster": "mfd_bayes.population.follow",
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
+    "ModelAverage": "mfd_bayes.runs.average",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",
     "Run": "mfd_bayes.runs.run",
@@ -58,6 +60,7 @@ __all__ = [
     "Limits",
     "LuGre",
     "MfdError",
+    "ModelAverage",
     "Posterior",
     "Record",
     "Run",

@@ -118,6 +118,7 @@ CONTRACTS = {
     ),
     "mfd_bayes.records.trace.from_arrays",
     "mfd_bayes.runs.response.respond_of_run",
+    "mfd_bayes.runs.average.predict",
     "mfd_bayes.runs.run.predict",
     "mfd_bayes.runs.run.follow",
 }

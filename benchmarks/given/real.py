@@ -1,9 +1,10 @@
 """Earthquakes predicted from harmonic tests, alone and given the seconds before the shaking.
 
-    python -m benchmarks.given.real --run OUT > benchmarks/given/real.txt
+    python -m benchmarks.given.real --run OUT --run OTHER > benchmarks/given/real.txt
 
-OUT is a finished run of the 36 lb session of the band brake whose harmonic tests are calibrated and
-whose earthquakes have the role "validate". RRSE of the median is over the window that the dataset's
+OUT and OTHER are finished runs of the 36 lb session of the band brake with different models, whose
+harmonic tests are calibrated and whose earthquakes have the role "validate"; both together are the
+last part of the table. RRSE of the median is over the window that the dataset's
 authors published an error of LuGre for, and so are coverage and width of the bands of kind
 "observation". --pictures FOLDER draws the histories with both bands.
 """
@@ -63,26 +64,37 @@ def draw(folder: Path, name: str, trace: mb.Trace, bands: list[Band]) -> None:
         (folder / f"{name}_{word}.png").write_bytes(to_png(figure))
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--pictures", type=Path)
-    options = parser.parse_args()
-    run = mb.open_run(options.run)
-    settings = run.manifest.settings
-    print(f"Model {settings.model}, {len(run.tests)} calibrated tests, draws 1000, seed 0.")
-    print(f"{processor()}, {versions('numpy', 'arviz')}\n\n{HEAD}")
+def score(source: mb.Run | mb.ModelAverage, run: mb.Run, pictures: Path | None) -> None:
+    """Rows of the records that the run left out, predicted by it or by several; their pictures."""
+    print(HEAD)
     for name, (end, *_) in RECORDS.items():
         trace = run.held_out[name]
         bands = [
-            run.predict(trace, "observation", draws=1000, given=given)
+            source.predict(trace, "observation", draws=1000, given=given)
             for given in (None, (float(trace.time[0]), end))
         ]
         for band in bands:
             print(row(name, trace, band))
-        if options.pictures:
-            options.pictures.mkdir(exist_ok=True)
-            draw(options.pictures, name, trace, bands)
+        if pictures:
+            pictures.mkdir(exist_ok=True)
+            draw(pictures, name, trace, bands)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--run", type=Path, required=True, action="append")
+    parser.add_argument("--pictures", type=Path)
+    options = parser.parse_args()
+    runs = [mb.open_run(folder) for folder in options.run]
+    print(f"{processor()}, {versions('numpy', 'arviz')}; draws 1000, seed 0")
+    for run in runs:
+        settings = run.manifest.settings
+        print(f"\nModel {settings.model}, {len(run.tests)} calibrated tests\n")
+        score(run, run, options.pictures)
+    if len(runs) > 1:
+        both = mb.ModelAverage(runs)
+        print(f"\nModels {' and '.join(both.models)} in equal parts\n")
+        score(both, runs[0], None)
     return 0
 
 

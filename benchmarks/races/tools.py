@@ -249,7 +249,7 @@ def blackjax_nuts(problem, seed):
 
 
 def flowmc(problem, seed):
-    """flowMC: MALA of 32 chains and proposals of a spline flow, in coordinates that the mode scales.
+    """flowMC: MALA of 32 chains and proposals of a spline flow, in coordinates scaled by the mode.
 
     The training loops are warm-up. It draws until the time is up, or as many loops as its buffers
     hold, which are made before.

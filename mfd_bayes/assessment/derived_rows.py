@@ -20,6 +20,7 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.predict import Band
 from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.average import ModelAverage
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -67,20 +68,28 @@ def held_out_rows(run: Run, name: str, trace: Trace, damper: Band) -> tuple[Deri
 
 
 def predicted_rows(
-    run: Run, trace: Trace, band: Band, told: Trace | None = None, after: str = ""
+    source: Run | ModelAverage,
+    trace: Trace,
+    band: Band,
+    told: Trace | None = None,
+    after: str = "",
 ) -> tuple[DerivedRow, ...]:
     """Derived quantities of a prediction, with intervals of the band's probability.
 
     A band of kind "observation" holds offset and noise, which are not the damper's; its
     derived quantities are those of kind "new_test". `trace` is the band's, with a force
     where one was measured; `told` has the force of a given part. `after` is the test that the
-    motion follows without a reset.
+    motion follows without a reset. What derives from parameters is not told of several models.
     """
     if band.kind == "observation":
         window = band.given.window if band.given else None
         asked = told or trace, "new_test", band.probability
-        band = run.predict(*asked, given=window, after=after)
-    drawn, known = _drawn(run, trace, band), _measured(trace)
+        band = source.predict(*asked, given=window, after=after)
+    if isinstance(source, ModelAverage):
+        drawn = derive_from_force(band.draws, trace)
+    else:
+        drawn = _drawn(source, trace, band)
+    known = _measured(trace)
     return _rows(("", band.kind), drawn, known, full_strokes(trace), band.probability)
 
 

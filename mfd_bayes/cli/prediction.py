@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mfd_bayes.cli import arguments, console, progress
 from mfd_bayes.cli.exits import mistakes, resumption
+
+if TYPE_CHECKING:
+    from mfd_bayes.pipeline.prediction import Answer
+    from mfd_bayes.pipeline.question import Question
 
 _COMPARED = "three_stage,lugre,bouc_wen,backlash"
 
@@ -66,6 +70,15 @@ def predict(
         str,
         typer.Option(metavar="ID", help="The test before, where the device was not reset."),
     ] = "",
+    others: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--with",
+            metavar="OUT",
+            parser=arguments.path,
+            help="Predict together with this run of another model; may be repeated.",
+        ),
+    ] = None,
     force: arguments.Replace = False,
     units: arguments.Units = None,
     quiet: arguments.Quiet = False,
@@ -85,11 +98,15 @@ def predict(
     part of the motion's file, for the kinds new_test and observation: the band of
     the rest is narrower, and the tables and pictures mark the part. --after names
     a test of the run that was made directly before, with no reset in between: the
-    motion begins where in its gap that test ended.
+    motion begins where in its gap that test ended. --with names a run of the same
+    tests with another model, such as compare writes: both give half of the band's
+    draws, so that it holds what each of them says.
 
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
       mfd-bayes predict out --sine "1in, 1Hz, 3 cycles" --actuation 1ksi -o b.csv
+      mfd-bayes predict out/three_stage --with out/backlash --motion quake.csv \
+        --actuation "1000 psi" -o bands.csv
     """
     from mfd_bayes.pipeline import commands as pipeline
 
@@ -112,15 +129,21 @@ def predict(
         force=force,
         given=given,
         after=after,
+        others=tuple(others or ()),
     )
     with mistakes():
         answer = pipeline.predict(out, question)
+    _tell(answer, question, quiet=quiet)
+
+
+def _tell(answer: Answer, question: Question, *, quiet: bool) -> None:
+    """Print what a prediction found, and where its tables are."""
     band = answer.band
     for remark in band.remarks:
         console.say(f"warning: {remark}", err=True)
     console.say(
         f"{band.interval} {console.in_percent(band.probability)} % band of kind {band.kind} "
-        f"({answer.name}), from {band.source}: {bands} and {bands.with_suffix('.png')}"
+        f"({answer.name}), from {band.source}: {question.bands} and {question.picture}"
     )
     if answer.compared is not None:
         console.say(answer.compared.sentence(answer.system))

@@ -19,6 +19,7 @@ from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
+from mfd_bayes.runs.average import ModelAverage
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run
@@ -61,18 +62,10 @@ def predict(out: Path, question: Question) -> Answer:
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"
         )
-    if question.window and question.design:
-        raise CampaignError(
-            "--design cannot be combined with --given: its properties are those of any test, not "
-            "of the one whose first part is given"
-        )
-    if question.after and question.design:
-        raise CampaignError(
-            "--design cannot be combined with --after: its properties are those of any test, not "
-            "of one that follows another"
-        )
+    _check_combined(question)
     check_question(question)
     run = open_run(out)
+    source = ModelAverage((run, *map(open_run, question.others))) if question.others else run
     system = named_system(question.units, run.system)
     motion, thinned = motion_of(question)
     told = replace(motion, actuation=_level(run, question))
@@ -80,8 +73,8 @@ def predict(out: Path, question: Question) -> Answer:
     _check_reach(run, trace, question)
     drawn = told if question.compare else trace
     with reading(run.folder, run.manifest):
-        band = _band(run, told if question.given else trace, question)
-        rows = predicted_rows(run, drawn, band, told, question.after)
+        band = _band(source, told if question.given else trace, question)
+        rows = predicted_rows(source, drawn, band, told, question.after)
         narrow = design_warnings(run) if question.design else ()
         bounds = design_rows(run, trace, question.probability) if question.design else ()
     band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
@@ -93,18 +86,43 @@ def predict(out: Path, question: Question) -> Answer:
     return answer
 
 
-def _band(run: Run, trace: Trace, question: Question) -> Band:
+def _check_combined(question: Question) -> None:
+    """Refuse options that exclude each other."""
+    if question.design and (question.window or question.after):
+        option, which = (
+            ("--given", "the one whose first part is given")
+            if question.window
+            else ("--after", "one that follows another")
+        )
+        raise CampaignError(
+            f"--design cannot be combined with {option}: its properties are those of any test, not "
+            f"of {which}"
+        )
+    of_one = {
+        "--test": question.test,
+        "--recalibrate": question.recalibrate,
+        "--explain": question.explain,
+        "--design": question.design,
+    }
+    asked = [option for option, given in of_one.items() if given]
+    if question.others and asked:
+        raise CampaignError(f"{asked[0]} cannot be combined with --with: it is of one model alone")
+
+
+def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
     """Band that is asked for."""
-    return run.predict(
-        trace,
-        question.kind,
-        question.probability,
+    asked = trace, question.kind, question.probability
+    whole, given, after = question.whole, question.window, question.after
+    if isinstance(source, ModelAverage):
+        return source.predict(*asked, whole=whole, given=given, after=after)
+    return source.predict(
+        *asked,
         test=question.test,
-        whole=question.whole,
+        whole=whole,
         recalibrate=question.recalibrate,
         explain=question.explain,
-        given=question.window,
-        after=question.after,
+        given=given,
+        after=after,
     )
 
 

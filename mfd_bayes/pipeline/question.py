@@ -60,6 +60,8 @@ class Question:
         Id of the test of the run that the motion follows without a reset.
     force : bool
         Whether files of other programs are replaced.
+    others : tuple of Path
+        Runs of the same tests with other models, which predict together with the first.
     """
 
     motion: Path | None
@@ -80,6 +82,7 @@ class Question:
     force: bool = False
     given: str = ""
     after: str = ""
+    others: tuple[Path, ...] = ()
 
     @property
     def window(self) -> tuple[float, float] | None:

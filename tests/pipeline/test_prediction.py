@@ -1,5 +1,6 @@
 """The command predict on a small synthetic campaign, tested at 500, 1000 and 1500 psi."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -220,3 +221,30 @@ def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_pa
     assert forms == Forms(excel=True)
     assert not own.metric
     assert plain == Forms()
+
+
+@pytest.mark.usefixtures("small_pictures")
+def test_with_another_run_both_give_half_of_the_draws(ask, run, tmp_path, monkeypatch):
+    """Here both are the same run under two names, so that the band is about the same."""
+    settings = run.manifest.settings.model_copy(update={"model": "lugre"})
+    runs = {"other": replace(run, manifest=run.manifest.model_copy(update={"settings": settings}))}
+    monkeypatch.setattr(prediction, "open_run", lambda path: runs.get(path.name, run))
+    motion = written(tmp_path / "slow.csv", 0.5, 0.5)
+    alone = ask("--motion", motion)
+    band = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    together = ask("--motion", motion, "--with", "other")
+    assert (alone.exit_code, together.exit_code) == (0, 0), together.output
+    both = pd.read_csv(tmp_path / "bands.csv", comment="#")
+    width = (band["upper_kip"] - band["lower_kip"]).mean()
+    assert (both["upper_kip"] - both["lower_kip"]).mean() == pytest.approx(width, rel=0.15)
+    assert "three_stage and lugre in equal parts" in together.stdout
+    derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#")
+    assert "energy_per_cycle" in set(derived["quantity"])
+    assert not {"gap", "C_fwd"} & set(derived["quantity"])  # each model has its own
+
+
+@pytest.mark.parametrize("option", ["--design", "--explain", "--recalibrate"])
+def test_what_is_of_one_model_is_not_asked_of_several(ask, out, option):
+    refused = ask("--sine", "1 in, 0.5 Hz, 2 cycles", "--with", out, option)
+    assert refused.exit_code == 2
+    assert f"{option} cannot be combined with --with" in refused.stderr
