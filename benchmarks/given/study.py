@@ -18,11 +18,13 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.population.band import Band
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Band, Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.residual import Residual, slip_force_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.travel import TravelBasis

@@ -37,9 +37,10 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.pace import Pace
-from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.runs.results import Score
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.folds import folds_of, run_folds

@@ -18,11 +18,12 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.effects import WIDER
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.pilot import Pilot, fit_pilot
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.sharing import share

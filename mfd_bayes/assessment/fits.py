@@ -26,7 +26,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.population.predict import Forecast
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import US

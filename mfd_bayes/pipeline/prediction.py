@@ -14,8 +14,8 @@ from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import write_picture
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
+from mfd_bayes.population.band import Band
 from mfd_bayes.population.kinds import KIND_NAMES
-from mfd_bayes.population.predict import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv

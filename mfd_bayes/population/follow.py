@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.errors import FitError, RecordError
+from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.conditioned import Conditioned
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import (
     LARGEST_K,
     TRIED,
@@ -26,7 +28,7 @@ from mfd_bayes.population.given import (
 from mfd_bayes.population.given_part import GivenLikelihood, GivenPart
 from mfd_bayes.population.incoming import AHEAD, Incoming
 from mfd_bayes.population.pace import Pace
-from mfd_bayes.population.predict import Band, Forecast, Predictor, band_of
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import Setting

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.errors import FitError
+from mfd_bayes.population.band import Band
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.drawn import Drawn
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given_part import (
     GivenLikelihood,
     GivenPart,
@@ -20,7 +22,7 @@ from mfd_bayes.population.given_part import (
     given_part,
 )
 from mfd_bayes.population.pace import Counted, Counting, Pace
-from mfd_bayes.population.predict import Band, Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior, start_of
 from mfd_bayes.population.residual import Residual, slip_force_of
 from mfd_bayes.population.sequel import left_of

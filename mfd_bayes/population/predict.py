@@ -3,143 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
-from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.conditioned import Conditioned
+from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.drawn import Drawn
-from mfd_bayes.population.kinds import KINDS
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
-from mfd_bayes.population.sequel import Ending, left_of, told
+from mfd_bayes.population.sequel import left_of, told
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
-from mfd_bayes.population.shown import ShownBand
 from mfd_bayes.population.unshared import scales_of, unknown_of
-from mfd_bayes.population.whole import whole_band
-from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Forecast:
-    """Settings of a prediction.
-
-    Attributes
-    ----------
-    kind : {"device", "new_test", "observation", "this_test"}
-    probability : float
-    draws, seed : int
-    session : str
-        Of the predicted test, where the campaign declares sessions.
-    whole : bool
-        Whether a band of the whole history is computed too.
-    permutations : int
-        Orders of sources for `Band.shares`; 0 for none.
-    before : Ending, optional
-        Of the test that the motion follows without a reset.
-
-    Raises
-    ------
-    FitError
-        When the kind is unknown, or the probability is not between 0 and 1.
-    """
-
-    kind: str = "new_test"
-    probability: float = 0.95
-    draws: int = 500
-    seed: int = 0
-    session: str = ""
-    whole: bool = False
-    permutations: int = 0
-    before: Ending | None = field(default=None, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-        if not 0.0 < self.probability < 1.0:
-            raise FitError(f"probability must lie between 0 and 1, got {self.probability}")
-        if whole_number("draws", self.draws, 0, FitError) < 10:
-            raise FitError(f"a band needs at least 10 draws, got {self.draws}")
-        whole_number("seed", self.seed, 0, FitError)
-
-
-@dataclass(frozen=True, eq=False)
-class Band(ShownBand):
-    """Equal-tailed band of the force at each sample.
-
-    Attributes
-    ----------
-    time, lower, median, upper : (T,), s and kip
-        The probability holds for each sample by itself.
-    draws : (n, T), kip
-    kind : str
-    probability : float
-    source : str
-        Where the parameters come from.
-    values : mapping of str to (n,)
-        Quantities of each draw, by name.
-    remarks : tuple of str
-        Reasons to trust it less, and what a recalibrated band promises, in sentences.
-    whole_lower, whole_upper : (T,), kip, or None
-        Band that holds the whole history with the probability, where it was asked for.
-    shares : mapping of str to float
-        What makes it wide: share of each source in the variance, where it was asked for.
-    given : Conditioned, or None
-        The part of the record that was known, where there is one: its `window` (s), `pareto_k`,
-        `method` ("weights" or "sampling") and `effective` draws.
-    """
-
-    time: Array
-    lower: Array
-    median: Array
-    upper: Array
-    draws: Array
-    kind: str
-    probability: float
-    source: str
-    values: Mapping[str, Array] = field(default_factory=dict)
-    interval: str = "equal-tailed"
-    remarks: tuple[str, ...] = ()
-    whole_lower: Array | None = None
-    whole_upper: Array | None = None
-    shares: Mapping[str, float] = field(default_factory=dict)
-    extras: Extras | None = field(default=None, repr=False)
-    given: Conditioned | None = None
-
-    def widened(self, factor: float) -> Band:
-        """The band of single samples, as many times as wide about its median."""
-        lower = self.median - factor * (self.median - self.lower)
-        return replace(self, lower=lower, upper=self.median + factor * (self.upper - self.median))
-
-
-def band_of(
-    time: Array,
-    draws: Array,
-    forecast: Forecast,
-    source: str,
-    values: Mapping[str, Array] | None = None,
-) -> Band:
-    """Band of force draws (n, T), kip."""
-    tail = 0.5 * (1.0 - forecast.probability)
-    lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
-    asked = forecast.kind, forecast.probability
-    band = Band(time, lower, median, upper, draws, *asked, source, values or {})
-    if not forecast.whole:
-        return band
-    whole_lower, whole_upper = whole_band(draws, forecast.probability)
-    return replace(band, whole_lower=whole_lower, whole_upper=whole_upper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +161,8 @@ class Predictor:
 
     def force(self, trace: Trace, drawn: Drawn) -> Array:
         """The damper's force with the discrepancy of the model, (n, T), kip."""
-        theta = self.model.theta(values := self.values(drawn))
+        values = self.values(drawn)
+        theta = self.model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
         force = self.model.force_unbounded(
             theta, trace, values.get("start"), scales=drawn.scales or None

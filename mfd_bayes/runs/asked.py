@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.population.band import Band
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.kinds import THIS_TEST
-from mfd_bayes.population.predict import Band, Forecast
 from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
 from mfd_bayes.population.sequel import Ending
 from mfd_bayes.population.setting import same_level

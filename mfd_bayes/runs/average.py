@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.conditioned import Conditioned
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.kinds import THIS_TEST
-from mfd_bayes.population.predict import Band, Forecast, band_of
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 

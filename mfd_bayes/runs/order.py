@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.sequel import Ending, ending_of, pooled_values
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import check_stored, pooled_of

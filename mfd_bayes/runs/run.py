@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.prior_files import PriorFile
@@ -18,12 +17,14 @@ from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Effort
+from mfd_bayes.population.band import Band
 from mfd_bayes.population.follow import Forecaster
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Band, Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.sequel import Ending
 from mfd_bayes.population.setting import planned_setting
 from mfd_bayes.population.shares import PERMUTATIONS
@@ -40,8 +41,6 @@ from mfd_bayes.store.cards import counted, grid
 
 if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,7 @@ class Run:
 
     @property
     def hashed(self) -> bool:
-        """Whether the manifest has hashes of the stored files, so that changes are detected."""
+        """Whether the manifest has hashes of the stored files, so that changes are seen."""
         return bool(self.manifest.files)
 
     def rewrite(self, **parts: Any) -> Run:
@@ -207,10 +206,11 @@ class Run:
             band = predictor.repeat(trace, forecast, self.tests[name].stored.values())
         else:
             band = predictor.predict(trace, forecast)
-        left, gapless = self.departures(trace, test), after and forecast.before is None
-        known = asked.remarks_of(left, self.manifest, self.system, widened=not test)
-        remarks = (*known, *([NO_GAP] if gapless else []), *band.remarks)
-        band = replace(band, remarks=remarks, extras=self.extras)
+        left = self.departures(trace, test)
+        remarks = asked.remarks_of(left, self.manifest, self.system, widened=not test)
+        if after and forecast.before is None:
+            remarks += (NO_GAP,)
+        band = replace(band, remarks=remarks + band.remarks, extras=self.extras)
         return asked.recalibrated(band, scores, self.manifest) if recalibrate else band
 
     def respond(

@@ -23,8 +23,9 @@ from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.population.apart import joined
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.inference import Inference, infer_population
-from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.recalibration import factors_of
 from mfd_bayes.population.sequel import pooled_values
 from mfd_bayes.population.setting import Setting, levels_of, setting_of

@@ -7,8 +7,8 @@ from mfd_bayes.assessment.bands import compare
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.population import given
 from mfd_bayes.population.conditioned import Conditioned
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.predict import Forecast
 from mfd_bayes.records.trace import Trace
 
 TESTS = 10

@@ -7,10 +7,11 @@ import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.sampling import sample
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 
 PRIORS = 4000
 """Draws of the prior that stand for draws of a population without scatter."""

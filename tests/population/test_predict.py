@@ -10,8 +10,10 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.population.band import band_of
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.kinds import NESTED
-from mfd_bayes.population.predict import Forecast, Predictor, band_of
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.setting import setting_of
 from mfd_bayes.records.trace import Trace
 

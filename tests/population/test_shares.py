@@ -10,8 +10,9 @@ from mfd_bayes.assessment.width import width_sentence
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.drawn import Drawn
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.parts import Parts
-from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.shares import ADVICE, GROUPS, SOURCES, shapley, shares_of
 from mfd_bayes.records.trace import Trace
 

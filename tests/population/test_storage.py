@@ -13,11 +13,12 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.laws import COMPARE
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Forecast, Predictor
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.storage import (

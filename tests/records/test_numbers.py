@@ -7,7 +7,7 @@ import mfd_bayes as mb
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import MODELS
-from mfd_bayes.population.predict import Forecast
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.records.numbers import real_numbers
 
 TIME = np.arange(101) / 25.0

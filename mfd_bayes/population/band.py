@@ -1,0 +1,84 @@
+"""A band of the force, and the draws that it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.extras import Extras
+from mfd_bayes.population.conditioned import Conditioned
+from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.shown import ShownBand
+from mfd_bayes.population.whole import whole_band
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Band(ShownBand):
+    """Equal-tailed band of the force at each sample.
+
+    Attributes
+    ----------
+    time, lower, median, upper : (T,), s and kip
+        The probability holds for each sample by itself.
+    draws : (n, T), kip
+    kind : str
+    probability : float
+    source : str
+        Where the parameters come from.
+    values : mapping of str to (n,)
+        Quantities of each draw, by name.
+    remarks : tuple of str
+        Reasons to trust it less, and what a recalibrated band promises, in sentences.
+    whole_lower, whole_upper : (T,), kip, or None
+        Band that holds the whole history with the probability, where it was asked for.
+    shares : mapping of str to float
+        What makes it wide: share of each source in the variance, where it was asked for.
+    given : Conditioned, or None
+        The part of the record that was known, where there is one: its `window` (s), `pareto_k`,
+        `method` ("weights" or "sampling") and `effective` draws.
+    """
+
+    time: Array
+    lower: Array
+    median: Array
+    upper: Array
+    draws: Array
+    kind: str
+    probability: float
+    source: str
+    values: Mapping[str, Array] = field(default_factory=dict)
+    interval: str = "equal-tailed"
+    remarks: tuple[str, ...] = ()
+    whole_lower: Array | None = None
+    whole_upper: Array | None = None
+    shares: Mapping[str, float] = field(default_factory=dict)
+    extras: Extras | None = field(default=None, repr=False)
+    given: Conditioned | None = None
+
+    def widened(self, factor: float) -> Band:
+        """The band of single samples, as many times as wide about its median."""
+        lower = self.median - factor * (self.median - self.lower)
+        return replace(self, lower=lower, upper=self.median + factor * (self.upper - self.median))
+
+
+def band_of(
+    time: Array,
+    draws: Array,
+    forecast: Forecast,
+    source: str,
+    values: Mapping[str, Array] | None = None,
+) -> Band:
+    """Band of force draws (n, T), kip."""
+    tail = 0.5 * (1.0 - forecast.probability)
+    lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
+    asked = forecast.kind, forecast.probability
+    band = Band(time, lower, median, upper, draws, *asked, source, values or {})
+    if not forecast.whole:
+        return band
+    whole_lower, whole_upper = whole_band(draws, forecast.probability)
+    return replace(band, whole_lower=whole_lower, whole_upper=whole_upper)
