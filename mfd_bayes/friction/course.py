@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-FAR = 4.0
+FAR = 2.0
 """In slip a step may be longer than near a turn by this factor."""
 
 MOST_FAR = 8
