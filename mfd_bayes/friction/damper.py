@@ -99,8 +99,10 @@ class Damper:
 
     @cached_property
     def reach(self) -> Array:
-        """Exponent times steepest slope, (n,), kip/in: divided by a slip force it is at least the
-        reciprocal length over which slip sets in there, whatever the actuation.
+        """Exponent times steepest slope, (n,), kip/in.
+
+        Divided by a slip force it is at least the reciprocal of the length over which slip sets in
+        there, whatever the actuation.
         """
         c = self.columns
         return np.asarray(c["n"] * (np.maximum(c["k_fwd"], c["k_bwd"]) + c["k_0"]))
