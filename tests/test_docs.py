@@ -208,7 +208,8 @@ def test_every_law_of_the_campaign_file_is_there_with_its_default():
     text = PAGES["campaign.md"].read_text(encoding="utf-8")
     known = {name: f'`"{law}"`' for name, law in complete_laws({}).items()}
     for model in MODELS.values():
-        known |= {name: f"that of `{other}`" for name, other in model.laws_from.items()}
+        for name, other in {**model.laws_from, **model.tied_laws}.items():
+            known[name] = f"that of `{other}`"
     assert documented_keys(text, "[laws]") == known
 
 

@@ -69,14 +69,17 @@ def default_laws() -> dict[str, str]:
 
 
 def complete_laws(given: Mapping[str, str]) -> dict[str, str]:
-    """Law of every name that may have one in a campaign: the given one, or the default."""
+    """Law of every name that may have one in a campaign: the given one, or the default.
+
+    Where a law must be that of another quantity, that is its default.
+    """
     laws: dict[str, str] = {}
     for model in models.MODELS.values():
         for name, default in model.laws.items():
             other = model.laws_from.get(name, "")
             laws[name] = given.get(name, laws.get(other, default))
         for name, followed in model.tied_laws.items():
-            laws[name] = given.get(name, model.laws[followed])
+            laws[name] = given.get(name, laws[followed])
     return laws
 
 

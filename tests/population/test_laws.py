@@ -142,6 +142,8 @@ def test_an_actuation_beyond_all_range_has_a_ratio():
 
 def test_the_yield_force_follows_frictions_law_where_it_has_none_of_its_own():
     assert complete_laws({"Fc_fwd": "power"})["Fy_fwd"] == "power"
+    assert complete_laws({"Fc_fwd": "power"})["Fs_fwd"] == "power"
+    assert complete_laws({"Fc_fwd": "power"})["Fs_bwd"] == "proportional"
     chosen = complete_laws({"Fc_fwd": "power", "Fy_fwd": "affine"})
     found = chosen["Fc_fwd"], chosen["Fy_fwd"], chosen["Fy_bwd"]
     assert found == ("power", "affine", "proportional")
