@@ -146,7 +146,8 @@ class GivenProblem:
         scales: Mapping[str, Array] | None = None
         if trace.varying:
             history = np.asarray(trace.actuation)
-            scales = scales_of(self.predictor.population, history, self.level, prior.index[labels])
+            index = prior.index[labels]
+            scales = scales_of(self.predictor.population, model, history, self.level, index)
         force = model.force_unbounded(model.theta(values), trace, values["start"], scales=scales)
         slip, sd = slip_force_of(model, values), values["noise_sd"]
         mean = self.counted.functions @ self.residual.mean
@@ -228,9 +229,8 @@ def predict_given(
     if trace.varying:
         history = np.asarray(trace.actuation)
         index = prior.index[known.labels]
-        drawn = replace(
-            drawn, scales=scales_of(predictor.population, history, problem.level, index)
-        )
+        asked = predictor.population, predictor.model, history, problem.level, index
+        drawn = replace(drawn, scales=scales_of(*asked))
     source = f"population laws with scatter, and {told.sentence}"
     band = predictor.finish(trace, forecast, drawn, rng, source)
     return replace(band, given=told, remarks=(*band.remarks, *told.remarks))

@@ -116,7 +116,8 @@ class Predictor:
         left = left_of(self.population, self.model, self.population.values(parts), trace)
         unknown = unknown_of(self.population, len(index), rng, setting_of(trace), left)
         level, history = trace.reference_actuation, np.asarray(trace.actuation)
-        scales = scales_of(self.population, history, level, index) if trace.varying else {}
+        along = self.population, self.model, history, level, index
+        scales = scales_of(*along) if trace.varying else {}
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, len(index))
         return Drawn(parts, unknown, scales, discrepancy=learned)

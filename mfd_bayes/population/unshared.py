@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
 
@@ -31,7 +32,7 @@ def unknown_of(
 
 
 def scales_of(
-    population: Population, history: Array, level: float, index: NDArray[np.intp]
+    population: Population, model: Model, history: Array, level: float, index: NDArray[np.intp]
 ) -> dict[str, Array]:
     """Factors along a history of actuation (T,) of what follows it, over their values at a level.
 
@@ -44,6 +45,10 @@ def scales_of(
         at_level = population.ratio(name, reference).reshape(-1, 1)[index]
         # without any actuation along the history it stays at its level
         scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)
-        if name.startswith("Fc"):
-            scales[name.replace("Fc", "Fs")] = scales[name]
-    return scales
+    return with_tied(scales, model)
+
+
+def with_tied(scales: dict[str, Array], model: Model) -> dict[str, Array]:
+    """Factors also of what follows another quantity in this model, such as static friction."""
+    tied = {name: scales[other] for name, other in model.tied_laws.items() if other in scales}
+    return scales | tied

@@ -112,7 +112,8 @@ class Steps:
         history = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[new]
         if not np.all(np.isfinite(history)) or np.allclose(history, self.level, rtol=1e-9):
             return {}
-        return scales_of(self.predictor.population, history, self.level, index)
+        known = self.predictor
+        return scales_of(known.population, known.model, history, self.level, index)
 
     def log_likelihood(self, walk: Walk) -> Array:
         """Log likelihood of draws from their sums, (n,)."""

@@ -12,7 +12,7 @@ from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.unshared import unknown_of
+from mfd_bayes.population.unshared import unknown_of, with_tied
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.devices import Dampers
@@ -40,7 +40,7 @@ def draw_dampers(
     drawn = [_values(population, choice, index, j, level) for j, level in enumerate(levels)]
     about = [_about(model, values, typical) for values, typical in drawn]
     slip = np.stack([slip_force_of(model, values) for values, _ in drawn], axis=1)
-    scales, times = _scales(population, building, index)
+    scales, times = _scales(population, model, building, index)
     return Dampers(
         model,
         np.stack([model.theta(values) for values, _ in drawn], axis=1),
@@ -106,7 +106,7 @@ def _leftover(population: Population, slip: Array, choice: Choice) -> Leftover |
 
 
 def _scales(
-    population: Population, building: Building, index: NDArray[np.intp]
+    population: Population, model: Model, building: Building, index: NDArray[np.intp]
 ) -> tuple[Mapping[str, Array], Array | None]:
     """Factors of what follows the actuation, (n, m, T) each, where a damper has a history."""
     found = levels_along(building)
@@ -122,6 +122,4 @@ def _scales(
             base = population.ratio(name, at).reshape(-1, 1)[index]
             rows.append(np.where(base > 0, ratio / np.maximum(base, 1e-300), 1.0))
         scales[name] = np.stack(rows, axis=1)
-        if name.startswith("Fc"):
-            scales[name.replace("Fc", "Fs")] = scales[name]
-    return scales, times
+    return with_tied(scales, model), times

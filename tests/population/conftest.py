@@ -263,10 +263,17 @@ def make_population():
 
 
 def _make_population(
-    laws=None, *, level_sd=0.01, scatter=0.1, effect=1e-6, sessions=None, also=None
+    laws=None,
+    *,
+    level_sd=0.01,
+    scatter=0.1,
+    effect=1e-6,
+    sessions=None,
+    also=None,
+    medians=MEDIANS,
 ):
     """A population with medians, and also others, known to 1 % at 1 ksi, and 10 % scatter."""
-    priors, medians = load_priors("mfd"), MEDIANS | (also or {})
+    priors, medians = load_priors("mfd"), medians | (also or {})
     settings = [
         Setting(p, session, {"velocity": 3.1})
         for p, session in zip((0.5, 1.0, 2.0), sessions or [""] * 3, strict=True)

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.three_stage import ThreeStage
@@ -154,6 +155,34 @@ def test_a_history_of_two_levels_follows_either_of_them(law, make_population):
     np.testing.assert_allclose(history[early & SLIDING], before[early & SLIDING], atol=0.01)
     np.testing.assert_allclose(history[late & SLIDING], after[late & SLIDING], atol=0.03)
     assert np.mean(np.abs(before[late] - after[late])) > 0.3  # the control
+
+
+def ordinary(name):
+    """Medians of a model's quantities and of the noise, from the priors."""
+    known = load_priors("mfd").parameters
+    names = [quantity.name for quantity in find_model(name).quantities if quantity.name in known]
+    drawn = {n: known[n].draw(np.random.default_rng(0), 999) for n in (*names, "noise_sd")}
+    found = {n: float(np.median(values)) for n, values in drawn.items()}
+    others = {"offset": 0.03, "noise_time": 0.1}
+    return {n: v for n, v in {**found, **others}.items() if n not in ("gamma1", "start")}
+
+
+@pytest.mark.parametrize("name", ["lugre", "three_stage", "bouc_wen", "backlash"])
+def test_every_model_follows_a_history(name, make_population):
+    """Twice the actuation is about twice the force in slip."""
+    population = make_population(medians=ordinary(name), level_sd=1e-9)
+    predictor = Predictor(population, find_model(name), NOISE)
+    step = np.where(TIME < 2.0, 0.5, 1.0)
+    forces = [
+        predictor.predict(Trace.from_arrays(TIME, MOTION, p), Forecast("device", draws=20)).median
+        for p in (0.5, 1.0, step)
+    ]
+    before, after, history = forces
+    early = SLIDING & (TIME > 0.8) & (TIME < 1.95)
+    late = SLIDING & (TIME > 3.3)
+    np.testing.assert_allclose(history[early], before[early], atol=0.03)
+    np.testing.assert_allclose(history[late], after[late], atol=0.03)
+    assert np.mean(np.abs(after[late])) > 1.4 * np.mean(np.abs(before[late]))  # the control
 
 
 def test_a_valve_that_closes_leaves_no_friction(population):
