@@ -3,7 +3,7 @@
     python -m benchmarks.demo_coverage.backlash [SEEDS] > benchmarks/demo_coverage/backlash.txt
 
 The demo's tests and laws, but the force is that of friction behind a spring with a gap, and the
-campaign is calibrated with the same model (`model = "backlash"`, effort quick): five minutes a
+campaign is calibrated with the same model (`model = "backlash"`, effort quick): four minutes a
 seed on two cores.
 """
 
