@@ -105,8 +105,7 @@ def predict(
     Example:
       mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
       mfd-bayes predict out --sine "1in, 1Hz, 3 cycles" --actuation 1ksi -o b.csv
-      mfd-bayes predict out/three_stage --with out/backlash --motion quake.csv \
-        --actuation "1000 psi" -o bands.csv
+      mfd-bayes predict a --with b --motion quake.csv --actuation "1 ksi" -o b.csv
     """
     from mfd_bayes.pipeline import commands as pipeline
 

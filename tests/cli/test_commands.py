@@ -236,7 +236,11 @@ def test_a_validation_test_is_checked_too(folder):
         ('role = "calibrate"', 'fit = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
         ('role = "calibrate"', 'fit = "3 s to 1 s"', ("fit", "end after it starts")),
         ("[laws]", '[laws]\nFs_fwd = "affine"', ("laws.Fs_fwd", "Fc_fwd", "'affine'")),
-        ("[laws]", '[laws]\nFc_fwd = "affine"', ("laws.Fs_fwd", "Fc_fwd", "'affine'")),
+        (
+            "[laws]",
+            '[laws]\nFc_fwd = "affine"\nFs_fwd = "power"',
+            ("laws.Fs_fwd", "'affine'", "'power'"),
+        ),
         ("[laws]", '[laws]\nsigma0 = "cubic"', ("laws.sigma0", "'cubic'", "'affine'")),
         ("[laws]", '[dependence]\nFc_fwd = ["speed"]', ("dependence.Fc_fwd", "'speed'")),
         ("[laws]", '[dependence]\nd_2 = ["velocity"]', ("'d_2'", "'d2'", "[dependence]")),
