@@ -36,7 +36,7 @@ ROOT = {"__init__", "__main__", "errors", "units"}
 
 HOMES = {
     "emcee": ("mfd_bayes.calibration.ensembles", "mfd_bayes.calibration.moves"),
-    "arviz": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
+    "arviz": ("mfd_bayes.store.arviz",),
     "arviz_stats": ("mfd_bayes.calibration.diagnostics", "mfd_bayes.store.netcdf"),
     "xarray": (
         *("mfd_bayes.store.netcdf", "mfd_bayes.calibration.result"),

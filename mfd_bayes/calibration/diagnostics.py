@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
+
+from mfd_bayes.store.arviz import import_arviz
 
 Array = NDArray[np.float64]
 
@@ -115,35 +112,6 @@ def measure_draws(draws: Array, walkers: int) -> Convergence:
 def effective_size(draws: Array) -> float:
     """Bulk effective sample size of one quantity's stored draws (chain, draw); 0 if too few."""
     return _arviz()[1](draws, "bulk") if draws.shape[1] >= FEWEST_STEPS else 0.0
-
-
-def import_arviz() -> Any:
-    """ArviZ, imported without its announcements and also where no cache folder is writable."""
-    with warnings.catch_warnings(), _hidden("bokeh.plotting", "bokeh.models"):
-        # 0.23 announces its refactoring on the first import of a day
-        warnings.simplefilter("ignore", FutureWarning)
-        try:
-            import arviz
-        except OSError:  # it writes to the user's cache, which may be read-only
-            os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="mfd_bayes-cache-")
-            import arviz
-    return arviz
-
-
-@contextmanager
-def _hidden(*modules: str) -> Iterator[None]:
-    """Make modules that are not loaded yet seem to be missing.
-
-    ArviZ 0.x imports bokeh for three docstrings, which takes three quarters of the time.
-    """
-    loaded: dict[str, Any] = sys.modules
-    hidden = [name for name in modules if name not in loaded]
-    loaded |= dict.fromkeys(hidden)
-    try:
-        yield
-    finally:
-        for name in hidden:
-            del loaded[name]
 
 
 def _is_classic(arviz: Any) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.hdf5 import UnsafeError, check_objects
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.store.arviz import import_arviz
 from mfd_bayes.store.files import json_text, write_bytes
 
 if TYPE_CHECKING:
@@ -104,9 +104,7 @@ def arviz_data(groups: Mapping[str, xr.Dataset]) -> Any:
     """Groups as ArviZ's functions take them: InferenceData, or a DataTree from version 1 on."""
     import xarray as xr
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # 0.23 announces version 1
-        import arviz as az
+    az = import_arviz()
     if hasattr(az, "InferenceData"):
         inference_data: Any = az.InferenceData
         return inference_data(**groups)
