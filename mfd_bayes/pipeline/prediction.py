@@ -88,16 +88,16 @@ def predict(out: Path, question: Question) -> Answer:
 
 def _check_combined(question: Question) -> None:
     """Refuse options that exclude each other."""
-    if question.design and (question.window or question.after):
-        option, which = (
-            ("--given", "the one whose first part is given")
-            if question.window
-            else ("--after", "one that follows another")
-        )
-        raise CampaignError(
-            f"--design cannot be combined with {option}: its properties are those of any test, not "
-            f"of {which}"
-        )
+    of_a_test = (
+        ("--given", question.window, "the one whose first part is given"),
+        ("--after", question.after, "one that follows another"),
+    )
+    for option, given, which in of_a_test:
+        if given and question.design:
+            raise CampaignError(
+                f"--design cannot be combined with {option}: its properties are those of any test, "
+                f"not of {which}"
+            )
     of_one = {
         "--test": question.test,
         "--recalibrate": question.recalibrate,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -28,7 +27,6 @@ from mfd_bayes.population.residual import Residual, slip_force_of
 from mfd_bayes.population.sequel import left_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.tempering import systematic, temper
-from mfd_bayes.population.unshared import scales_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -143,11 +141,7 @@ class GivenProblem:
     def _known(self, prior: TestPrior, labels: Index, points: Array) -> Known:
         values = values_of(self.predictor, points)
         model, trace = self.predictor.model, self.part.trace
-        scales: Mapping[str, Array] | None = None
-        if trace.varying:
-            history = np.asarray(trace.actuation)
-            index = prior.index[labels]
-            scales = scales_of(self.predictor.population, model, history, self.level, index)
+        scales = self.predictor.scales(trace, self.level, prior.index[labels]) or None
         force = model.force_unbounded(model.theta(values), trace, values["start"], scales=scales)
         slip, sd = slip_force_of(model, values), values["noise_sd"]
         mean = self.counted.functions @ self.residual.mean
@@ -225,12 +219,8 @@ def predict_given(
     counting = counting_of(predictor, prior, pace, setting)
     problem = GivenProblem(predictor, prior, part, setting.actuation, counting)
     known, told = draw_known(problem, forecast.draws, rng)
-    drawn = drawn_of(problem, known, rng)
-    if trace.varying:
-        history = np.asarray(trace.actuation)
-        index = prior.index[known.labels]
-        asked = predictor.population, predictor.model, history, problem.level, index
-        drawn = replace(drawn, scales=scales_of(*asked))
+    scales = predictor.scales(trace, problem.level, prior.index[known.labels])
+    drawn = replace(drawn_of(problem, known, rng), scales=scales)
     source = f"population laws with scatter, and {told.sentence}"
     band = predictor.finish(trace, forecast, drawn, rng, source)
     return replace(band, given=told, remarks=(*band.remarks, *told.remarks))

@@ -115,9 +115,7 @@ class Predictor:
         """Drawn tests of these parts, with all but their noise; index are their draws of laws."""
         left = left_of(self.population, self.model, self.population.values(parts), trace)
         unknown = unknown_of(self.population, len(index), rng, setting_of(trace), left)
-        level, history = trace.reference_actuation, np.asarray(trace.actuation)
-        along = self.population, self.model, history, level, index
-        scales = scales_of(*along) if trace.varying else {}
+        scales = self.scales(trace, trace.reference_actuation, index)
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, len(index))
         return Drawn(parts, unknown, scales, discrepancy=learned)
@@ -155,6 +153,16 @@ class Predictor:
         if drawn.noise is None:
             return damper, damper
         return damper + self.values(drawn)["offset"][:, None] + drawn.noise, damper
+
+    def scales(self, trace: Trace, level: float, index: NDArray[np.intp]) -> dict[str, Array]:
+        """Factors of what follows the actuation, over its values at a level, (n, T) each.
+
+        Empty where the actuation is constant; index are the tests' draws of laws.
+        """
+        if not trace.varying:
+            return {}
+        history = np.asarray(trace.actuation)
+        return scales_of(self.population, self.model, history, level, index)
 
     def values(self, drawn: Drawn) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""

@@ -45,10 +45,6 @@ def scales_of(
         at_level = population.ratio(name, reference).reshape(-1, 1)[index]
         # without any actuation along the history it stays at its level
         scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)
-    return with_tied(scales, model)
-
-
-def with_tied(scales: dict[str, Array], model: Model) -> dict[str, Array]:
-    """Factors also of what follows another quantity in this model, such as static friction."""
+    # what follows another quantity in this model, such as static friction
     tied = {name: scales[other] for name, other in model.tied_laws.items() if other in scales}
     return scales | tied

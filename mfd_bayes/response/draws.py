@@ -12,7 +12,7 @@ from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.unshared import unknown_of, with_tied
+from mfd_bayes.population.unshared import scales_of, unknown_of
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.devices import Dampers
@@ -113,13 +113,8 @@ def _scales(
     if found is None:
         return {}, None
     times, levels = found
-    scales: dict[str, Array] = {}
-    for name in population.layout.laws:
-        rows = []
-        for device, along in zip(building.devices, levels, strict=True):
-            at = np.array([level_of(device, building.folder)])
-            ratio = population.ratio(name, along).reshape(-1, along.size)[index]
-            base = population.ratio(name, at).reshape(-1, 1)[index]
-            rows.append(np.where(base > 0, ratio / np.maximum(base, 1e-300), 1.0))
-        scales[name] = np.stack(rows, axis=1)
-    return with_tied(scales, model), times
+    each = [
+        scales_of(population, model, along, level_of(device, building.folder), index)
+        for device, along in zip(building.devices, levels, strict=True)
+    ]
+    return {name: np.stack([one[name] for one in each], axis=1) for name in each[0]}, times

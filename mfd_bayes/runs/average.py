@@ -161,17 +161,18 @@ def _listed(words: Sequence[str]) -> str:
 
 def _remarks(named: Mapping[str, Band]) -> tuple[str, ...]:
     """Remarks of all bands, once each, and where the models disagree."""
-    said = dict.fromkeys(remark for band in named.values() for remark in band.remarks)
+    said = tuple(dict.fromkeys(remark for band in named.values() for remark in band.remarks))
     medians = np.array([band.median for band in named.values()])
     apart = float(np.sqrt(np.mean(np.var(medians, axis=0)))) * 2.0
     half = float(np.mean([np.mean(band.upper - band.lower) for band in named.values()])) / 2.0
-    if apart > APART * half:
-        share = 100.0 * apart / half
-        said[
-            f"the models disagree: their medians are apart by {share:.0f} % of half the width of "
-            "one model's band (root mean square), and tests do not yet tell which one is right here"
-        ] = None
-    return tuple(said)
+    if apart <= APART * half:
+        return said
+    share = 100.0 * apart / half
+    return (
+        *said,
+        f"the models disagree: their medians are apart by {share:.0f} % of half the width of "
+        "one model's band (root mean square), and tests do not yet tell which one is right here",
+    )
 
 
 def _given(parts: Sequence[Conditioned]) -> Conditioned | None:
