@@ -105,8 +105,16 @@ def exp_pass():
     return lambda: np.exp(given, out=out)
 
 
-def beside_peers(centre, words):
-    """Table of vectors around one; what failed."""
+def other_models(trace):
+    """Calls of the other models."""
+    return {
+        "three stages": lambda: ThreeStage().force(around(THREE, VECTORS, 0.0), trace),
+        "Bouc-Wen": lambda: BoucWen().force(around(BOUC, VECTORS, 0.0), trace),
+    }
+
+
+def beside_peers(words, centre, others=None):
+    """Table of vectors around one, beside peers and calls of others; what failed."""
     trace, theta, failed = motion(SAMPLES), around(centre, VECTORS), []
     ours = MODEL.force(theta, trace)
     contenders = {
@@ -114,12 +122,8 @@ def beside_peers(centre, words):
         "ours": lambda: MODEL.force(theta, trace),
         "numba (njit, fastmath)": peer(peers.numba_loop, theta, trace),
         "JAX scan": peer(peers.jax_scan, theta, trace),
+        **(others or {}),
     }
-    if centre is CENTRE:
-        contenders |= {
-            "three stages": lambda: ThreeStage().force(around(THREE, VECTORS, 0.0), trace),
-            "Bouc-Wen": lambda: BoucWen().force(around(BOUC, VECTORS, 0.0), trace),
-        }
     seconds = race(contenders)
     print(f"{words}: {VECTORS} vectors × {SAMPLES} samples at 100 Hz, 1 in, 0.5 Hz")
     print(f"{'':26s}{'best ms':>9s}{'median ms':>11s}{'passes':>9s}{'deviation':>11s}")
@@ -140,7 +144,7 @@ def beside_peers(centre, words):
 
 
 def over_size():
-    """Second table: passes of np.exp over as many elements."""
+    """Third table: passes of np.exp over as many elements."""
     print("\n3. Cost over size, in passes over as many elements")
     sizes = [(s, 64) for s in (500, 2000, 10_000, 30_000)] + [(2000, v) for v in (1, 8, 32, 256)]
     for samples, vectors in sizes:
@@ -153,7 +157,7 @@ def over_size():
 
 
 def step_by_step():
-    """Third table; what failed."""
+    """Fourth table; what failed."""
     print("\n4. Step by step at 1024 Hz (977 µs)")
     failed, rate = [], 1024.0
     for vectors in (1, 8, 64):
@@ -176,9 +180,9 @@ def main():
     print("What a force of the backlash model costs, one thread of one core\n")
     print(f"{processor()}; {load()}")
     print(f"{versions('numpy', 'scipy', 'numba', 'jax')}\n")
-    failed = beside_peers(CENTRE, "1. Middling values")
+    failed = beside_peers("1. Middling values", CENTRE, other_models(motion(SAMPLES)))
     print()
-    failed += beside_peers(REAL, "2. As fitted to a real record, 22 lb")
+    failed += beside_peers("2. As fitted to a real record, 22 lb", REAL)
     over_size()
     failed += step_by_step()
     print_bars(failed)
