@@ -22,14 +22,14 @@ _memory = _Memory()
 def scratch(count: int, rows: int, n: int) -> list[Array]:
     """Uninitialised arrays (rows, n), valid until this thread's next call of `scratch`.
 
-    Every call returns the same memory: allocating it would cost more than the computation. It
-    begins with a line of the cache, which a vector of 512 bits fills.
+    Every call returns the same memory: allocating it would cost more than the computation. Each
+    begins with a line of the cache, which a vector of 512 bits fills: else writing it takes longer.
     """
-    size = count * rows * n
-    if _memory.room.size < size:
-        room = np.empty(size + 8)
+    size = -(-rows * n // 8) * 8
+    if _memory.room.size < count * size:
+        room = np.empty(count * size + 8)
         _memory.room = room[-(room.ctypes.data // 8) % 8 :]
-    return list(_memory.room[:size].reshape(count, rows, n))
+    return [_memory.room[i * size : i * size + rows * n].reshape(rows, n) for i in range(count)]
 
 
 def outer(column: Array, row: Array, out: Array) -> Array:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.friction.arrays import outer
 from mfd_bayes.friction.course import Course, Place, Plan, cut, side_by_side
 from mfd_bayes.friction.newton import STIFF, Material
 from mfd_bayes.friction.slip import Rows, advance
@@ -34,6 +35,9 @@ SURE = 7.0
 WORTH = 2000
 """Numbers of an array whose computation takes as long as one more call for few vectors does."""
 
+POWERS = 5
+"""Coefficients of the polynomial by which deflections in slip follow static friction."""
+
 GRID = 512
 """Deflections at which the spring is inverted for a first guess."""
 
@@ -57,7 +61,7 @@ class Damper:
         """As `of`, with what a motion needs worked out for all: for few it costs as much."""
         some = self.of(chosen)
         known = {"friction": tuple(part[:, chosen] for part in self.friction)}
-        vars(some).update(known, onset=self.onset[:, chosen])
+        vars(some).update(known, onset=self.onset[:, chosen], slipping=self.slipping[..., chosen])
         return some
 
     @cached_property
@@ -77,25 +81,30 @@ class Damper:
         return Material(self.spring, self.columns["n"], np.max(self.onset / kinetic, axis=0))
 
     @cached_property
-    def friction(self) -> tuple[Array, Array, Array, Array]:
-        """Logarithm of F_c, and e, forward and backward, and deflections s z in slip, (2, n) each.
-
-        The deflections, in, are those of kinetic friction and what static friction adds to them.
-        """
+    def friction(self) -> tuple[Array, Array]:
+        """Logarithm of F_c, and e, forward and backward, (2, n) each."""
         c = self.columns
         kinetic = np.stack([c["Fc_fwd"], c["Fc_bwd"]])
-        excess = np.stack([c["static_excess_fwd"], c["static_excess_bwd"]])
+        return np.log(kinetic), np.stack([c["static_excess_fwd"], c["static_excess_bwd"]])
+
+    @cached_property
+    def slipping(self) -> Array:
+        """Deflection s z in slip, in, as a polynomial of the share of static friction.
+
+        Its coefficients from the highest power on, forward and backward, (`POWERS`, 2, n).
+        """
+        log, excess = self.friction
+        share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, POWERS))
         sign = np.array([[1.0], [-1.0]])
-        slow, at = sign * self.spring.deflection(
-            sign * kinetic * np.stack([1.0 + excess, np.ones(excess.shape)]), close=1e-4
-        )
-        return np.log(kinetic), excess, at, slow - at
+        force = np.exp(log) * (1.0 + excess * share[:, None, None])
+        at = sign * self.spring.deflection(sign * force, close=1e-4)
+        return np.tensordot(np.linalg.inv(np.vander(share)), at, 1)
 
     @cached_property
     def onset(self) -> Array:
         """Exponent times slope of the spring in slip, forward and backward, (2, n), kip/in."""
         sign = np.array([[1.0], [-1.0]])
-        return self.columns["n"] * self.spring.evaluate(sign * self.friction[2])[1]
+        return self.columns["n"] * self.spring.evaluate(sign * self.slipping[-1])[1]
 
     @cached_property
     def reach(self) -> Array:
@@ -220,31 +229,38 @@ def _pieces(damper: Damper, course: Course, drive: Drive) -> Iterator[tuple[int,
 
 def rows_of(damper: Damper, course: Course, part: slice, drive: Drive) -> Rows:
     """Part of a course, with the slip force in each step."""
-    c, n = damper.columns, damper.columns["n"]
+    n = damper.columns["n"]
     sign, origin = course.sign[part], course.origin[part]
     back = (sign < 0).astype(np.intp)
-    static = drive.rate[origin, None] / c["v_s"]
-    static *= static
-    np.exp(np.negative(static, out=static), out=static)
-    kinetic, excess, at, rise = damper.friction
-    level = excess[back]
+    room = np.empty((back.size, damper.size))
+    static = outer(drive.rate[origin] ** 2, -1.0 / damper.columns["v_s"] ** 2, out=room)
+    np.exp(static, out=static)
+    kinetic, excess = damper.friction
+    level = excess.take(back, axis=0)
     level *= static
     level += 1.0
     np.log(level, out=level)
-    level += kinetic[back]
-    bound = rise[back]
-    bound *= static
-    bound += at[back]
-    uneven, length = bool(drive.shares), 1.0 / damper.material.rate[None]
+    level += kinetic.take(back, axis=0)
+    way, uneven = course.way[part], bool(drive.shares)
     if uneven:
         level += np.log(_shares(course, part, drive, back))
         force = np.exp(level)
         bound, length = _bounds(damper, force, sign), force / damper.reach
-    way = course.way[part]
+    else:
+        bound, length = _in_slip(damper, static, back), 1.0 / damper.material.rate[None]
     stiff, most = _stiff(way, length), 2.0 * length
     level *= n
     onset = None if uneven else damper.onset
     return Rows(way, sign[:, None], level, bound, most, stiff, uneven, onset)
+
+
+def _in_slip(damper: Damper, static: Array, back: NDArray[np.intp]) -> Array:
+    """About the deflection s z in slip, (R, n), in, at shares of static friction."""
+    bound: Array = damper.slipping[0].take(back, axis=0)
+    for coefficient in damper.slipping[1:]:
+        bound *= static
+        bound += coefficient.take(back, axis=0)
+    return bound
 
 
 def _stiff(way: Array, length: Array) -> NDArray[np.bool_] | None:

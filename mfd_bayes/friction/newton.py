@@ -145,7 +145,7 @@ def _linear(
     (p0, b0), (p1, b1) = _pushes(material, steps, spring, room[:6])
     over = _let_go(material, steps, p0, b0) if p0.max() > OVER else None
     # c = −h f′: with all of the rule times 12, the weights of f₀ and f₁ are 6 ∓ c
-    c, t, gain = (array[1:] for array in (*room[:2], room[6]))
+    c, t, gain = (array[:-1] for array in (*room[:2], room[6]))
     np.exp(np.minimum(p1, STIFF, out=p1), out=p1)
     np.multiply(b1, p1, out=c)
     f = np.subtract(1.0, p1, out=p1)
@@ -195,7 +195,7 @@ def _pushes(
     ahead[0] = TINY
     np.multiply(steps.sign, force[1:], out=ahead[1:])
     log, share = push(ahead, np.multiply(slope, n, out=share), n)
-    before, after = [array[1:] for array in room[2:4]], [array[1:] for array in room[4:6]]
+    before, after = [array[:-1] for array in room[2:4]], [array[:-1] for array in room[4:6]]
     for (each, large), rows in ((before, slice(None, -1)), (after, slice(1, None))):
         np.subtract(log[rows], steps.limit, out=each)
         np.multiply(share[rows], steps.way, out=large)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.newton import CLOSE, LEFT, Chosen, Index, Material, Steps, newton
+from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.friction.spring import Spring
 
 Array = NDArray[np.float64]
@@ -31,9 +32,6 @@ FAR_OFF = 1.0
 """Error that Newton's method leaves, over the length in which slip sets in and on average over the
 vectors, from which on it may have gone beyond what friction can hold: it is cut.
 """
-
-TAIL = 24
-"""Steps at the end of a stretch where the first guess follows the slip force late."""
 
 FEW = 16
 """Vectors of which numpy finds a row's largest value faster along columns."""
@@ -144,7 +142,8 @@ def _guess(material: Material, rows: Rows, starts: Index, first: Array) -> Array
     if rows.onset is None:
         return _sharp(rows, way, starts, ends, first)
     rate = _rates(material, rows, way, starts, ends)
-    lag = _lag(material, rows, starts, ends)
+    rates = rate[stretch]
+    lag = _lag(rows, rates, starts)
     last, offset = first, np.empty(rate.shape)
     for k, (begin, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         sign, bound = rows.sign[begin, 0], rows.bound
@@ -152,17 +151,17 @@ def _guess(material: Material, rows: Rows, starts: Index, first: Array) -> Array
         # a stretch that begins near slip has less of the corner ahead of it
         near = np.maximum((bound[begin] - held) * rate[k], 1e-300)
         offset[k] = held * rate[k] - np.log(-np.expm1(-near))
-        rest = _corner((bound[end - 1] - way[end - 1]) * rate[k] - offset[k], material.late)
-        last = sign * (bound[end - 1] - rest / rate[k] - lag[-1, k])
-    rates = rate[stretch]
+        room = (bound[end - 1] - way[end - 1]) * rate[k] - offset[k]
+        late = np.where(room < 0, lag[end - 1], 0.0)
+        last = sign * (bound[end - 1] - _corner(room, material.late) / rate[k] - late)
     room = rows.bound - way
     room *= rates
     room -= offset[stretch]
+    lag *= room < 0
     bend = _corner(room, material.late)
     bend /= rates
     np.subtract(rows.bound, bend, out=bend)
-    long = ends - starts >= TAIL
-    bend[ends[long] - TAIL + np.arange(TAIL)[:, None]] -= lag[:, long]
+    bend -= lag
     bend *= rows.sign
     return bend
 
@@ -180,30 +179,18 @@ def _rates(material: Material, rows: Rows, way: Array, starts: Index, ends: Inde
     return rates
 
 
-def _lag(material: Material, rows: Rows, starts: Index, ends: Index) -> Array:
-    """Way by which deflections in slip follow late a slip force that changes, (`TAIL`, K, n), in.
+def _lag(rows: Rows, rates: Array, starts: Index) -> Array:
+    """Way by which deflections in slip follow late a slip force that changes, (R, n), in.
 
-    It is that at the end of each stretch, 0 in those that are shorter.
+    A change comes with the beginning of a step, and decays over the length of slip, 1/`rates`.
     """
-    lag = np.zeros((TAIL, starts.size, rows.bound.shape[1]))
-    long = ends - starts >= TAIL
-    at = ends[long] - TAIL + np.arange(TAIL)[:, None]
-    back = (rows.sign[starts[long], 0] < 0).astype(np.intp)
-    ways = rows.limit[at]
-    ways /= -material.exponent
-    np.exp(ways, out=ways)
-    ways *= np.asarray(rows.onset)[back]
-    ways *= rows.way[at]
-    np.minimum(ways, 25.0, out=ways)  # exp(−25) is nothing
-    np.cumsum(ways, axis=0, out=ways)
-    grown = np.exp(ways, out=ways)
-    bound = rows.bound[at]
-    rise = bound[1:] - bound[:-1]
-    rise *= grown[:-1]  # it changes as a step begins
-    np.cumsum(rise, axis=0, out=rise)
-    rise /= grown[1:]
-    lag[1:, long] = rise
-    return lag
+    decay = rows.way * rates
+    np.exp(np.negative(decay, out=decay), out=decay)
+    rise = np.diff(rows.bound, axis=0, prepend=rows.bound[:1])
+    rise[starts] = 0.0
+    rise *= decay
+    decay[starts] = 0.0
+    return solve(decay, rise, np.zeros(rates.shape[1]))
 
 
 def _corner(room: Array, late: Array) -> Array:
