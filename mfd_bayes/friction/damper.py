@@ -248,10 +248,10 @@ def rows_of(damper: Damper, course: Course, part: slice, drive: Drive) -> Rows:
         bound, length = _bounds(damper, force, sign), force / damper.reach
     else:
         bound, length = _in_slip(damper, static, back), 1.0 / damper.material.rate[None]
-    stiff, most = _stiff(way, length), 2.0 * length
+    slip, most = _at_once(damper, way, length, (level, sign)), 2.0 * length
     level *= n
     onset = None if uneven else damper.onset
-    return Rows(way, sign[:, None], level, bound, most, stiff, uneven, onset)
+    return Rows(way, sign[:, None], level, bound, most, slip, uneven, onset)
 
 
 def _in_slip(damper: Damper, static: Array, back: NDArray[np.intp]) -> Array:
@@ -263,14 +263,20 @@ def _in_slip(damper: Damper, static: Array, back: NDArray[np.intp]) -> Array:
     return bound
 
 
-def _stiff(way: Array, length: Array) -> NDArray[np.bool_] | None:
-    """Steps that are far longer than the length over which slip sets in, (R, n); None without any.
+def _at_once(damper: Damper, way: Array, length: Array, slip: tuple[Array, Array]) -> Array | None:
+    """Deflection s z in slip of steps far longer than the length over which it sets in, (R, n).
 
-    `length` is (R, n), or (1, n) where it is the same in all steps.
+    NaN of all other steps; None where there are no such steps. `length` is (R, n), or (1, n) where
+    it is the same in all steps; `slip` has the logarithm of the slip force and the direction.
     """
     if np.all(way.max(axis=0) <= STIFF * length.min(axis=0)):
         return None
-    return np.asarray(way > STIFF * length)
+    level, sign = slip
+    row, column = np.nonzero(way > STIFF * length)
+    found = np.full(level.shape, np.nan)
+    force = sign[row] * np.exp(level[row, column])
+    found[row, column] = sign[row] * damper.spring.of(column).deflection(force)
+    return found
 
 
 def _shares(course: Course, part: slice, drive: Drive, back: NDArray[np.intp]) -> Array:

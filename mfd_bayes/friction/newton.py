@@ -77,8 +77,8 @@ class Steps:
         +1 or −1, the direction; also of a step of length zero.
     limit : (R, n)
         n ln g, of the slip force g in each step, kip.
-    stiff : (R, n) or None
-        Steps that are far too long for the rule.
+    slip : (R, n) or None, in
+        Deflection s z in slip, of steps that are far too long for the rule; NaN of all others.
     breaks : (B,), int
         Steps that do not follow the one before them here.
     first : (B, n), in
@@ -90,7 +90,7 @@ class Steps:
     way: Array
     sign: Array
     limit: Array
-    stiff: Chosen | None
+    slip: Array | None
     breaks: Index
     first: Array
     spring: tuple[Array, Array]
@@ -128,8 +128,8 @@ def newton(material: Material, steps: Steps, z: Array) -> tuple[Array, Array, Ar
     room = scratch(9, *z.shape)
     force, slope = material.spring.evaluate(z, room[:4])
     decay, drive = _linear(material, steps, z, (force, slope), room[2:])
-    if steps.stiff is not None:
-        _slide(material, steps, (steps.before(z), z[1:]), (decay, drive))
+    if steps.slip is not None:
+        _slide(steps, steps.slip, (steps.before(z), z[1:]), (decay, drive))
     decay[steps.breaks] = 0.0
     step = solve(decay, drive, np.zeros(z.shape[1]))
     slope[1:] *= step
@@ -238,15 +238,10 @@ def _let_go(material: Material, rows: Steps, log: Array, share: Array) -> tuple[
     return over, z
 
 
-def _slide(
-    material: Material, rows: Steps, z: tuple[Array, Array], linear: tuple[Array, Array]
-) -> None:
-    """Recurrence, `linear`, of the stiff steps, where slip sets in at once; z before and after."""
-    stiff = np.asarray(rows.stiff)
-    row, column = np.nonzero(stiff)
-    sign = rows.sign[row, 0]
-    level = np.exp(rows.limit[stiff] / material.exponent[column])
-    slip = sign * material.spring.of(column).deflection(sign * level)
-    ahead = sign * z[0][stiff] + np.broadcast_to(rows.way, stiff.shape)[stiff]
-    linear[0][stiff] = ahead < slip
-    linear[1][stiff] = sign * np.minimum(ahead, slip) - z[1][stiff]
+def _slide(steps: Steps, slip: Array, z: tuple[Array, Array], linear: tuple[Array, Array]) -> None:
+    """Recurrence, `linear`, of the steps where slip sets in at once; z before and after."""
+    stiff = np.isfinite(slip)
+    sign = np.broadcast_to(steps.sign, stiff.shape)[stiff]
+    ahead = sign * z[0][stiff] + np.broadcast_to(steps.way, stiff.shape)[stiff]
+    linear[0][stiff] = ahead < slip[stiff]
+    linear[1][stiff] = sign * np.minimum(ahead, slip[stiff]) - z[1][stiff]

@@ -27,7 +27,7 @@ def advance_few(material: Material, rows: Rows, bent: Bent) -> Bent:
         The same before them.
     """
     first = bent[0]
-    if rows.stiff is None:
+    if rows.slip is None:
         for k in range(len(rows.sign)):
             found = _one(material, (rows.way[k], rows.sign[k, 0], rows.limit[k]), bent)
             if found is None:

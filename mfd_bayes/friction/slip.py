@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.newton import CLOSE, LEFT, Chosen, Index, Material, Steps, newton
+from mfd_bayes.friction.newton import CLOSE, LEFT, Index, Material, Steps, newton
 from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.friction.spring import Spring
 
@@ -46,7 +46,7 @@ class Rows:
 
     Attributes
     ----------
-    way, sign, limit, stiff
+    way, sign, limit, slip
         As in `Steps`.
     bound : (R, n), in
         About the deflection s z in slip.
@@ -63,7 +63,7 @@ class Rows:
     limit: Array
     bound: Array
     most: Array
-    stiff: Chosen | None = None
+    slip: Array | None = None
     uneven: bool = False
     onset: Array | None = None
 
@@ -71,7 +71,7 @@ class Rows:
         """All of them, from a deflection (n,), in."""
         start, before = np.zeros(1, dtype=np.intp), first[None]
         known = spring.evaluate(before)
-        return Steps(self.way, self.sign, self.limit, self.stiff, start, before, known)
+        return Steps(self.way, self.sign, self.limit, self.slip, start, before, known)
 
     def some(self, spring: Spring, kept: Index, z: Array, first: Array) -> Steps:
         """Some of them; the deflections after all others, (R, n), in, are known."""
@@ -79,9 +79,9 @@ class Rows:
         before = z[kept[breaks] - 1]
         if kept[0] == 0:
             before[0] = first
-        stiff = None if self.stiff is None else self.stiff[kept]
+        slip = None if self.slip is None else self.slip[kept]
         parts = (self.way[kept], self.sign[kept], self.limit[kept])
-        return Steps(*parts, stiff, breaks, before, spring.evaluate(before))
+        return Steps(*parts, slip, breaks, before, spring.evaluate(before))
 
 
 def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]:
@@ -123,7 +123,7 @@ def _unsolved(rows: Rows, steps: Steps, left: Array, decay: Array) -> Index:
     An error goes on to the steps that follow, as far as it does not decay. Where slip sets in at
     once, none may be left.
     """
-    if rows.uneven or steps.stiff is not None:
+    if rows.uneven or steps.slip is not None:
         return np.arange(left.size if left.max() > CLOSE**2 else 0)
     few = decay.shape[1] < FEW
     passed = np.ascontiguousarray(decay.T).max(axis=0) if few else decay.max(axis=1)

@@ -13,6 +13,9 @@ Array = NDArray[np.float64]
 
 _INVERSIONS = 60
 
+LEAST = -690.0
+"""Exponent of e below which a number loses digits."""
+
 
 @dataclass(frozen=True, eq=False)
 class Spring:
@@ -54,15 +57,29 @@ class Spring:
         With `room`, four arrays of z's shape, they are the first two of those.
         """
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            force, slope = self._plain(z, room or [np.empty(z.shape) for _ in range(4)])
-        return (force, slope) if isfinite(np.add.reduce(force, axis=None)) else self._steep(z)
+            force, slope, least = self._plain(z, room or [np.empty(z.shape) for _ in range(4)])
+        if not (least > 0.0 and isfinite(np.add.reduce(force, axis=None))):
+            steep = self._where_steep(z, force)
+            force[..., steep], slope[..., steep] = self.of(steep)._steep(z[..., steep])
+        return force, slope
 
-    def _plain(self, z: Array, room: list[Array]) -> tuple[Array, Array]:
-        """As `evaluate`, by one exponential; not finite where z is hundreds of ℓ."""
+    def _where_steep(self, z: Array, force: Array) -> NDArray[np.intp]:
+        """Vectors for which `_plain` is not exact, by their numbers."""
+        scale, half = self._constants[:2]
+        least = z.reshape(-1, z.shape[-1]).min(axis=0) * scale - half
+        total = np.add.reduce(force.reshape(-1, force.shape[-1]), axis=0)
+        return np.flatnonzero(~(np.isfinite(total) & (least > LEAST)))
+
+    def _plain(self, z: Array, room: list[Array]) -> tuple[Array, Array, float]:
+        """As `evaluate`, by one exponential; not exact where z is hundreds of ℓ.
+
+        It is where the last number found is positive, and all forces are finite.
+        """
         scale, half, ratio, fwd, bwd, steepest = self._constants
         force, a, b, work = room
         np.multiply(z, scale, out=a)
         a -= half
+        least = float(np.minimum.reduce(a, axis=None)) - LEAST
         np.exp(a, out=a)
         np.divide(ratio, a, out=b)
         a += 1.0
@@ -76,17 +93,14 @@ class Spring:
         np.divide(self.k_fwd, a, out=a)
         np.divide(self.k_bwd, b, out=b)
         a += b
-        return force, np.subtract(steepest, a, out=a)
+        return force, np.subtract(steepest, a, out=a), least
 
     def _steep(self, z: Array) -> tuple[Array, Array]:
         """As `evaluate`, where exponents of e are too large for a number."""
-        a, b = (z - 0.5 * self.gap) / self.ell, (z + 0.5 * self.gap) / self.ell
-        force = self.k_fwd * self.ell * np.logaddexp(0.0, a)
-        force -= self.k_bwd * self.ell * np.logaddexp(0.0, -b)
-        force += self.k_0 * z
-        with np.errstate(over="ignore"):
-            slope = self.k_fwd / (1.0 + np.exp(-a)) + self.k_bwd / (1.0 + np.exp(b))
-        return force, slope + self.k_0
+        fwd, fwd_slope = _softplus((z - 0.5 * self.gap) / self.ell)
+        bwd, bwd_slope = _softplus((z + 0.5 * self.gap) / -self.ell)
+        force = self.ell * (self.k_fwd * fwd - self.k_bwd * bwd) + self.k_0 * z
+        return force, self.k_fwd * fwd_slope + self.k_bwd * bwd_slope + self.k_0
 
     def deflection(self, force: Array, close: float = 1e-13) -> Array:
         """Deflection at which the force is G, (..., n): the inverse of `force`.
@@ -110,3 +124,9 @@ class Spring:
             new = z - step
             z = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
         return z
+
+
+def _softplus(a: Array) -> tuple[Array, Array]:
+    """ln(1 + e^a) and its slope, of any a."""
+    e = np.exp(-np.abs(a))
+    return np.maximum(a, 0.0) + np.log1p(e), np.where(a > 0, 1.0, e) / (1.0 + e)
