@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.arrays import add_outer, add_row, outer, rows_of, scratch
+from mfd_bayes.friction.arrays import add_outer, add_row, aligned, outer, rows_of, scratch
 from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.records.motion import MotionPath
 
@@ -22,8 +22,8 @@ FLOOR = 1e-9
 NO_STEP = 1e-30
 """Length, in, that replaces a step of zero: nothing moves, and nothing divides by zero."""
 
-PIECE = 1 << 17
-"""Size of a piece's arrays, in numbers: small enough for the cache."""
+PIECE = 1 << 16
+"""Size of a piece's arrays, in numbers: four of them are small enough for the second cache."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,44 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Curve:
+    """Stribeck curve g = F_c + (F_s − F_c) exp(−(v/v_s)²) as a deflection, sgn(v) g/σ0, in.
+
+    Attributes
+    ----------
+    kinetic, excess : in
+        F_c/σ0 and (F_s − F_c)/σ0, forward and, negative, backward; (1, n) or (rows, n) each.
+    fall : s²/in²
+        −1/v_s², (n,).
+    """
+
+    kinetic: list[Array]
+    excess: list[Array]
+    fall: Array
+
+    @classmethod
+    def of(cls, friction: Friction) -> Curve:
+        """The curve of friction."""
+        stiffness = np.maximum(friction.sigma0, FLOOR)
+        kinetic, excess = [], []
+        for stiff, static, least in (
+            (stiffness, friction.Fs_fwd, np.maximum(friction.Fc_fwd, FLOOR)),
+            (-stiffness, friction.Fs_bwd, np.maximum(friction.Fc_bwd, FLOOR)),
+        ):
+            kinetic.append(least / stiff)
+            excess.append(np.maximum(static - least, 0.0) / stiff)
+        return cls(kinetic, excess, -1.0 / friction.v_s[0] ** 2)
+
+    def along(self, motion: Motion, out: Array, work: Array) -> Array:
+        """Deflection that the bristles approach in each step of a motion, (rows, n), in."""
+        outer(motion.square, self.fall, out=out)
+        np.exp(out, out=out)
+        out *= _directed(self.excess, motion.backward, work)
+        out += _directed(self.kinetic, motion.backward, work)
+        return out
+
+
+@dataclass(frozen=True)
 class Piece:
     """Consecutive samples of a path in the order of their blocks.
 
@@ -176,23 +214,28 @@ def slip_force(friction: Friction, path: MotionPath) -> tuple[Array, Array]:
     (T, n) at the trace's samples, and (K, n) at the path's turning points, kip
     """
     n = friction.vectors
-    force = np.empty((path.samples.size, n))
+    force = aligned(path.samples.size, n)
     at_turns = np.empty((path.turning_points.size, n))
     z = np.zeros(n)
+    curve = None if friction.varying else Curve.of(friction)
     for piece in _pieces(path, max(PIECE // n, 1)):
-        slip, z = advance(friction, piece.motion, z, piece.blocks)
+        slip, z = advance(friction, piece.motion, z, piece.blocks, curve)
         rows_of(slip, piece.own_place, out=force[piece.own])
         at_turns[piece.turns] = slip[piece.turns_place]
     return force, at_turns
 
 
-def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tuple[Array, Array]:
+def advance(
+    friction: Friction, motion: Motion, z: Array, blocks: Blocks, curve: Curve | None = None
+) -> tuple[Array, Array]:
     """Force F1 at some samples of a path, in the order of the blocks.
 
     Parameters
     ----------
     z : (n,), in
         Deflection of the bristles before the first step.
+    curve : Curve, optional
+        Of friction that does not vary, worked out before.
 
     Returns
     -------
@@ -203,7 +246,7 @@ def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tup
     now, midway = friction, friction
     if varying:
         now, midway = friction.at(motion.rows), friction.midway(motion.rows)
-    steady = _steady_deflection(midway, motion, out=state, work=work)
+    steady = (curve or Curve.of(midway)).along(motion, out=state, work=work)
     # a = exp(−|Δx|/|steady|); both are negative backwards
     np.divide(-motion.step[:, None], steady, out=exponent)
     np.exp(exponent, out=decay)
@@ -217,26 +260,6 @@ def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tup
     force = force + now.sigma0 if varying else add_row(now.sigma0[0], force)
     force *= state
     return add_outer(motion.velocity, (now.sigma1 + now.sigma2)[0], force), last
-
-
-def _steady_deflection(friction: Friction, motion: Motion, out: Array, work: Array) -> Array:
-    """Deflection that the bristles approach in each step, sgn(v) g(v)/σ0, (rows, n), in.
-
-    g is the Stribeck curve F_c + (F_s − F_c) exp(−(v/v_s)²).
-    """
-    stiffness = np.maximum(friction.sigma0, FLOOR)
-    kinetic, excess = [], []
-    for stiff, static, least in (
-        (stiffness, friction.Fs_fwd, np.maximum(friction.Fc_fwd, FLOOR)),
-        (-stiffness, friction.Fs_bwd, np.maximum(friction.Fc_bwd, FLOOR)),
-    ):
-        kinetic.append(least / stiff)
-        excess.append(np.maximum(static - least, 0.0) / stiff)
-    outer(motion.square, -1.0 / friction.v_s[0] ** 2, out=out)
-    np.exp(out, out=out)
-    out *= _directed(excess, motion.backward, work)
-    out += _directed(kinetic, motion.backward, work)
-    return out
 
 
 def _directed(sides: list[Array], backward: Rows, out: Array) -> Array:
