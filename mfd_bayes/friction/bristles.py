@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.arrays import add_outer, add_row, aligned, outer, rows_of, scratch
+from mfd_bayes.friction.arrays import Along, add_outer, add_row, aligned, outer, rows_of, scratch
 from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.records.motion import MotionPath
 
@@ -117,43 +117,51 @@ class Motion:
         backward = (rate < 0).astype(np.intp)
         return cls(rows, step, rate**2, backward, velocity, np.abs(velocity / step))
 
+    @cached_property
+    def lines(self) -> tuple[Along, Along]:
+        """Points at the squares and at the steps, on lines forward and backward."""
+        return Along.of(self.backward, self.square), Along.of(self.backward, self.step)
+
 
 @dataclass(frozen=True)
 class Curve:
-    """Stribeck curve g = F_c + (F_s − F_c) exp(−(v/v_s)²) as a deflection, sgn(v) g/σ0, in.
+    """Stribeck curve g = F_c {1 + (F_s/F_c − 1) exp(−(v/v_s)²)} of friction that does not vary.
 
     Attributes
     ----------
-    kinetic, excess : in
-        F_c/σ0 and (F_s − F_c)/σ0, forward and, negative, backward; (1, n) or (rows, n) each.
-    fall : s²/in²
-        −1/v_s², (n,).
+    kinetic : (2, n), in
+        Deflection F_c/σ0 forward and, negative, backward.
+    fall, relaxing : (2, 2, n)
+        Lines over v² of ln(g/F_c − 1), and over Δx of −σ0 |Δx|/F_c, forward and backward.
     """
 
-    kinetic: list[Array]
-    excess: list[Array]
+    kinetic: Array
     fall: Array
+    relaxing: Array
 
     @classmethod
     def of(cls, friction: Friction) -> Curve:
         """The curve of friction."""
         stiffness = np.maximum(friction.sigma0, FLOOR)
-        kinetic, excess = [], []
-        for stiff, static, least in (
-            (stiffness, friction.Fs_fwd, np.maximum(friction.Fc_fwd, FLOOR)),
-            (-stiffness, friction.Fs_bwd, np.maximum(friction.Fc_bwd, FLOOR)),
-        ):
-            kinetic.append(least / stiff)
-            excess.append(np.maximum(static - least, 0.0) / stiff)
-        return cls(kinetic, excess, -1.0 / friction.v_s[0] ** 2)
+        least = np.maximum(np.concatenate([friction.Fc_fwd, friction.Fc_bwd]), FLOOR)
+        excess = np.concatenate([friction.Fs_fwd, friction.Fs_bwd]) / least - 1.0
+        kinetic = least / stiffness
+        kinetic[1] *= -1.0
+        fall = np.empty((2, *kinetic.shape))
+        fall[:, 0], fall[:, 1] = -1.0 / friction.v_s**2, np.log(np.maximum(excess, 1e-300))
+        relaxing = np.zeros(fall.shape)
+        relaxing[:, 0] = -1.0 / kinetic
+        return cls(kinetic, fall, relaxing)
 
-    def along(self, motion: Motion, out: Array, work: Array) -> Array:
-        """Deflection that the bristles approach in each step of a motion, (rows, n), in."""
-        outer(motion.square, self.fall, out=out)
-        np.exp(out, out=out)
-        out *= _directed(self.excess, motion.backward, work)
-        out += _directed(self.kinetic, motion.backward, work)
-        return out
+    def along(self, motion: Motion, exponent: Array, steady: Array, work: Array) -> None:
+        """Compute what `_approach` does, in few passes."""
+        squares, steps = motion.lines
+        squares.lines(self.fall, out=steady, work=work)
+        np.exp(steady, out=steady)
+        steady += 1.0
+        steps.lines(self.relaxing, out=exponent, work=work)
+        exponent /= steady
+        steady *= rows_of(self.kinetic, motion.backward, out=work)
 
 
 @dataclass(frozen=True)
@@ -243,12 +251,11 @@ def advance(
     """
     exponent, decay, state, work = scratch(4, blocks.rows, friction.vectors)
     varying = friction.varying
-    now, midway = friction, friction
-    if varying:
-        now, midway = friction.at(motion.rows), friction.midway(motion.rows)
-    steady = (curve or Curve.of(midway)).along(motion, out=state, work=work)
-    # a = exp(−|Δx|/|steady|); both are negative backwards
-    np.divide(-motion.step[:, None], steady, out=exponent)
+    now = friction.at(motion.rows) if varying else friction
+    if curve is not None:
+        curve.along(motion, exponent, state, work)
+    else:
+        _approach(friction.midway(motion.rows), motion, exponent, state)
     np.exp(exponent, out=decay)
     blocks.relax(decay, state, z)
     last = state[blocks.place[-1]].copy()
@@ -262,11 +269,22 @@ def advance(
     return add_outer(motion.velocity, (now.sigma1 + now.sigma2)[0], force), last
 
 
-def _directed(sides: list[Array], backward: Rows, out: Array) -> Array:
-    """The forward or backward value, by each row's direction of motion, (rows, n)."""
-    if max(map(len, sides)) > 1:
-        return np.where(backward[:, None], sides[1], sides[0])
-    return rows_of(np.concatenate(sides), backward, out=out)
+def _approach(friction: Friction, motion: Motion, exponent: Array, steady: Array) -> None:
+    """Deflection that the bristles approach in each step, and how much of it they do.
+
+    The deflection is sgn(v) g(v)/σ0, in, with the Stribeck curve
+    g = F_c + (F_s − F_c) exp(−(v/v_s)²), and the logarithm of a is −|Δx| over its magnitude.
+    """
+    backward = motion.backward[:, None] > 0
+    least = np.maximum(np.where(backward, friction.Fc_bwd, friction.Fc_fwd), FLOOR)
+    static = np.where(backward, friction.Fs_bwd, friction.Fs_fwd)
+    g = np.exp(-motion.square[:, None] / friction.v_s**2)
+    g *= np.maximum(static - least, 0.0)
+    g += least
+    np.divide(g, np.maximum(friction.sigma0, FLOOR), out=steady)
+    np.negative(steady, out=steady, where=backward)
+    # both are negative backward
+    np.divide(-motion.step[:, None], steady, out=exponent)
 
 
 def _unrelaxed(friction: Friction, share: Array) -> Array:

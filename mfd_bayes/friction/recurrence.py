@@ -16,6 +16,16 @@ SHORT = 24
 """Up to this many steps are one block."""
 
 
+@lru_cache(maxsize=4096)
+def _layout(steps: int) -> tuple[int, int]:
+    """Rows of N steps in blocks of blocks, as few as can be, and steps of the largest blocks."""
+    if steps <= SHORT:
+        return steps, steps
+    usual = 2.0 * steps ** (1 / 3) if steps > SHORT**2 else steps ** (1 / 2)
+    lengths = range(round(0.8 * usual), round(1.2 * usual) + 1)
+    return min((length * _layout(-(-steps // length))[0], length) for length in lengths)
+
+
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """N steps in blocks of consecutive steps, stored with the j-th steps of all blocks together.
@@ -47,13 +57,11 @@ class Blocks:
     @staticmethod
     @lru_cache(maxsize=64)
     def of(steps: int) -> Blocks:
-        """Blocks of N steps: about N^(1/3) in each, so many that few rows are filled up."""
+        """Blocks of N steps, about 2 N^(1/3) in each."""
         if steps <= SHORT:
             every = np.arange(steps)
             return Blocks(steps, 1, every, every, None, every[:1])
-        usual = steps ** (1 / 3 if steps > SHORT**2 else 1 / 2)
-        lengths = range(round(0.8 * usual), round(1.2 * usual) + 1)
-        length = min(lengths, key=lambda length: length * Blocks.of(-(-steps // length)).rows)
+        _, length = _layout(steps)
         ends = Blocks.of(-(-steps // length))
         order = np.add.outer(np.arange(length), ends.order * length).ravel()
         step = np.arange(steps)
