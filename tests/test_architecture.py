@@ -106,7 +106,6 @@ LINES, LINES_OF_FUNCTION, PARAMETERS = 300, 40, 5
 KERNELS = {
     "mfd_bayes.friction.backlash",
     "mfd_bayes.friction.bouc_wen",
-    "mfd_bayes.friction.gap.blend",
     "mfd_bayes.calibration.staged_noise.log_density",
 }
 """Numerical code that reads top to bottom."""

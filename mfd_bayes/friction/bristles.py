@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.arrays import add_outer, add_row, outer, rows_of, scratch
+from mfd_bayes.friction.arrays import Along, add_outer, add_row, aligned, outer, rows_of, scratch
 from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.records.motion import MotionPath
 
@@ -22,8 +22,8 @@ FLOOR = 1e-9
 NO_STEP = 1e-30
 """Length, in, that replaces a step of zero: nothing moves, and nothing divides by zero."""
 
-PIECE = 1 << 17
-"""Size of a piece's arrays, in numbers: small enough for the cache."""
+PIECE = 1 << 16
+"""Size of a piece's arrays, in numbers: four of them are small enough for the second cache."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,52 @@ class Motion:
         backward = (rate < 0).astype(np.intp)
         return cls(rows, step, rate**2, backward, velocity, np.abs(velocity / step))
 
+    @cached_property
+    def lines(self) -> tuple[Along, Along]:
+        """Points at the squares and at the steps, on lines forward and backward."""
+        return Along.of(self.backward, self.square), Along.of(self.backward, self.step)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Stribeck curve g = F_c {1 + (F_s/F_c − 1) exp(−(v/v_s)²)} of friction that does not vary.
+
+    Attributes
+    ----------
+    kinetic : (2, n), in
+        Deflection F_c/σ0 forward and, negative, backward.
+    fall, relaxing : (2, 2, n)
+        Lines over v² of ln(g/F_c − 1), and over Δx of −σ0 |Δx|/F_c, forward and backward.
+    """
+
+    kinetic: Array
+    fall: Array
+    relaxing: Array
+
+    @classmethod
+    def of(cls, friction: Friction) -> Curve:
+        """The curve of friction."""
+        stiffness = np.maximum(friction.sigma0, FLOOR)
+        least = np.maximum(np.concatenate([friction.Fc_fwd, friction.Fc_bwd]), FLOOR)
+        excess = np.concatenate([friction.Fs_fwd, friction.Fs_bwd]) / least - 1.0
+        kinetic = least / stiffness
+        kinetic[1] *= -1.0
+        fall = np.empty((2, *kinetic.shape))
+        fall[:, 0], fall[:, 1] = -1.0 / friction.v_s**2, np.log(np.maximum(excess, 1e-300))
+        relaxing = np.zeros(fall.shape)
+        relaxing[:, 0] = -1.0 / kinetic
+        return cls(kinetic, fall, relaxing)
+
+    def along(self, motion: Motion, exponent: Array, steady: Array, work: Array) -> None:
+        """Compute what `_approach` does, in few passes."""
+        squares, steps = motion.lines
+        squares.lines(self.fall, out=steady, work=work)
+        np.exp(steady, out=steady)
+        steady += 1.0
+        steps.lines(self.relaxing, out=exponent, work=work)
+        exponent /= steady
+        steady *= rows_of(self.kinetic, motion.backward, out=work)
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -176,23 +222,28 @@ def slip_force(friction: Friction, path: MotionPath) -> tuple[Array, Array]:
     (T, n) at the trace's samples, and (K, n) at the path's turning points, kip
     """
     n = friction.vectors
-    force = np.empty((path.samples.size, n))
+    force = aligned(path.samples.size, n)
     at_turns = np.empty((path.turning_points.size, n))
     z = np.zeros(n)
+    curve = None if friction.varying else Curve.of(friction)
     for piece in _pieces(path, max(PIECE // n, 1)):
-        slip, z = advance(friction, piece.motion, z, piece.blocks)
+        slip, z = advance(friction, piece.motion, z, piece.blocks, curve)
         rows_of(slip, piece.own_place, out=force[piece.own])
         at_turns[piece.turns] = slip[piece.turns_place]
     return force, at_turns
 
 
-def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tuple[Array, Array]:
+def advance(
+    friction: Friction, motion: Motion, z: Array, blocks: Blocks, curve: Curve | None = None
+) -> tuple[Array, Array]:
     """Force F1 at some samples of a path, in the order of the blocks.
 
     Parameters
     ----------
     z : (n,), in
         Deflection of the bristles before the first step.
+    curve : Curve, optional
+        Of friction that does not vary, worked out before.
 
     Returns
     -------
@@ -200,12 +251,11 @@ def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tup
     """
     exponent, decay, state, work = scratch(4, blocks.rows, friction.vectors)
     varying = friction.varying
-    now, midway = friction, friction
-    if varying:
-        now, midway = friction.at(motion.rows), friction.midway(motion.rows)
-    steady = _steady_deflection(midway, motion, out=state, work=work)
-    # a = exp(−|Δx|/|steady|); both are negative backwards
-    np.divide(-motion.step[:, None], steady, out=exponent)
+    now = friction.at(motion.rows) if varying else friction
+    if curve is not None:
+        curve.along(motion, exponent, state, work)
+    else:
+        _approach(friction.midway(motion.rows), motion, exponent, state)
     np.exp(exponent, out=decay)
     blocks.relax(decay, state, z)
     last = state[blocks.place[-1]].copy()
@@ -219,31 +269,22 @@ def advance(friction: Friction, motion: Motion, z: Array, blocks: Blocks) -> tup
     return add_outer(motion.velocity, (now.sigma1 + now.sigma2)[0], force), last
 
 
-def _steady_deflection(friction: Friction, motion: Motion, out: Array, work: Array) -> Array:
-    """Deflection that the bristles approach in each step, sgn(v) g(v)/σ0, (rows, n), in.
+def _approach(friction: Friction, motion: Motion, exponent: Array, steady: Array) -> None:
+    """Deflection that the bristles approach in each step, and how much of it they do.
 
-    g is the Stribeck curve F_c + (F_s − F_c) exp(−(v/v_s)²).
+    The deflection is sgn(v) g(v)/σ0, in, with the Stribeck curve
+    g = F_c + (F_s − F_c) exp(−(v/v_s)²), and the logarithm of a is −|Δx| over its magnitude.
     """
-    stiffness = np.maximum(friction.sigma0, FLOOR)
-    kinetic, excess = [], []
-    for stiff, static, least in (
-        (stiffness, friction.Fs_fwd, np.maximum(friction.Fc_fwd, FLOOR)),
-        (-stiffness, friction.Fs_bwd, np.maximum(friction.Fc_bwd, FLOOR)),
-    ):
-        kinetic.append(least / stiff)
-        excess.append(np.maximum(static - least, 0.0) / stiff)
-    outer(motion.square, -1.0 / friction.v_s[0] ** 2, out=out)
-    np.exp(out, out=out)
-    out *= _directed(excess, motion.backward, work)
-    out += _directed(kinetic, motion.backward, work)
-    return out
-
-
-def _directed(sides: list[Array], backward: Rows, out: Array) -> Array:
-    """The forward or backward value, by each row's direction of motion, (rows, n)."""
-    if max(map(len, sides)) > 1:
-        return np.where(backward[:, None], sides[1], sides[0])
-    return rows_of(np.concatenate(sides), backward, out=out)
+    backward = motion.backward[:, None] > 0
+    least = np.maximum(np.where(backward, friction.Fc_bwd, friction.Fc_fwd), FLOOR)
+    static = np.where(backward, friction.Fs_bwd, friction.Fs_fwd)
+    g = np.exp(-motion.square[:, None] / friction.v_s**2)
+    g *= np.maximum(static - least, 0.0)
+    g += least
+    np.divide(g, np.maximum(friction.sigma0, FLOOR), out=steady)
+    np.negative(steady, out=steady, where=backward)
+    # both are negative backward
+    np.divide(-motion.step[:, None], steady, out=exponent)
 
 
 def _unrelaxed(friction: Friction, share: Array) -> Array:

@@ -2,83 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from mfd_bayes.friction.arrays import add_outer, rows_of, scratch
+from mfd_bayes.friction.arrays import rows_of
 from mfd_bayes.friction.recurrence import solve
+from mfd_bayes.friction.transitions import SATURATED, Crossing, Gap, blend
 from mfd_bayes.records.motion import MotionPath
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-
-SATURATED = 26.0
-"""Transition lengths after which a transition is taken as complete: exp(−26) is 5e-12."""
-
-SHARP = 300.0
-"""Gap width, in transition lengths, above which exponents are limited (to this) before exp."""
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Parameters of the gap and of the transitions, (n,) each.
-
-    `transition` is ℓ = γ2/γ1 in inches: only this quotient reaches the force.
-    """
-
-    k2: Array
-    k3: Array
-    d2: Array
-    d3: Array
-    transition: Array
-
-    @property
-    def width(self) -> Array:
-        """D = d2 + d3, (n,), in."""
-        return self.d2 + self.d3
-
-    @property
-    def sharp(self) -> bool:
-        """Whether any vector's transition is very short compared with its gap."""
-        return bool(np.any(self.width > SHARP * self.transition))
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """State of the gap in each monotone stretch of motion, (K + 1, n) each.
-
-    The gap lies between the displacements `edge` and `edge` + D. It is crossed in the
-    direction `side` = ±1, so that the travel since the last slip is u = x − edge forward and
-    edge + D − x backward. `carry` is the jump of the force, kip, at the last turning point,
-    which fades as the gap is crossed.
-    """
-
-    side: Array
-    edge: Array
-    carry: Array
-
-    def origin(self, gap: Gap) -> Array:
-        """Displacement at which the travel is 0, (K + 1, n), in."""
-        return np.where(self.side > 0, self.edge, self.edge + gap.width)
-
-    def near(self, gap: Gap, displacement: Array, stretch: Rows) -> Rows:
-        """Samples at which some vector is inside a transition or the gap, (N,), int.
-
-        Elsewhere the force is F1: the carried force has faded, and the gap is crossed.
-
-        Parameters
-        ----------
-        displacement : (T,), in
-        stretch : (T,), int
-            Stretch to which each sample belongs.
-        """
-        margin = SATURATED * gap.transition
-        low = (self.edge - margin).min(axis=1)
-        high = (self.edge + (gap.width + margin)).max(axis=1)
-        return np.flatnonzero((displacement >= low[stretch]) & (displacement <= high[stretch]))
 
 
 def follow(gap: Gap, path: MotionPath, start: Array, slip: Array) -> Crossing:
@@ -192,7 +126,7 @@ def _dragged(
     beyond = x - gap.width
     edge = np.concatenate([first, np.where(directions[:-1, None] > 0, beyond, x)])
     slipped = np.ones(x.shape[:1] + first.shape[1:], dtype=bool)
-    short = np.abs(np.diff(x[:, 0])) <= gap.width.max()
+    short = np.abs(x[1:, 0] - x[:-1, 0]) <= gap.width.max()
     for k in [0, *(np.flatnonzero(short) + 1).tolist()][: len(x)]:
         np.maximum(edge[k], beyond[k], out=edge[k + 1])
         np.minimum(edge[k + 1], x[k], out=edge[k + 1])
@@ -219,77 +153,3 @@ def _left_over(
     blend(gap, crossing, partly, x[partly, 0], before)
     left[partly] += before - slip[partly]
     return left, 1.0 - np.tanh(np.abs(u) * (0.5 / gap.transition))
-
-
-def blend(gap: Gap, crossing: Crossing, stretch: Rows, displacement: Array, force: Array) -> None:
-    """Turn F1 into the force of the three stages (paper Eqs. 1 and 2; model.md section 4).
-
-    With E = exp(−u/ℓ) the weights are m12 = (1 − E)/(1 + E) for u ≥ 0,
-    m23 = 1/(1 + A) with A = E exp(d2/ℓ) and m31 = 1/(1 + B) with B = E exp(D/ℓ), so that
-
-        F − F1 = {[A (1 − E) (F2 − F1) + (1 + E) (F3 − F1)] B / ((1 + A)(1 + B)) + 2 E ΔF} / (1 + E)
-
-    For u < 0 (`backwards`) m12 is 0, as if E were 1 in it, and ΔF fades with |u|.
-
-    Parameters
-    ----------
-    stretch : (N,), int
-        Stretch to which each sample belongs.
-    displacement : (N,), in
-    force : (N, n), kip
-        F1, overwritten by F.
-    """
-    if not force.size:
-        return
-    f2, a, e, f3, b = scratch(5, *force.shape)  # in this order, what is used again is in the cache
-    origin = crossing.origin(gap)
-    # −u/ℓ = −s (x − origin)/ℓ
-    travel = _along(-origin, stretch, displacement, np.ones(len(gap.k2)), out=f2)
-    np.multiply(rows_of(crossing.side / -gap.transition, stretch, out=a), travel, out=e)
-    backwards = e.max() > 1e-9
-    if backwards:
-        np.minimum(e, SATURATED, out=e)
-    if gap.sharp:
-        np.exp(np.minimum(e + gap.width / gap.transition, SHARP), out=b)
-        np.exp(np.minimum(e + gap.d2 / gap.transition, SHARP), out=a)
-        np.exp(e, out=e)
-    else:
-        np.exp(e, out=e)
-        np.multiply(e, np.exp(gap.d2 / gap.transition), out=a)
-    # F2 − F1 = k2 (x − origin) − F1, times A (1 − E)
-    f2 = _along(-gap.k2 * origin, stretch, displacement, gap.k2, out=f2)
-    f2 -= force
-    f2 *= a
-    f2 *= np.subtract(1.0, np.minimum(e, 1.0, out=f3) if backwards else e, out=f3)
-    # F3 − F1 = s (k2 − k3) d2 + k3 (x − origin) − F1
-    at_zero = crossing.side * ((gap.k2 - gap.k3) * gap.d2) - gap.k3 * origin
-    f3 = _along(at_zero, stretch, displacement, gap.k3, out=f3)
-    f3 -= force
-    if not gap.sharp:
-        np.multiply(e, np.exp(gap.width / gap.transition), out=b)
-    if backwards:
-        fading = np.minimum(e, 1.0 / np.maximum(e, 1e-300))
-        np.minimum(e, 1.0, out=e)
-    # the braces, from the inside out
-    e += 1.0
-    f3 *= e
-    f2 += f3
-    f2 *= b
-    a += 1.0
-    b += 1.0
-    a *= b
-    f2 /= a
-    carry = rows_of(2.0 * crossing.carry, stretch, out=f3)
-    if backwards:
-        f2 /= e
-        carry *= fading / (1.0 + fading)
-    else:  # (F + E 2 ΔF)/(1 + E) = (F − 2 ΔF)/(1 + E) + 2 ΔF
-        f2 -= carry
-        f2 /= e
-    f2 += carry
-    force += f2
-
-
-def _along(table: Array, stretch: Rows, displacement: Array, slope: Array, out: Array) -> Array:
-    """Straight lines, (N, n): the table's row of each sample's stretch + slope × displacement."""
-    return add_outer(displacement, slope, rows_of(table, stretch, out=out))

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bristles import Friction, Motion, advance
-from mfd_bayes.friction.gap import Crossing, Gap, begin, blend, turn
+from mfd_bayes.friction.gap import begin, turn
 from mfd_bayes.friction.paper import ACTUATED, FRICTION_FORCES, PaperModel
 from mfd_bayes.friction.recurrence import Blocks
+from mfd_bayes.friction.transitions import Crossing, Gap, blend
 from mfd_bayes.records.motion import vertices
 
 Array = NDArray[np.float64]

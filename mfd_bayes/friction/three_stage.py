@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.bristles import PIECE, friction_of, slip_force
-from mfd_bayes.friction.gap import Gap, blend, follow, place_at_end, travel
+from mfd_bayes.friction.bristles import friction_of, slip_force
+from mfd_bayes.friction.gap import follow, place_at_end, travel
 from mfd_bayes.friction.paper import PARAMETERS, actuate, check_theta, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
+from mfd_bayes.friction.transitions import Gap, Transitions, blend
 from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-BLENDED = PIECE // 2
-"""Size of the arrays that are blended at a time: of these there are more than in slip."""
+
+FEW = 1 << 12
+"""Of fewer numbers, preparing the blend would take longer than blending."""
 
 
 @dataclass(frozen=True)
@@ -145,12 +147,10 @@ def _force(columns: dict[str, Array], trace: Trace, start: Array) -> Array:
     gap = _gap(columns)
     crossing = follow(gap, path, start, at_turns)
     near = crossing.near(gap, trace.displacement, path.stretch)
-    length = max(BLENDED // start.size, 1)
-    for begin in range(0, near.size, length):
-        rows = near[begin : begin + length]
-        together = rows[-1] - rows[0] < rows.size
-        part = force[rows[0] : rows[-1] + 1] if together else force[rows]
-        blend(gap, crossing, path.stretch[rows], trace.displacement[rows], part)
-        if not together:
-            force[rows] = part
+    if near.size * start.size < FEW:
+        part = force[near]
+        blend(gap, crossing, path.stretch[near], trace.displacement[near], part)
+        force[near] = part
+    else:
+        Transitions.of(gap, crossing).blend(path.stretch, trace.displacement, near, force)
     return force

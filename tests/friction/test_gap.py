@@ -4,8 +4,9 @@ import math
 import numpy as np
 import pytest
 
-from mfd_bayes.friction.gap import Crossing, Gap, blend, follow
+from mfd_bayes.friction.gap import follow
 from mfd_bayes.friction.gap import travel as travel_since_slip
+from mfd_bayes.friction.transitions import Crossing, Gap, blend
 from mfd_bayes.records.trace import Trace
 
 K2, K3, D2, D3, ELL = 0.5, 30.0, 0.1, 0.12, 0.005

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.gap import Gap, follow
+from mfd_bayes.friction.gap import follow
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.friction.transitions import Gap
 from mfd_bayes.records.trace import Trace
 
 MODEL = ThreeStage()

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from mfd_bayes.friction.banks.bank import with_rows
-from mfd_bayes.friction.gap import SATURATED, SHARP
+from mfd_bayes.friction.transitions import SATURATED
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+
+SHARP = 300.0
+"""Exponents are limited to this before exp, since those of very sharp transitions overflow."""
 
 MANY = 500
 """Dampers from which those that slip are left out of the blend; of fewer, choosing takes longer."""
@@ -53,7 +56,7 @@ class Gaps:
 
 
 class Places(NamedTuple):
-    """State of each gap, (n,) each; see `friction.gap.Crossing`.
+    """State of each gap, (n,) each; see `friction.transitions.Crossing`.
 
     `origin` is where the travel since the last slip is 0, in.
     """
@@ -110,7 +113,7 @@ def turned(gaps: Gaps, before: Places, at: Array, direction: Array, slip: Array)
 
 
 def blended(gaps: Gaps, places: Places, displacement: Array, slip: Array) -> Array:
-    """Force of the three stages, (n,), kip, of the force F1 in slip; see `friction.gap.blend`."""
+    """Force of the three stages, (n,), kip, of the force F1 in slip; see `friction.transitions`."""
     u = places.travel(displacement)
     reach = SATURATED * gaps.transition
     if u.size > MANY:
