@@ -79,7 +79,7 @@ class Spring:
         force, a, b, work = room
         np.multiply(z, scale, out=a)
         a -= half
-        least = float(np.minimum.reduce(a, axis=None)) - LEAST
+        least = float(np.minimum.reduce(a, axis=None, initial=0.0)) - LEAST
         np.exp(a, out=a)
         np.divide(ratio, a, out=b)
         a += 1.0
