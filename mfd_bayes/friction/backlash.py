@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.arrays import add_outer
 from mfd_bayes.friction.course import Place, cut_few
-from mfd_bayes.friction.damper import SIDES, Damper, Drive, courses, follow, rows_of
+from mfd_bayes.friction.damper import SIDES, Damper
+from mfd_bayes.friction.driven import Drive, courses, follow, rows_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.paper import quantities_of
 from mfd_bayes.friction.quantity import Quantity

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.banks.bank import Array, Scales, with_scales, with_state
 from mfd_bayes.friction.banks.turns import turns_within
-from mfd_bayes.friction.damper import FLOOR, Damper
+from mfd_bayes.friction.damper import Damper
+from mfd_bayes.friction.driven import FLOOR
 
 Rows = NDArray[np.intp]
 
