@@ -64,7 +64,7 @@ def line(name: str, found: Score) -> None:
     """Line of the table."""
     half, most, nearly = found.coverage
     print(
-        f"  {name:20s}{100 * half:6.1f}{100 * most:6.1f}{100 * nearly:6.1f}"
+        f"  {name:24s}{100 * half:6.1f}{100 * most:6.1f}{100 * nearly:6.1f}"
         f"{found.width:8.2f}{found.crps:8.3f}{found.rrse:8.3f}",
         flush=True,
     )
@@ -76,7 +76,7 @@ def of_record(
     """Lines of one record; what both models together missed."""
     later, failed = trace.time > float(trace.time[0]) + GIVEN, []
     force = np.asarray(trace.force)[later]
-    print(f"\n{name}\n  {'':20s}covered by 50, 90, 95 %  width    CRPS    RRSE")
+    print(f"\n{name}\n  {'':24s}covered by 50, 90, 95 %  width    CRPS    RRSE")
     for model, both in drawn.items():
         alone, given = (score(draws[:, later], force) for draws in both)
         line(f"{model}, alone", alone)
