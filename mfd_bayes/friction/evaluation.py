@@ -33,7 +33,8 @@ def checked(compute: Callable[..., Array]) -> Callable[..., Array]:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 values = compute(model, vectors, trace, *args, **options)
         except (ArithmeticError, IndexError) as error:  # of a place that is not a number
-            raise FitError(f"the {compute.__name__} is no finite number for these parameters") from error
+            what = f"the {compute.__name__} is no finite number for these parameters"
+            raise FitError(what) from error
         if not np.all(np.isfinite(values)):
             at = int(np.argmax(~np.all(np.isfinite(values), axis=1)))
             raise FitError(f"the {compute.__name__} of parameter vector {at} is no finite number")
