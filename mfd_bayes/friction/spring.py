@@ -58,7 +58,7 @@ class Spring:
         """
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             force, slope, least = self._plain(z, room or [np.empty(z.shape) for _ in range(4)])
-        if not (least > 0.0 and isfinite(np.add.reduce(force, axis=None))):
+        if not (least > LEAST and isfinite(np.add.reduce(force, axis=None))):
             steep = self._where_steep(z, force)
             force[..., steep], slope[..., steep] = self.of(steep)._steep(z[..., steep])
         return force, slope
@@ -71,15 +71,15 @@ class Spring:
         return np.flatnonzero(~(np.isfinite(total) & (least > LEAST)))
 
     def _plain(self, z: Array, room: list[Array]) -> tuple[Array, Array, float]:
-        """As `evaluate`, by one exponential; not exact where z is hundreds of ℓ.
+        """As `evaluate`, by one exponential, and the smallest exponent.
 
-        It is where the last number found is positive, and all forces are finite.
+        It is exact if that exponent is above `LEAST` and all forces are finite.
         """
         scale, half, ratio, fwd, bwd, steepest = self._constants
         force, a, b, work = room
         np.multiply(z, scale, out=a)
         a -= half
-        least = float(np.minimum.reduce(a, axis=None, initial=0.0)) - LEAST
+        least = float(np.minimum.reduce(a, axis=None, initial=0.0))
         np.exp(a, out=a)
         np.divide(ratio, a, out=b)
         a += 1.0

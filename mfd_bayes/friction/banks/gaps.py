@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from mfd_bayes.friction.banks.bank import with_rows
-from mfd_bayes.friction.transitions import SATURATED
+from mfd_bayes.friction.transitions import LARGEST, SATURATED
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-
-SHARP = 300.0
-"""Exponents are limited to this before exp, since those of very sharp transitions overflow."""
 
 MANY = 500
 """Dampers from which those that slip are left out of the blend; of fewer, choosing takes longer."""
@@ -130,8 +127,8 @@ def blended(gaps: Gaps, places: Places, displacement: Array, slip: Array) -> Arr
 def _blend(gaps: Gaps, places: Places, u: Array, slip: Array) -> Array:
     x = -u / gaps.transition
     e = np.exp(np.minimum(x, SATURATED))
-    a = np.exp(np.minimum(x + gaps.early, SHARP))
-    b = np.exp(np.minimum(x + gaps.late, SHARP))
+    a = np.exp(np.minimum(x + gaps.early, LARGEST))
+    b = np.exp(np.minimum(x + gaps.late, LARGEST))
     f2 = places.side * (gaps.k2 * u) - slip
     f3 = places.side * (gaps.jump + gaps.k3 * u) - slip
     inside = np.minimum(e, 1.0)
