@@ -138,6 +138,16 @@ def join(runs: dict, effort: str):
     return inference.draws.population, next(iter(tests.values())).posterior
 
 
+def semi_active_tests(source: Path) -> list[tuple[str, str, Trace]]:
+    """Name, session and trace of each semi-active record."""
+    with (source / "manifest.csv").open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["kind"] == "semi-active"]
+    return [
+        (Path(row["file"]).stem[8:], row["session"], semi_active_trace(source / row["file"]))
+        for row in rows
+    ]
+
+
 def semi_active_trace(path: Path) -> Trace:
     """Record at 128 Hz with the slack end's tension, smoothed over an eighth of a second, kip."""
     motion = read_record(path).trace(128.0)

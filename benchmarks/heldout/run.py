@@ -26,7 +26,6 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import argparse
-import csv
 import sys
 import time
 from pathlib import Path
@@ -217,12 +216,8 @@ def semi_active(runs: dict[str, Run], options: argparse.Namespace) -> None:
     population, some = records.join(runs, options.fold_effort)
     predictor = Predictor(population, some.model, some.noise)
     pace = Pace.of(test.trace for run in runs.values() for test in run.tests.values())
-    with (options.data / "brfd" / "manifest.csv").open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["kind"] == "semi-active"]
-    for row in rows:
-        name = Path(row["file"]).stem[8:]
-        trace = records.semi_active_trace(options.data / "brfd" / row["file"])
-        forecast = Forecast("observation", draws=DRAWS, session=row["session"])
+    for name, session, trace in records.semi_active_tests(options.data / "brfd"):
+        forecast = Forecast("observation", draws=DRAWS, session=session)
         begin = float(trace.time[0])
         later = trace.time > begin + GIVEN
         bands = [

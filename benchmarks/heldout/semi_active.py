@@ -17,7 +17,6 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import argparse
-import csv
 import sys
 from pathlib import Path
 
@@ -106,14 +105,11 @@ def main() -> None:
     print(__doc__.splitlines()[0])
     print(f"\n{processor()}, {versions('numpy', 'scipy')}; {DRAWS} draws, seed 0")
     known = {model: joined(options, model) for model in MODELS}
-    with (options.data / "brfd" / "manifest.csv").open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["kind"] == "semi-active"]
-    for row in rows:
-        trace = records.semi_active_trace(options.data / "brfd" / row["file"])
-        drawn = {m: draws_of(k, trace, row["session"]) for m, k in known.items()}
+    for name, session, trace in records.semi_active_tests(options.data / "brfd"):
+        drawn = {m: draws_of(k, trace, session) for m, k in known.items()}
         parts = [[draws[::2] for draws in both] for both in drawn.values()]
         drawn["both"] = tuple(np.concatenate(some) for some in zip(*parts, strict=True))
-        failed += of_record(Path(row["file"]).stem[8:], trace, drawn)
+        failed += of_record(name, trace, drawn)
     print("\n" + ("\n".join(f"MISSED {what}" for what in failed) or "all bars hold"))
     sys.exit(1 if failed else 0)
 
