@@ -36,6 +36,10 @@ from mfd_bayes.validation.scores import Score, score
 SESSIONS = ("36lb", "2022-07", "30lb")
 MODELS = ("three_stage", "backlash")
 LEAST, MOST, HALF = 0.90, 0.98, 0.5
+HEAD = (
+    f"{'covered by the band of':26s}{'50 %':>6}{'90 %':>6}{'95 %':>6}"
+    f"{'width':>8}{'CRPS':>8}{'RRSE':>8}"
+)
 
 
 def joined(options: argparse.Namespace, model: str) -> tuple[Predictor, Pace]:
@@ -75,7 +79,7 @@ def of_record(
     """Lines of one record; what both models together missed."""
     later, failed = trace.time > float(trace.time[0]) + GIVEN, []
     force = np.asarray(trace.force)[later]
-    print(f"\n{name}\n  {'':24s}covered by 50, 90, 95 %  width    CRPS    RRSE")
+    print(f"\n{name}\n{HEAD}")
     for model, both in drawn.items():
         alone, given = (score(draws[:, later], force) for draws in both)
         line(f"{model}, alone", alone)
