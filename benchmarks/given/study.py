@@ -22,12 +22,13 @@ from mfd_bayes.population.band import Band
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.pace import Pace
+from mfd_bayes.population.pace import Counting, Pace
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.residual import Residual, slip_force_of
 from mfd_bayes.population.setting import Setting, setting_of
-from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.population.strokes import StrokeLevels
+from mfd_bayes.population.travel import KNOTS, TravelBasis
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -116,12 +117,14 @@ def make_population(motion: Trace, scatter: float = 0.15) -> Population:
 
 
 def make_residual(motion: Trace) -> Residual:
-    """Discrepancy of some 0.03 kip, even noise, and samples that are all independent."""
+    """Discrepancy of some 0.03 kip, even noise, and strokes that slip at levels of their own."""
     basis = TravelBasis.of([motion])
     wave = 0.02 * np.sin(np.arange(basis.size))
     covariance = 0.03**2 * basis.covariance()
     even = np.zeros(basis.size)
-    return Residual(basis, wave, covariance, even, 1.1, 1e-4, 1.0)
+    slips = np.arange(2 * KNOTS) % KNOTS > 10
+    levels = StrokeLevels(np.where(slips, 0.7, 0.0), 0.5)
+    return Residual(basis, wave, covariance, even, 1.1, levels, 1e-4, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +145,8 @@ def draw_truth(study: Study, rng: np.random.Generator, noisier: float = 1.0) -> 
     values = population.draw_test(setting, index, rng)
     values |= {"start": population.draw_starts(rng, 1, setting), "gamma1": np.ones(1)}
     force = _damper(model, population.residual, motion, values, rng)
-    noise = noisier * values["noise_sd"] * rng.standard_normal(motion.samples)
-    measured = force + values["offset"] + noise
+    noise = _noise(study, replace(motion, force=force), rng)
+    measured = force + values["offset"] + noisier * values["noise_sd"] * noise
     return Truth(replace(motion, force=measured), force, values)
 
 
@@ -159,6 +162,16 @@ def _damper(
         coefficients = residual.draw_coefficients(rng, 1)
         force = force + residual.discrepancy(motion, slip_force_of(model, values), coefficients)
     return np.asarray(force[0])
+
+
+def _noise(study: Study, damper: Trace, rng: np.random.Generator) -> Array:
+    """Noise of a test over its standard deviation, (T,), of which strokes have levels in common."""
+    residual = study.predictor.population.residual
+    counting = Counting(residual, study.pace, 1.0 / RATE, residual.slip_force)
+    counted = counting.counted(damper, np.full(damper.samples, True))
+    levels = residual.levels.draw(rng, 1, int(counted.strokes[-1]) + 1)[0, counted.strokes]
+    rest = np.sqrt(1.0 - counted.common**2) * rng.standard_normal(damper.samples)
+    return np.asarray(counted.shape * (counted.common * levels + rest))
 
 
 def ask(study: Study, truth: Truth, share: float, seed: int = 0, draws: int = DRAWS) -> Band:

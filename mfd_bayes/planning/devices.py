@@ -137,9 +137,20 @@ class Devices:
         drawn = self.drawn(setting_of(loop.trace, session), rng, scattered=True)
         damper = self.predictor.force(loop.trace, drawn)
         values = self.predictor.values(drawn)
-        noise = self.predictor.draw_noise(rng, loop.trace, values)
-        noise *= np.sqrt(self._averaged(loop, values) / cycles)
+        noise = self._mean_noise(rng, loop, values, cycles)
         return self.predictor.total(loop.trace, replace(drawn, noise=noise), damper)[0]
+
+    def _mean_noise(
+        self, rng: np.random.Generator, loop: Loop, values: dict[str, Array], cycles: float
+    ) -> Array:
+        """Draws of the noise in the mean of so many cycles, (n, T), kip."""
+        residual, trace = self.population.residual, loop.trace
+        scale = np.sqrt(self._averaged(loop, values) / cycles)
+        if residual is None:
+            return np.asarray(self.predictor.draw_noise(rng, trace, values) * scale)
+        sd, levels = values["noise_sd"], np.sqrt(residual.levels.averaged(cycles))
+        rest = residual.draw_rest(rng, trace, sd) * scale
+        return np.asarray(rest + residual.draw_levels(rng, trace, sd) * levels)
 
     def _averaged(self, loop: Loop, values: dict[str, Array]) -> Array:
         """Variance of the mean of the noise over each sample's step over its variance, (n, T).

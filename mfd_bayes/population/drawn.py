@@ -29,6 +29,9 @@ class Drawn:
         With the load cell's offset; None where only the damper's force is predicted.
     discrepancy : (n, K), kip, or None
         Coefficients of what the model leaves over in every cycle.
+    levels : (n, S), or None
+        Levels of the noise of the S strokes, over its standard deviation; None where nothing is
+        known of them.
     """
 
     parts: Parts
@@ -36,6 +39,7 @@ class Drawn:
     scales: Mapping[str, Array]
     noise: Array | None = None
     discrepancy: Array | None = None
+    levels: Array | None = None
 
     def first(self, n: int) -> Drawn:
         """The first n draws."""
@@ -46,6 +50,7 @@ class Drawn:
             {name: factors[:n] for name, factors in self.scales.items()},
             None if self.noise is None else self.noise[:n],
             None if self.discrepancy is None else self.discrepancy[:n],
+            None if self.levels is None else self.levels[:n],
         )
 
     def untangled(self) -> Drawn:

@@ -25,13 +25,15 @@ from mfd_bayes.population.given import (
     counting_of,
     sample_known,
 )
-from mfd_bayes.population.given_part import GivenLikelihood, GivenPart
+from mfd_bayes.population.given_likelihood import GivenLikelihood
+from mfd_bayes.population.given_part import GivenPart
 from mfd_bayes.population.incoming import AHEAD, Incoming
 from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.population.tempering import systematic
 from mfd_bayes.population.walk import Steps, Walk
 from mfd_bayes.records.trace import Trace
@@ -198,9 +200,10 @@ class Forecaster:
         chosen = systematic(weights, forecast.draws, rng)
         values = {name: value[chosen] for name, value in walk.values.items()}
         new = new[-samples:]
-        force = force[chosen, -samples:] + self._discrepancy(walk, joined, chosen)[:, new]
+        discrepancy, levels = self._leftover(walk, joined, chosen)
+        force = force[chosen, -samples:] + discrepancy[:, new]
         if forecast.kind == "observation":
-            noise = self._residual.draw_noise(rng, joined, values["noise_sd"])
+            noise = self._residual.draw_noise(rng, joined, values["noise_sd"], levels)
             force += values["offset"][:, None] + noise[:, new]
         told = self._told(weights, k)
         source = f"population laws with scatter, and {told.sentence}"
@@ -215,15 +218,16 @@ class Forecaster:
         window = float(self._incoming.trace().time[0]), self.time
         return Conditioned(window, self._incoming.count, k, method, effective, powers, accepted)
 
-    def _discrepancy(self, walk: Walk, joined: Trace, chosen: Index) -> Array:
-        """Discrepancy of chosen draws along a joined motion, (n, T), kip."""
+    def _leftover(self, walk: Walk, joined: Trace, chosen: Index) -> tuple[Array, Array]:
+        """Discrepancy of chosen draws along a joined motion, (n, T), kip, and strokes' levels."""
         if walk.sums is None:
             raise RecordError("no sample has come in")
         slip = slip_force_of(self._predictor.model, walk.values)[chosen]
-        coefficients = self._likelihood.draw_coefficients(
-            walk.sums.of_tests(chosen), slip, walk.values["noise_sd"][chosen], self._rng
-        )
-        return self._residual.discrepancy(joined, slip, coefficients)
+        tests, sums = (slip, walk.values["noise_sd"][chosen]), walk.sums.of_tests(chosen)
+        coefficients = self._likelihood.draw_coefficients(sums, *tests, self._rng)
+        strokes = int(strokes_of(joined)[-1]) + 1
+        levels = self._likelihood.draw_levels(sums, coefficients, tests, strokes, self._rng)
+        return self._residual.discrepancy(joined, slip, coefficients), levels
 
 
 def _doubt(k: float) -> str:

@@ -14,18 +14,15 @@ from mfd_bayes.population.band import Band
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.drawn import Drawn
 from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.given_part import (
-    GivenLikelihood,
-    GivenPart,
-    Sums,
-    given_part,
-)
+from mfd_bayes.population.given_likelihood import GivenLikelihood, Sums
+from mfd_bayes.population.given_part import GivenPart, given_part
 from mfd_bayes.population.pace import Counted, Counting, Pace
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior, start_of
 from mfd_bayes.population.residual import Residual, slip_force_of
 from mfd_bayes.population.sequel import left_of
 from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.population.tempering import systematic, temper
 from mfd_bayes.records.trace import Trace
 
@@ -126,13 +123,7 @@ class GivenProblem:
             self._known(prior, labels[at], points[at])
             for at in np.array_split(np.arange(len(labels)), max(pieces, 1))
         ]
-        if len(parts) == 1:
-            return parts[0]
-        sums = replace(
-            parts[0].sums,
-            squares=np.concatenate([p.sums.squares for p in parts]),
-            pulls=np.concatenate([p.sums.pulls for p in parts]),
-        )
+        sums = parts[0].sums.beside([part.sums for part in parts[1:]])
         columns = ("log_likelihood", "slip", "sd")
         found = {name: np.concatenate([getattr(p, name) for p in parts]) for name in columns}
         return Known(labels, points, sums=sums, **found)
@@ -220,7 +211,8 @@ def predict_given(
     problem = GivenProblem(predictor, prior, part, setting.actuation, counting)
     known, told = draw_known(problem, forecast.draws, rng)
     scales = predictor.scales(trace, problem.level, prior.index[known.labels])
-    drawn = replace(drawn_of(problem, known, rng), scales=scales)
+    strokes = int(strokes_of(trace)[-1]) + 1
+    drawn = replace(drawn_of(problem, known, strokes, rng), scales=scales)
     source = f"population laws with scatter, and {told.sentence}"
     band = predictor.finish(trace, forecast, drawn, rng, source)
     return replace(band, given=told, remarks=(*band.remarks, *told.remarks))
@@ -273,11 +265,13 @@ def sample_known(
     return known, found.powers, found.accepted
 
 
-def drawn_of(problem: GivenProblem, known: Known, rng: np.random.Generator) -> Drawn:
-    """The ingredients of a band of known tests."""
+def drawn_of(problem: GivenProblem, known: Known, strokes: int, rng: np.random.Generator) -> Drawn:
+    """The ingredients of a band of known tests, in a motion of so many strokes."""
     values = values_of(problem.predictor, known.points)
     shared = problem.predictor.population.layout.names
     unknown = {name: v for name, v in values.items() if name not in shared}
-    coefficients = problem.likelihood.draw_coefficients(known.sums, known.slip, known.sd, rng)
+    tests, likelihood = (known.slip, known.sd), problem.likelihood
+    coefficients = likelihood.draw_coefficients(known.sums, *tests, rng)
+    levels = likelihood.draw_levels(known.sums, coefficients, tests, strokes, rng)
     parts = problem.prior.parts(known.labels, known.points)
-    return Drawn(parts, unknown, {}, discrepancy=coefficients)
+    return Drawn(parts, unknown, {}, discrepancy=coefficients, levels=levels)

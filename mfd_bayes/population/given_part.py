@@ -1,22 +1,13 @@
-"""The likelihood of a record's first part, for a test that follows the population.
-
-It is the population's own: samples are independent with the shape of the noise, and each counts as
-a share of an independent one (`pace`). The discrepancy's coefficients, which are Gaussian, are
-integrated out.
-"""
+"""The first part of a record that is given, thinned to the rate of the calibrated tests."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.noise import LOG_2PI
 from mfd_bayes.errors import FitError
-from mfd_bayes.population.pace import Counted
-from mfd_bayes.population.residual import Residual
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -139,109 +130,3 @@ def block_means(trace: Trace, edges: NDArray[np.intp], stop: int) -> Trace:
         mean(trace.velocity),
         hysteresis=trace.hysteresis,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """All that the likelihood of n tests needs of the residuals r over some samples.
-
-    r is what force, offset and the mean discrepancy leave over. Sums of several stretches of
-    samples add up.
-
-    Attributes
-    ----------
-    squares : (n,)
-        Σ ω r²/g², with the shares ω.
-    pulls : (n, K)
-        Σ ω r/g² times each function.
-    gram : (K, K)
-        Products of the functions, times ω/g².
-    log_shape : float
-        Σ ω log g.
-    samples : float
-        Σ ω, the number of independent samples.
-    """
-
-    squares: Array
-    pulls: Array
-    gram: Array
-    log_shape: float
-    samples: float
-
-    @classmethod
-    def of(cls, residuals: Array, counted: Counted) -> Sums:
-        """Those of residuals (n, T) at counted samples."""
-        weight = np.sqrt(counted.share) / counted.shape
-        scaled, standard = counted.functions * weight[:, None], residuals * weight
-        return cls(
-            np.einsum("nt,nt->n", standard, standard),
-            standard @ scaled,
-            scaled.T @ scaled,
-            float(counted.share @ np.log(counted.shape)),
-            float(counted.share.sum()),
-        )
-
-    def __add__(self, other: Sums) -> Sums:
-        return Sums(
-            self.squares + other.squares,
-            self.pulls + other.pulls,
-            self.gram + other.gram,
-            self.log_shape + other.log_shape,
-            self.samples + other.samples,
-        )
-
-    def of_tests(self, chosen: NDArray[np.intp]) -> Sums:
-        """Those of some of the tests."""
-        return replace(self, squares=self.squares[chosen], pulls=self.pulls[chosen])
-
-
-@dataclass(frozen=True, eq=False)
-class GivenLikelihood:
-    """Log likelihood of tests from their sums.
-
-    Attributes
-    ----------
-    residual : Residual
-    """
-
-    residual: Residual
-
-    def __call__(self, sums: Sums, slip: Array, sd: Array) -> Array:
-        """Log likelihood of tests of these slip forces and noise sds (n,), (n,).
-
-        With the discrepancy f B (m + L η), η ~ N(0, 1), in the axes U of Lᵀ BᵀB/g² L, each axis
-        has its own Gaussian integral.
-        """
-        axes, sizes = self._axes(sums.gram)
-        pulls, precision = self._conditional(sums, axes, sizes, slip, sd)
-        log = -0.5 * sums.squares / sd**2 - sums.log_shape
-        log -= sums.samples * (np.log(sd) + 0.5 * LOG_2PI)
-        log -= 0.5 * np.log(precision).sum(axis=1)
-        return np.asarray(log + 0.5 * np.sum(pulls**2 / precision, axis=1))
-
-    def draw_coefficients(
-        self, sums: Sums, slip: Array, sd: Array, rng: np.random.Generator
-    ) -> Array:
-        """Draws of the discrepancy's coefficients of each test, (n, K), kip."""
-        axes, sizes = self._axes(sums.gram)
-        pulls, precision = self._conditional(sums, axes, sizes, slip, sd)
-        eta = pulls / precision + rng.standard_normal(pulls.shape) / np.sqrt(precision)
-        return np.asarray(self.residual.mean + eta @ axes.T)
-
-    @cached_property
-    def _root(self) -> Array:
-        values, vectors = np.linalg.eigh(self.residual.covariance)
-        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-    def _axes(self, gram: Array) -> tuple[Array, Array]:
-        """L U, (K, K), and the sizes of the axes, (K,)."""
-        sizes, vectors = np.linalg.eigh(self._root.T @ gram @ self._root)
-        return self._root @ vectors, np.maximum(sizes, 0.0)
-
-    def _conditional(
-        self, sums: Sums, axes: Array, sizes: Array, slip: Array, sd: Array
-    ) -> tuple[Array, Array]:
-        """Pull on each axis and its precision, (n, K) each."""
-        f = (slip / self.residual.slip_force)[:, None]
-        weight = 1.0 / sd[:, None] ** 2
-        return weight * f * (sums.pulls @ axes), 1.0 + weight * f**2 * sizes

@@ -9,13 +9,14 @@ one looks at it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -25,6 +26,13 @@ WINDOW = 64
 
 QUIET = 0.25
 """Share of the slip force below which a device is taken to be in its gap."""
+
+
+SLIPS = 0.6
+"""Share of the slip force above which a device is taken to slip."""
+
+KNOWN = 0.99
+"""Sum of the functions of travel below which the stroke before the turn was too short."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +105,17 @@ class Counted:
         g of the noise's standard deviation.
     share : (T,)
         Share of an independent sample.
+    common : (T,)
+        h, the share of the noise that a stroke has in common.
+    strokes : (T,) int
+        Number of the stroke.
     """
 
     functions: Array
     shape: Array
     share: Array
+    common: Array
+    strokes: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +146,26 @@ class Counting:
         functions = self.residual.basis.values(trace)
         shape = np.exp(functions @ self.residual.log_shape)
         unknown = ~np.any(functions, axis=1)
-        quiet = np.abs(np.asarray(trace.force)) < QUIET * self.slip_force
-        shape[unknown & quiet] = min(float(np.exp(self.residual.log_shape.min())), 1.0)
+        force = np.abs(np.asarray(trace.force)) / self.slip_force
+        shape[unknown & (force < QUIET)] = min(float(np.exp(self.residual.log_shape.min())), 1.0)
         share = self.pace.share(trace, self.residual.information, self.usual)
-        return Counted(functions[inside], shape[inside], share[inside])
+        common = self._common(trace, functions.sum(axis=1) < KNOWN, force)
+        strokes = strokes_of(trace)[inside]
+        return Counted(functions[inside], shape[inside], share[inside], common[inside], strokes)
+
+    def _common(self, trace: Trace, unknown: NDArray[np.bool_], force: Array) -> Array:
+        """Share of the noise that strokes have in common, (T,).
+
+        In strokes of which the travel says nothing, slip may begin sooner: there the force, over
+        that of slip, tells whether the device slips or is in its gap.
+        """
+        common = self.residual.share(trace)
+        common[unknown & (force > SLIPS)] = self.residual.levels.share.max()
+        common[unknown & (force < QUIET)] = 0.0
+        return common
 
     def first(self, counted: Counted) -> Counted:
         """The same where the first sample is the first of all: it counts once, also at rest."""
         share = counted.share.copy()
         share[0] = max(share[0], 1.0 - min(share[0] / self.residual.information, 1.0))
-        return Counted(counted.functions, counted.shape, share)
+        return replace(counted, share=share)

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
+from mfd_bayes.population.fitted_test import FittedTest
 from mfd_bayes.population.residual import Residual, memory_of, slip_force_of
+from mfd_bayes.population.strokes import independent_share, learn_levels
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.travel import TravelBasis
 from mfd_bayes.population.working import WorkingLikelihood
@@ -85,40 +87,6 @@ def fit_pilot(
     return fit.pilot()
 
 
-@dataclass
-class _One:
-    """One test in the fit.
-
-    Attributes
-    ----------
-    x : (D,)
-    functions, basis : (T, K)
-        Of the discrepancy: as they are, and times the slip force over the typical one.
-    residual, slopes : (T,), (T, D)
-        What is left over at x without discrepancy, and slopes of the model's force, kip.
-    sd : float, kip
-    """
-
-    likelihood: WorkingLikelihood
-    x: Array
-    functions: Array
-    basis: Array
-    residual: Array
-    slopes: Array
-    sd: float
-
-    def weights(self, log_shape: Array) -> Array:
-        """Reciprocal standard deviation of the noise at each sample, 0 where it does not count."""
-        weights = np.exp(-self.functions @ log_shape) / self.sd
-        weights[: self.likelihood.posterior.first] = 0.0
-        return np.asarray(weights)
-
-    def left(self, coefficients: Array, log_shape: Array) -> Array:
-        """What a discrepancy leaves of the samples that count, over the noise's sd."""
-        left = (self.residual - self.basis @ coefficients) * self.weights(log_shape)
-        return np.asarray(left[self.likelihood.kept])
-
-
 class _Fit:
     """State of the fit: coordinates of all tests, discrepancy, and sizes."""
 
@@ -151,7 +119,7 @@ class _Fit:
             residual = likelihood.residual(x[None])[0]
             sd = float(residual.std())
             self.tests.append(
-                _One(likelihood, x, functions, functions, residual, np.empty((0, 0)), sd)
+                FittedTest(likelihood, x, functions, functions, residual, np.empty((0, 0)), sd)
             )
         self.amplitude = 0.3 * float(np.mean([one.sd for one in self.tests]))
         self.slip_force = 1.0
@@ -258,21 +226,24 @@ class _Fit:
     def pilot(self) -> Pilot:
         """What is kept of the fit."""
         self.linearise()
-        standard = [one.left(self.coefficients, self.log_shape) for one in self.tests]
+        standard = [one.standardised(self.coefficients, self.log_shape) for one in self.tests]
         traces = [one.likelihood.posterior.trace for one in self.tests]
-        information, noise_time = memory_of(standard, traces)
+        information = independent_share([one.values for one in standard])
+        levels, rest = learn_levels(standard)
+        rest_information, noise_time = memory_of(rest, traces)
         residual = Residual(
             basis=self.basis,
             mean=self.coefficients,
             covariance=np.asarray(self.covariance / information),
             log_shape=self.log_shape,
             slip_force=self.slip_force,
+            levels=levels,
             noise_time=noise_time,
-            information=information,
+            information=rest_information,
         )
         return Pilot(residual, tuple(self._test(one, information) for one in self.tests))
 
-    def _test(self, one: _One, information: float) -> TestLikelihood:
+    def _test(self, one: FittedTest, information: float) -> TestLikelihood:
         """Working likelihood of a test with discrepancy and noise, and a Gaussian near it."""
         likelihood = replace(
             one.likelihood,

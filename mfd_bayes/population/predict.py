@@ -133,7 +133,7 @@ class Predictor:
         values = self.values(drawn)
         damper = self.force(trace, drawn)
         if forecast.kind == "observation":
-            drawn = replace(drawn, noise=self.draw_noise(rng, trace, values))
+            drawn = replace(drawn, noise=self.draw_noise(rng, trace, values, drawn.levels))
         force, _ = self.total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
         band = band_of(trace.time, force, forecast, told(source, forecast.before), values)
@@ -183,12 +183,16 @@ class Predictor:
         return force + residual.discrepancy(trace, slip, drawn.discrepancy)
 
     def draw_noise(
-        self, rng: np.random.Generator, trace: Trace, values: Mapping[str, Array]
+        self,
+        rng: np.random.Generator,
+        trace: Trace,
+        values: Mapping[str, Array],
+        levels: Array | None = None,
     ) -> Array:
-        """Draws of the record's noise, (n, T), kip."""
+        """Draws of the record's noise, (n, T), kip; levels (n, S) are those of its strokes."""
         residual = self.population.residual
         if residual is not None:
-            return residual.draw_noise(rng, trace, values["noise_sd"])
+            return residual.draw_noise(rng, trace, values["noise_sd"], levels)
         travel = None
         if self.noise.needs_travel:
             travel = self.model.travel(self.model.theta(values), trace, values.get("start"))

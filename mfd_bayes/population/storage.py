@@ -22,6 +22,7 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.stored import check_draws, check_facts
+from mfd_bayes.population.strokes import StrokeLevels, no_levels
 from mfd_bayes.population.travel import TravelBasis
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
@@ -198,7 +199,8 @@ def _residual_facts(residual: Residual | None) -> dict[str, Any] | None:
         return None
     arrays = {name: getattr(residual, name).tolist() for name in _ARRAYS}
     figures = {name: getattr(residual, name) for name in _FIGURES}
-    return {"basis": asdict(residual.basis), **arrays, **figures}
+    levels = {**vars(residual.levels), "share": residual.levels.share.tolist()}
+    return {"basis": asdict(residual.basis), "levels": levels, **arrays, **figures}
 
 
 def _residual_of(facts: Mapping[str, Any] | None) -> Residual | None:
@@ -206,4 +208,9 @@ def _residual_of(facts: Mapping[str, Any] | None) -> Residual | None:
         return None
     found: dict[str, Any] = {name: facts[name] for name in _FIGURES}
     found |= {name: np.array(facts[name], dtype=np.float64) for name in _ARRAYS}
-    return Residual(basis=TravelBasis(**facts["basis"]), **found)
+    basis = TravelBasis(**facts["basis"])
+    levels = no_levels(basis.size)  # which earlier versions do not have
+    known = facts.get("levels")
+    if known:
+        levels = StrokeLevels(**{**known, "share": np.array(known["share"], dtype=np.float64)})
+    return Residual(basis=basis, levels=levels, **found)

@@ -13,6 +13,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.population.laws import COMPARE, LAWS
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.strokes import LARGEST
 from mfd_bayes.population.travel import KNOTS
 from mfd_bayes.store.schema import Figure, Index, Part, check
 
@@ -27,6 +28,7 @@ _Size = Annotated[float, Field(ge=1e-12, le=1e10)]
 """Quotients of scales and of sizes stay finite."""
 
 _Near = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Share = Annotated[float, Field(ge=0, le=LARGEST)]
 _Shape = Annotated[float, Field(ge=-_WIDEST, le=_WIDEST)]
 _Name = Annotated[str, AfterValidator(lambda name: _known(name, sampled_quantities()))]
 _Law = Annotated[str, AfterValidator(lambda name: _known(name, LAWS))]
@@ -64,8 +66,14 @@ class _Basis(Part):
     longest: _Size
 
 
+class _Levels(Part):
+    share: Annotated[list[_Share], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
+    memory: _Share
+
+
 class _Residual(Part):
     basis: _Basis
+    levels: _Levels | None = None
     mean: Annotated[list[_Near], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
     covariance: Annotated[list[list[_Near]], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]
     log_shape: Annotated[list[_Shape], Field(min_length=2 * KNOTS, max_length=2 * KNOTS)]

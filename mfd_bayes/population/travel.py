@@ -53,11 +53,16 @@ class TravelBasis:
 
     def values(self, trace: Trace) -> Array:
         """Values of the functions at each sample, (T, size)."""
-        travel, before, forward = _since_turn(trace)
+        _, before, _ = _since_turn(trace)
+        known = np.clip(4.0 * before / self.shortest - 2.0, 0.0, 1.0)
+        return self.of_any_stroke(trace) * known[:, None]
+
+    def of_any_stroke(self, trace: Trace) -> Array:
+        """The same where no stroke before the turn is too short, (T, size)."""
+        travel, _, forward = _since_turn(trace)
         step = np.log1p(FINE) / (KNOTS - 1)
         place = np.log1p(FINE * travel / self.longest) / step
         one = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
-        one *= np.clip(4.0 * before / self.shortest - 2.0, 0.0, 1.0)[:, None]
         return np.concatenate([one * forward[:, None], one * ~forward[:, None]], axis=1)
 
     def covariance(self) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.population.given import values_of
-from mfd_bayes.population.given_part import GivenLikelihood, Sums
+from mfd_bayes.population.given_likelihood import GivenLikelihood, Sums
 from mfd_bayes.population.pace import Counting
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior

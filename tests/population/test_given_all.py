@@ -12,6 +12,7 @@ from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.lay_out import lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Predictor
+from mfd_bayes.population.strokes import no_levels
 
 PRIORS = 4000
 """Draws of the prior that stand for draws of a population without scatter."""
@@ -44,7 +45,10 @@ def compared(tools, priors, seed):
     study = tools.make_study()
     residual = study.predictor.population.residual
     nothing = replace(
-        residual, mean=np.zeros_like(residual.mean), covariance=1e-12 * np.eye(residual.mean.size)
+        residual,
+        mean=np.zeros_like(residual.mean),
+        covariance=1e-12 * np.eye(residual.mean.size),
+        levels=no_levels(residual.mean.size),
     )
     even = replace(study.predictor.population, residual=nothing)
     study = replace(study, predictor=replace(study.predictor, population=even))

@@ -233,7 +233,7 @@ def test_the_likelihoods_have_what_the_residual_has(wavy):
     for test, before in zip(wavy.found.tests, wavy.likelihoods, strict=True):
         likelihood, trace = test.log_likelihood, before.posterior.trace
         np.testing.assert_allclose(likelihood.shape, residual.shape(trace))
-        assert likelihood.information == residual.information
+        assert likelihood.information <= residual.information  # levels of strokes are in the noise
         one = residual.discrepancy(trace, np.array([residual.slip_force]), residual.mean[None])[0]
         own = likelihood.discrepancy
         scale = (own @ one) / (one @ one)  # the test's slip force over the typical one

@@ -27,6 +27,7 @@ from mfd_bayes.population.storage import (
     save_population,
     save_test_draws,
 )
+from mfd_bayes.population.strokes import StrokeLevels
 from mfd_bayes.population.travel import TravelBasis
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_arrays
@@ -89,6 +90,7 @@ def residual_of(rng):
         covariance=root @ root.T,
         log_shape=0.1 * rng.normal(size=basis.size),
         slip_force=1.3,
+        levels=StrokeLevels(rng.uniform(0.0, 0.9, basis.size), 0.6),
         noise_time=0.04,
         information=0.2,
     )
@@ -120,8 +122,14 @@ def test_where_tests_begin_and_end_comes_back(tmp_path, priors, population, back
 
 
 def test_discrepancy_and_noise_come_back_bit_by_bit(population, back):
-    for name in Residual.__dataclass_fields__:
-        stored, expected = getattr(back.residual, name), getattr(population.residual, name)
+    pairs = [
+        (getattr(back.residual, name), getattr(population.residual, name))
+        for name in Residual.__dataclass_fields__
+        if name != "levels"
+    ]
+    levels = back.residual.levels, population.residual.levels
+    pairs += [(levels[0].share, levels[1].share), (levels[0].memory, levels[1].memory)]
+    for stored, expected in pairs:
         np.testing.assert_array_equal(stored, expected)
         assert type(stored) is type(expected)
     time = np.arange(120) / 40
