@@ -174,7 +174,7 @@ class Forecaster:
         trace = self._incoming.trace()
         window = float(trace.time[0]), float(trace.time[-1])
         counted = np.arange(trace.samples) >= AHEAD
-        part = GivenPart(trace, counted, window)
+        part = GivenPart(trace, counted, strokes_of(trace), window)
         problem = GivenProblem(self._predictor, self._prior, part, self._level, self._counting)
         known, powers, accepted = sample_known(problem, self._forecast.draws, self._rng)
         begun = self._steps.begin(known.labels, known.points)

@@ -114,7 +114,8 @@ class GivenProblem:
     @cached_property
     def counted(self) -> Counted:
         """Functions of the discrepancy and shape of the noise where samples count."""
-        return self.counting.first(self.counting.counted(self.part.trace, self.part.counted))
+        counted = self.counting.counted(self.part.trace, self.part.counted)
+        return self.counting.first(replace(counted, strokes=self.part.strokes[self.part.counted]))
 
     def known(self, prior: TestPrior, labels: Index, points: Array) -> Known:
         """What the given part says of points, some at a time to bound the memory."""

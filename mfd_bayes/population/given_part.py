@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -26,11 +27,14 @@ class GivenPart:
         With a force at every sample; only that inside the window is used.
     counted : (T,) bool
         The samples inside the window.
+    strokes : (T,) int
+        Number of the stroke in the whole record: thinned, a short one may be lost.
     window : (float, float), s
     """
 
     trace: Trace
     counted: NDArray[np.bool_]
+    strokes: NDArray[np.intp]
     window: tuple[float, float]
 
 
@@ -72,7 +76,8 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> GivenP
             f"the force is zero in the whole given part {_words(window)}: expected a measured force"
         )
     stop = int(edges[-1]) + size
-    return GivenPart(block_means(trace, edges, stop), counted, (begin, end))
+    strokes = strokes_of(trace)[edges + size // 2]
+    return GivenPart(block_means(trace, edges, stop), counted, strokes, (begin, end))
 
 
 def _second_turn(trace: Trace) -> int:

@@ -9,6 +9,8 @@ from mfd_bayes.population import given
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
+from mfd_bayes.population.given_part import given_part
+from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.records.trace import Trace
 
 TESTS = 10
@@ -188,3 +190,14 @@ def test_nothing_is_left_to_compare_where_all_is_given(tools, study, few):
     band = tools.ask(study, truth, 1.0)
     with pytest.raises(CampaignError, match="the whole record was given"):
         compare(band, truth.trace.force)
+
+
+def test_strokes_are_those_of_the_whole_record():
+    time = np.arange(4000) / 1000.0
+    wave = np.sin(2.0 * np.pi * 0.5 * time) + 0.08 * np.sin(2.0 * np.pi * 12.0 * time)
+    trace = Trace.from_arrays(time, wave, 1.0, np.ones(time.size))
+    part = given_part(trace, (0.0, 3.0), 0.09)
+    whole = strokes_of(trace)
+    assert strokes_of(part.trace)[-1] < whole[3000]  # the thinned record has lost some
+    assert abs(part.strokes[part.counted][-1] - whole[2955]) <= 1
+    assert np.all(np.diff(part.strokes) >= 0)

@@ -96,5 +96,6 @@ def test_means_of_strokes_vary_less(truth):
 
 def test_strokes_are_counted_from_turn_to_turn(motion):
     strokes = strokes_of(motion)
-    assert strokes[0] == 0 and strokes[-1] == 2 * CYCLES - 1
+    assert strokes[0] == 0
+    assert strokes[-1] == 2 * CYCLES - 1
     assert set(np.diff(strokes)) == {0, 1}
