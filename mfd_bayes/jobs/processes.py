@@ -26,6 +26,9 @@ _ENVIRONMENT = {
 }
 """Numpy uses one thread, for the number could change the draws; Matplotlib needs no screen."""
 
+_TIDIED = "ignore:resource_tracker"
+"""Where a signal ends this process, the tracker removes its semaphores; it need not say so."""
+
 
 def context() -> ForkServerContext | SpawnContext:
     """What starts processes; they must be started within `started_alike`."""
@@ -50,8 +53,10 @@ def started_alike() -> Iterator[None]:
 
     This process gets Ctrl-C and ends the others.
     """
-    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
-    os.environ |= _ENVIRONMENT
+    warnings = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), _TIDIED)))
+    environment = _ENVIRONMENT | {"PYTHONWARNINGS": warnings}
+    before = {name: os.environ.get(name) for name in environment}
+    os.environ |= environment
     try:
         with _interrupts_blocked():
             yield

@@ -33,14 +33,30 @@ if __name__ == "__main__":
     print("colorsys" in sys.modules)
 """
 
+ENDED = """
+import sys, time
+from concurrent.futures import ProcessPoolExecutor
+from mfd_bayes.jobs import processes
+from mfd_bayes.jobs.signals import end_on_signals
+if __name__ == "__main__":
+    if sys.argv[1:] == ["untold"]:
+        processes._TIDIED = ""
+    processes.get_ready("colorsys")
+    with end_on_signals(), ProcessPoolExecutor(1, processes.context()) as pool:
+        with processes.started_alike():
+            print(pool.submit(int).result(), flush=True)
+        time.sleep(60)
+"""
 
-def run(script: str, folder: Path) -> "subprocess.Popen[str]":
+
+def run(script: str, folder: Path, *words: str) -> "subprocess.Popen[str]":
     """Start Python with a script in a session of its own."""
     file = folder / "script.py"
     file.write_text(script)
     return subprocess.Popen(
-        [sys.executable, str(file)],
+        [sys.executable, str(file), *words],
         stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": str(folder)},
         start_new_session=True,
@@ -86,7 +102,20 @@ def test_the_server_ends_with_its_parent_while_it_imports(tmp_path, watched):
     for left in of_session(process.pid):
         os.kill(left, signal.SIGKILL)
     process.stdout.close()
+    process.stderr.close()
     assert (alone < 3.0) == watched
+
+
+@pytest.mark.parametrize("words", [(), ("untold",)])
+def test_a_signal_ends_a_pool_with_one_sentence(tmp_path, words):
+    process = run(ENDED, tmp_path, *words)
+    assert process.stdout.readline() == "0\n"
+    process.send_signal(signal.SIGTERM)
+    complaint = process.communicate(timeout=60)[1]
+    assert process.returncode == 143
+    assert ("leaked semaphore" in complaint) == bool(words)
+    if not words:
+        assert complaint == "mfd-bayes: interrupted by SIGTERM\n"
 
 
 def test_processes_have_one_thread_whatever_this_one_has(monkeypatch):
