@@ -25,8 +25,13 @@ class Undisturbed:
     out: Path
     seconds: float
     on_cluster: float
+    workers: float
     checks: str
     size: int
+
+    def lasting(self, kind: str) -> float:
+        """Seconds over which the moments of a kind of fault on this machine are drawn."""
+        return self.workers if kind == "worker" else self.seconds
 
 
 @dataclass

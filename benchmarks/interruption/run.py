@@ -22,10 +22,10 @@ is resumed with another number of processes (after "client" on the same cluster)
 the undisturbed run: arrays bit for bit, everything else byte for byte except times and the
 command. "c" in the column of jobs is the cluster.
 
-The moments are drawn over the duration of the undisturbed run. A worker process is killed at 0.3
-of the moment shown, counted from the start of the first worker; on a cluster the moments end when
-its tests are done. The model is LuGre, which takes half the time of the three-stage model. Two
-faults run side by side; it takes an hour on two cores that are busy with other work too.
+The moments are drawn over the duration of the undisturbed run; on a cluster they end when its
+tests are done, and so they do for a worker process, counted from the start of the first. The model
+is LuGre, which takes half the time of the three-stage model. Two faults run side by side; it takes
+half an hour on two cores that are busy with other work too.
 """
 
 import os
@@ -95,9 +95,21 @@ class Found:
     left: list[str]
 
 
-def run_here(campaign: Path, out: Path) -> Ended:
+def run_here(campaign: Path, out: Path) -> tuple[float, Ended]:
+    """Seconds from the first worker until the tests are done, and the end."""
     began = time.monotonic()
-    return end(calibrate(campaign, out, 2), out, began)
+    process = calibrate(campaign, out, 2)
+    while process.poll() is None and not harness.workers_of(process.pid):
+        time.sleep(0.02)
+    first = time.monotonic()
+    return until_population(process, out) - first, end(process, out, began)
+
+
+def until_population(process: subprocess.Popen[str], out: Path) -> float:
+    """Moment at which a command begins with the population."""
+    while process.poll() is None and "population" not in harness.printed(out).read_text():
+        time.sleep(0.05)
+    return time.monotonic()
 
 
 def run_on_cluster(campaign: Path, out: Path) -> tuple[float, Ended]:
@@ -105,9 +117,7 @@ def run_on_cluster(campaign: Path, out: Path) -> tuple[float, Ended]:
     with dask.cluster(out.parents[1] / "dask") as own:
         began = time.monotonic()
         process = calibrate(campaign, out, 0, "--scheduler", own.address)
-        while process.poll() is None and "population" not in harness.printed(out).read_text():
-            time.sleep(0.05)
-        return time.monotonic() - began, end(process, out, began)
+        return until_population(process, out) - began, end(process, out, began)
 
 
 def prepare(home: Path) -> Undisturbed:
@@ -120,19 +130,18 @@ def prepare(home: Path) -> Undisturbed:
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         local = pool.submit(run_here, campaign, out)
         tests, on_cluster = run_on_cluster(campaign, other)
-    ended = local.result()
+    workers, ended = local.result()
     for each in (ended, on_cluster):
         if each.code or each.complaint:
             sys.exit(each.complaint)
     if differing(other, out) or files(other) != files(out):
         sys.exit(f"a cluster makes a difference: {differing(other, out)}")
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
-    return Undisturbed(campaign, out, ended.seconds, tests, check(out).stdout, size)
+    return Undisturbed(campaign, out, ended.seconds, tests, workers, check(out).stdout, size)
 
 
 def bring(fault: Fault, process: subprocess.Popen[str], run: Undisturbed) -> bool:
     """Cause a fault while a command runs; whether the command was still running."""
-    moment = fault.share * run.seconds
     if fault.kind == "disk":
         process.wait(timeout=harness.LIMIT)
         return True
@@ -140,12 +149,13 @@ def bring(fault: Fault, process: subprocess.Popen[str], run: Undisturbed) -> boo
         printed = harness.printed(fault.out)
         moment = fault.share * run.on_cluster
         return dask.disturb_cluster(fault.kind, process, fault.cluster, printed, moment)
+    moment = fault.share * run.lasting(fault.kind)
     if fault.kind == "read-only":
         time.sleep(moment)
         in_time = process.poll() is None
         harness.forbid_writing(fault.out.parent, over=fault.jobs == 2)
         return in_time
-    return harness.disturb(fault.kind, process, moment * (0.3 if fault.kind == "worker" else 1.0))
+    return harness.disturb(fault.kind, process, moment)
 
 
 def follow(fault: Fault, run: Undisturbed) -> Found | Ended:
@@ -225,7 +235,7 @@ def meet(number: int, home: Path, plan: Plan, run: Undisturbed) -> tuple[Fault, 
         share = (turn + rng.random()) / -(-plan.faults // len(plan.kinds))
         fault = Fault(number + 1, kind, share, home / "disk" / "out", 1 + turn % 2)
         room = int(4096 + share * 0.98 * run.size)
-        course = run.on_cluster if kind in ON_CLUSTER else run.seconds
+        course = run.on_cluster if kind in ON_CLUSTER else run.lasting(kind)
         fault.out.parent.mkdir(parents=True)
         if kind in AS_ROOT:
             harness.mount(fault.out.parent, room if kind == "disk" else 2**28)
