@@ -1,6 +1,8 @@
-"""Ranks and coverage of bands given a first part, on 100 synthetic tests.
+r"""Ranks and coverage of bands given a first part, on 100 synthetic tests.
 
     python -m benchmarks.given.coverage > benchmarks/given/coverage.txt
+    python -m benchmarks.given.coverage --level-sd 0.3 --out out_given_varying \
+        > benchmarks/given/coverage_varying.txt
 
 draws tests from a population with given values (`study`), predicts each from none, a quarter, half
 and all of its record, and ranks the true force and quantities among the draws: ranks are uniform if
@@ -20,7 +22,7 @@ import numpy as np
 
 from benchmarks.common.machine import processor, versions
 from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
-from benchmarks.given.study import DRAWS, SHARES, ask, draw_truth, make_study, ranks_of
+from benchmarks.given.study import DRAWS, LAWFUL, SHARES, ask, draw_truth, make_study, ranks_of
 
 TESTS = 100
 
@@ -77,10 +79,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tests", type=int, default=TESTS)
     parser.add_argument("--first", type=int, default=0, help="number of the first test")
+    parser.add_argument("--level-sd", type=float, default=LAWFUL, help="sd of levels off the laws")
     parser.add_argument("--out", type=Path, default=Path("out_given"))
     options = parser.parse_args()
     options.out.mkdir(exist_ok=True)
-    study, results = make_study(), []
+    study, results = make_study(level_sd=options.level_sd), []
     for index in range(options.first, options.first + options.tests):
         path = options.out / f"{index}.json"
         if not path.is_file():
@@ -88,7 +91,13 @@ def main() -> int:
         results.append(json.loads(path.read_text()))
     lines, good = table(results)
     print(f"Bands given a first part, {len(results)} synthetic tests, {DRAWS} draws each.")
-    print(f"python -m benchmarks.given.coverage --tests {len(results)} --first {options.first}")
+    command = f"python -m benchmarks.given.coverage --tests {len(results)}"
+    if options.first:
+        command += f" --first {options.first}"
+    if options.level_sd > LAWFUL:
+        command += f" --level-sd {options.level_sd:g}"
+        print("The actuation doubles during a test, and levels of actuation deviate from the laws.")
+    print(command)
     print(f"{processor()}, {versions('numpy', 'arviz')}")
     print(lines)
     return 0 if good else 1

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.band import Band
 from mfd_bayes.population.forecast import Forecast
@@ -71,24 +70,35 @@ class Study:
     predictor: Predictor
     motion: Trace
     pace: Pace
+    session: str = ""
 
 
-def make_study(model: str = "three_stage") -> Study:
-    """The study of a model with the paper's quantities."""
+LAWFUL = 1e-6
+"""Sd of levels that do not deviate from the laws."""
+
+
+def make_study(model: str = "three_stage", level_sd: float = LAWFUL) -> Study:
+    """The study of a model with the paper's quantities.
+
+    Where levels of actuation deviate from the laws, with this sd, the actuation doubles during the
+    test, which belongs to a session without other tests.
+    """
     time = np.arange(int(END * RATE)) / RATE
     small = SMALL * np.sin(2.0 * np.pi * 2.0 * time)
     later = np.maximum(time - BEGUN, 0.0)
     large = LARGE * np.sin(2.0 * np.pi * 0.7 * later)
-    motion = Trace.from_arrays(time, np.where(time < BEGUN, small, large), 1.0)
+    actuation = 0.7 * 2.0 ** (time / END) if level_sd > LAWFUL else 1.0
+    motion = Trace.from_arrays(time, np.where(time < BEGUN, small, large), actuation)
     one = Pace.of([motion])
     # samples count fully, as the noise of the truth is independent
     pace = Pace(one.steps, one.speeds, 1e-6 * one.travels)
-    population = make_population(motion)
-    return Study(Predictor(population, find_model(model), find_noise("iid")), motion, pace)
+    population = make_population(motion, level_sd=level_sd)
+    predictor = Predictor(population, find_model(model), find_noise("iid"))
+    return Study(predictor, motion, pace, "another" if level_sd > LAWFUL else "")
 
 
-def make_population(motion: Trace, scatter: float = 0.15) -> Population:
-    """A population with levels known to 3 % and scatter of 15 %, at one actuation."""
+def make_population(motion: Trace, scatter: float = 0.15, level_sd: float = LAWFUL) -> Population:
+    """A population with levels known to 3 % and scatter of 15 %."""
     priors = load_priors("mfd")
     settings = [Setting(p, "", setting_of(motion).covariates) for p in (0.5, 1.0, 2.0)]
     layout = replace(lay_out(priors, tuple(MEDIANS), settings), reference=1.0)
@@ -100,7 +110,7 @@ def make_population(motion: Trace, scatter: float = 0.15) -> Population:
     latent[:, :, 0] /= layout.spread
     h = np.zeros((*shape, layout.dim))
     h[..., :d] = np.log(np.where(np.array(layout.names) == "offset", 0.05, scatter))
-    h[..., d : d + len(layout.effects)] = np.log(1e-6)
+    h[..., d : d + len(layout.effects)] = np.log(level_sd)
     kept = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
     return Population(
         layout=layout,
@@ -139,25 +149,30 @@ class Truth:
 def draw_truth(study: Study, rng: np.random.Generator, noisier: float = 1.0) -> Truth:
     """A test of the population; its noise is so many times larger than its noise_sd says."""
     predictor, motion = study.predictor, study.motion
-    population, model = predictor.population, predictor.model
+    population = predictor.population
     index = rng.choice(population.size, size=1)
-    setting = setting_of(motion)
-    values = population.draw_test(setting, index, rng)
+    setting = setting_of(motion, study.session)
+    around = predictor.around(motion, setting)
+    parts = population.draw_parts(setting, index, rng, leveled=not around.size)
+    numbers = rng.standard_normal((1, around.size))
+    values = population.values(around.added(parts, index, numbers))
     values |= {"start": population.draw_starts(rng, 1, setting), "gamma1": np.ones(1)}
-    force = _damper(model, population.residual, motion, values, rng)
+    scales = predictor.scales(motion, index, (around, numbers))
+    force = _damper(study, values, scales, rng)
     noise = _noise(study, replace(motion, force=force), rng)
     measured = force + values["offset"] + noisier * values["noise_sd"] * noise
     return Truth(replace(motion, force=measured), force, values)
 
 
 def _damper(
-    model: Model,
-    residual: Residual | None,
-    motion: Trace,
+    study: Study,
     values: Mapping[str, Array],
+    scales: Mapping[str, Array],
     rng: np.random.Generator,
 ) -> Array:
-    force = model.force(model.theta(values), motion, values["start"])
+    model, motion = study.predictor.model, study.motion
+    residual = study.predictor.population.residual
+    force = model.force(model.theta(values), motion, values["start"], scales=scales or None)
     if residual is not None:
         coefficients = residual.draw_coefficients(rng, 1)
         force = force + residual.discrepancy(motion, slip_force_of(model, values), coefficients)
@@ -176,7 +191,7 @@ def _noise(study: Study, damper: Trace, rng: np.random.Generator) -> Array:
 
 def ask(study: Study, truth: Truth, share: float, seed: int = 0, draws: int = DRAWS) -> Band:
     """Band of a test of which a share of the record is given."""
-    forecast = Forecast(draws=draws, seed=seed)
+    forecast = Forecast(draws=draws, seed=seed, session=study.session)
     if share == 0.0:
         return study.predictor.predict(study.motion, forecast)
     end = float(study.motion.time[-1]) * share

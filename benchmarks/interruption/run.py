@@ -250,6 +250,7 @@ def meet(number: int, home: Path, plan: Plan, run: Undisturbed) -> tuple[Fault, 
             moment = f"{room / 1e3:.0f} kB" if kind == "disk" else f"{share:.0%} of {course:.0f} s"
             return fault, moment, found
         run.seconds = min(run.seconds, found.seconds)  # the machine has grown faster
+        run.workers *= 0.8 if kind == "worker" else 1.0
 
 
 def study(home: Path, plan: Plan) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.errors import FitError, RecordError
+from mfd_bayes.population.along import Along
 from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.forecast import Forecast
@@ -41,6 +42,9 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+EITHER_WAY = np.array([0.25, 4.0])
+"""Actuations over the planned one between which a followed test may deviate from the laws."""
+
 
 class Forecaster:
     """Predicts a test while it runs; made by `Run.follow`.
@@ -65,12 +69,13 @@ class Forecaster:
         if not (hasattr(model, "step") and hasattr(model, "start")):
             raise FitError(f"the model {model.name} has no steps, which following a test needs")
         self._predictor, self._forecast, self._level = predictor, forecast, setting.actuation
+        around = Along.of(predictor.population, setting, self._level * EITHER_WAY)
         self._rng = np.random.default_rng(forecast.seed)
-        self._prior = TestPrior.of(predictor.population, setting, self._rng, TRIED)
+        self._prior = TestPrior.of(predictor.population, setting, self._rng, TRIED, around)
         self._counting = counting_of(predictor, self._prior, pace, setting)
         self._residual, self._may_refresh = self._counting.residual, refresh
         self._likelihood = GivenLikelihood(self._residual)
-        self._steps = Steps(predictor, self._prior, self._counting, self._level)
+        self._steps = Steps(predictor, self._prior, self._counting)
         stroke = 2.0 * setting.covariates["amplitude"]
         self._incoming = Incoming(self._counting.usual, stroke)
         self._method = "weights", 0, 1.0
@@ -175,7 +180,7 @@ class Forecaster:
         window = float(trace.time[0]), float(trace.time[-1])
         counted = np.arange(trace.samples) >= AHEAD
         part = GivenPart(trace, counted, strokes_of(trace), window)
-        problem = GivenProblem(self._predictor, self._prior, part, self._level, self._counting)
+        problem = GivenProblem(self._predictor, self._prior, part, self._counting)
         known, powers, accepted = sample_known(problem, self._forecast.draws, self._rng)
         begun = self._steps.begin(known.labels, known.points)
         walk = self._steps.along(begun, trace, np.flatnonzero(counted))

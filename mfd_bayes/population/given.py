@@ -18,7 +18,7 @@ from mfd_bayes.population.given_likelihood import GivenLikelihood, Sums
 from mfd_bayes.population.given_part import GivenPart, given_part
 from mfd_bayes.population.pace import Counted, Counting, Pace
 from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.prior_of_test import TestPrior, start_of
+from mfd_bayes.population.prior_of_test import TestPrior
 from mfd_bayes.population.residual import Residual, slip_force_of
 from mfd_bayes.population.sequel import left_of
 from mfd_bayes.population.setting import Setting, setting_of
@@ -54,7 +54,7 @@ class Known:
 
     Attributes
     ----------
-    labels, points : (n,), (n, d + 1)
+    labels, points : (n,), (n, D)
         As in `TestPrior`.
     log_likelihood : (n,)
     sums : Sums
@@ -90,15 +90,12 @@ class GivenProblem:
     predictor : Predictor
     prior : TestPrior
     part : GivenPart
-    level : float, ksi or kip
-        Actuation to which the test's parameters belong.
     counting : Counting
     """
 
     predictor: Predictor
     prior: TestPrior
     part: GivenPart
-    level: float
     counting: Counting
 
     @property
@@ -131,9 +128,10 @@ class GivenProblem:
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _known(self, prior: TestPrior, labels: Index, points: Array) -> Known:
-        values = values_of(self.predictor, points)
+        values = values_of(self.predictor, prior, labels, points)
         model, trace = self.predictor.model, self.part.trace
-        scales = self.predictor.scales(trace, self.level, prior.index[labels]) or None
+        deviation = prior.deviation(points)
+        scales = self.predictor.scales(trace, prior.index[labels], deviation) or None
         force = model.force_unbounded(model.theta(values), trace, values["start"], scales=scales)
         slip, sd = slip_force_of(model, values), values["noise_sd"]
         mean = self.counted.functions @ self.residual.mean
@@ -162,18 +160,20 @@ def counting_of(predictor: Predictor, prior: TestPrior, pace: Pace, setting: Set
             "needs: calibrate the campaign again"
         )
     middle = np.concatenate([prior.mean, np.zeros((prior.size, 1))], axis=1)
-    slip = np.median(slip_force_of(predictor.model, values_of(predictor, middle)))
+    values = values_of(predictor, prior, np.arange(prior.size), middle)
+    slip = np.median(slip_force_of(predictor.model, values))
     return Counting(found, pace, pace.step(setting.covariates["velocity"]), float(slip))
 
 
-def values_of(predictor: Predictor, points: Array) -> dict[str, Array]:
-    """Quantities of points (n, d + 1), by name, (n,) each."""
-    population = predictor.population
-    layout, n = population.layout, len(points)
-    others = [name for name in population.priors if name not in layout.names]
+def values_of(
+    predictor: Predictor, prior: TestPrior, labels: Index, points: Array
+) -> dict[str, Array]:
+    """Quantities of points (n, D) of a prior, by name, (n,) each."""
+    population, n = predictor.population, len(points)
+    others = [name for name in population.priors if name not in population.layout.names]
     values = {name: np.full(n, population.priors[name].typical) for name in others}
-    values |= {"gamma1": np.ones(n), "start": start_of(points)}
-    return values | layout.coordinates.values(layout.centre + layout.spread * points[:, :-1])
+    values |= {"gamma1": np.ones(n), "start": prior.starts(points)}
+    return values | population.values(prior.parts(labels, points))
 
 
 def predict_given(
@@ -207,11 +207,13 @@ def predict_given(
     part = given_part(trace, window, pace.step(setting.covariates["velocity"]))
     rng = np.random.default_rng(forecast.seed)
     left = partial(left_of, predictor.population, predictor.model, trace=trace)
-    prior = TestPrior.of(predictor.population, setting, rng, TRIED, left)
+    around = predictor.around(trace, setting)
+    prior = TestPrior.of(predictor.population, setting, rng, TRIED, around, left)
     counting = counting_of(predictor, prior, pace, setting)
-    problem = GivenProblem(predictor, prior, part, setting.actuation, counting)
+    problem = GivenProblem(predictor, prior, part, counting)
     known, told = draw_known(problem, forecast.draws, rng)
-    scales = predictor.scales(trace, problem.level, prior.index[known.labels])
+    deviation = prior.deviation(known.points)
+    scales = predictor.scales(trace, prior.index[known.labels], deviation)
     strokes = int(strokes_of(trace)[-1]) + 1
     drawn = replace(drawn_of(problem, known, strokes, rng), scales=scales)
     source = f"population laws with scatter, and {told.sentence}"
@@ -268,7 +270,7 @@ def sample_known(
 
 def drawn_of(problem: GivenProblem, known: Known, strokes: int, rng: np.random.Generator) -> Drawn:
     """The ingredients of a band of known tests, in a motion of so many strokes."""
-    values = values_of(problem.predictor, known.points)
+    values = values_of(problem.predictor, problem.prior, known.labels, known.points)
     shared = problem.predictor.population.layout.names
     unknown = {name: v for name, v in values.items() if name not in shared}
     tests, likelihood = (known.slip, known.sd), problem.likelihood

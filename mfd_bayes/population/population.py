@@ -129,6 +129,11 @@ class Population:
         share, exponent = self.shapes(name)
         return ratio(relative, share[..., None], exponent[..., None])
 
+    def ratio_of(self, name: str, actuation: Array, index: NDArray[np.intp]) -> Array:
+        """The same of draws by number (n,), of a quantity with a law, (n, m)."""
+        share, exponent = (shape.reshape(-1, 1)[index] for shape in self.shapes(name))
+        return ratio(np.asarray(actuation) / self.layout.reference, share, exponent)
+
     def median(self, name: str, actuation: Array) -> Array:
         """Median over tests of a quantity at each actuation, (chain, draw, m)."""
         level = self.layout.coordinates.values(self.levels.reshape(self.size, -1))[name]
@@ -236,6 +241,7 @@ class Population:
         rng: np.random.Generator,
         *,
         scattered: bool = True,
+        leveled: bool = True,
     ) -> Parts:
         """What tests under a setting are made of.
 
@@ -250,11 +256,13 @@ class Population:
             Whether to add test-to-test scatter, and what is unknown of a new session; without
             it, the median over tests, with what is unknown of a new level and of a motion outside
             those of the tests.
+        leveled : bool
+            Whether to add what is unknown of a new level.
         """
         expected = self.expected(setting, index)
         law = expected.law.copy()
         for name, k, sd in expected.open:
-            if scattered or name != "session":
+            if (scattered or name != "session") and (leveled or name != "level"):
                 law[:, k] += sd * rng.standard_normal(len(law))
         scatter = np.zeros_like(law)
         if scattered:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.friction.model import Model
+from mfd_bayes.population.along import Along
 from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.drawn import Drawn
 from mfd_bayes.population.forecast import Forecast
@@ -19,7 +20,7 @@ from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.sequel import left_of, told
-from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
 from mfd_bayes.population.unshared import scales_of, unknown_of
 from mfd_bayes.records.trace import Trace, check_magnitude
@@ -68,8 +69,14 @@ class Predictor:
         """Drawn tests under a motion, with all but their noise, which begin anywhere."""
         index = rng.choice(self.population.size, size=forecast.draws)
         setting, scattered = setting_of(trace, forecast.session), forecast.kind != "device"
-        parts = self.population.draw_parts(setting, index, rng, scattered=scattered)
-        return self._drawn(trace, parts, index, rng)
+        around = self.around(trace, setting)
+        leveled = not around.size
+        parts = self.population.draw_parts(
+            setting, index, rng, scattered=scattered, leveled=leveled
+        )
+        numbers = rng.standard_normal((len(index), around.size))
+        parts = around.added(parts, index, numbers)
+        return self._drawn(trace, parts, index, rng, (around, numbers))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def begun(self, trace: Trace, forecast: Forecast, drawn: Drawn) -> Drawn:
@@ -105,17 +112,25 @@ class Predictor:
         level = layout.coordinates.of({name: own[name][pick] for name in layout.names})
         level = (level - layout.centre) / layout.spread
         parts = Parts(level, np.zeros_like(level), np.zeros_like(level))
-        drawn = self.begun(trace, forecast, self._drawn(trace, parts, index, rng))
+        around = self.around(trace, setting_of(trace, forecast.session))
+        numbers = rng.standard_normal((len(index), around.size))
+        drawn = self._drawn(trace, parts, index, rng, (around, numbers))
+        drawn = self.begun(trace, forecast, drawn)
         return self.finish(trace, forecast, drawn, rng, "posterior draws of this test")
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _drawn(
-        self, trace: Trace, parts: Parts, index: NDArray[np.intp], rng: np.random.Generator
+        self,
+        trace: Trace,
+        parts: Parts,
+        index: NDArray[np.intp],
+        rng: np.random.Generator,
+        deviation: tuple[Along, Array],
     ) -> Drawn:
         """Drawn tests of these parts, with all but their noise; index are their draws of laws."""
         left = left_of(self.population, self.model, self.population.values(parts), trace)
         unknown = unknown_of(self.population, len(index), rng, setting_of(trace), left)
-        scales = self.scales(trace, trace.reference_actuation, index)
+        scales = self.scales(trace, index, deviation)
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, len(index))
         return Drawn(parts, unknown, scales, discrepancy=learned)
@@ -154,15 +169,23 @@ class Predictor:
             return damper, damper
         return damper + self.values(drawn)["offset"][:, None] + drawn.noise, damper
 
-    def scales(self, trace: Trace, level: float, index: NDArray[np.intp]) -> dict[str, Array]:
+    def around(self, trace: Trace, setting: Setting) -> Along:
+        """Deviations from the laws along a trace's history of actuation, around a setting."""
+        history = np.asarray(trace.actuation) if trace.varying else None
+        return Along.of(self.population, setting, history)
+
+    def scales(
+        self, trace: Trace, index: NDArray[np.intp], deviation: tuple[Along, Array]
+    ) -> dict[str, Array]:
         """Factors of what follows the actuation, over its values at a level, (n, T) each.
 
-        Empty where the actuation is constant; index are the tests' draws of laws.
+        Empty where the actuation is constant; index are the tests' draws of laws, and they lie off
+        the laws by this deviation, in numbers (n, m).
         """
         if not trace.varying:
             return {}
         history = np.asarray(trace.actuation)
-        return scales_of(self.population, self.model, history, level, index)
+        return scales_of(self.population, self.model, history, index, deviation)
 
     def values(self, drawn: Drawn) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""

@@ -7,13 +7,14 @@ Beta density of its start in the gap; the population's prediction is the mixture
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, expit, log_expit
 
+from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
@@ -32,21 +33,26 @@ SOME = 4
 class TestPrior:
     """Mixture of N densities of one test's d shared coordinates, in prior units, and its start.
 
-    A point is (x, t): x (d,), and the logit t of the start, which is the last coordinate.
+    A point is (x, e, t): x (d,), the m numbers e of its deviation from the laws along a history of
+    actuation, and the logit t of the start. With such a history x is without what is unknown of the
+    deviation at its level, which follows from e. D is d + m + 1.
 
     Attributes
     ----------
     index : (N,) int
         Draw of the hyperparameters behind each density, its label.
+    around : Along
+        Deviations from the laws.
     expected : Expected
         Level and law of each.
-    mean : (N, d)
-    covariance : (N, d, d)
+    mean : (N, d + m)
+    covariance : (N, d + m, d + m)
     start : (N,), (N,)
         Exponents of the start's Beta density.
     """
 
     index: Index
+    around: Along
     expected: Expected
     mean: Array
     covariance: Array
@@ -61,6 +67,7 @@ class TestPrior:
         setting: Setting,
         rng: np.random.Generator,
         n: int,
+        around: Along,
         left: Callable[[Mapping[str, Array]], float | None] = lambda _: None,
     ) -> TestPrior:
         """Prior of a test under a setting, from n draws of the hyperparameters.
@@ -72,12 +79,18 @@ class TestPrior:
         expected = population.expected(setting, index)
         root = expected.scatter[:, :, None] * expected.together
         covariance = root @ np.swapaxes(root, 1, 2)
-        for _, k, sd in expected.open:
-            covariance[:, k, k] += sd**2
+        for name, k, sd in expected.open:
+            if name != "level" or not around.size:
+                covariance[:, k, k] += sd**2
         mean = expected.level + expected.law
         place = left(population.values(Parts(mean, np.zeros_like(mean), np.zeros_like(mean))))
         start = population.start_density(rng, n, setting, place)
-        return cls(index, expected, mean, covariance, start)
+        both = np.zeros((n, *(mean.shape[1] + around.size,) * 2)) + np.eye(
+            mean.shape[1] + around.size
+        )
+        both[:, : mean.shape[1], : mean.shape[1]] = covariance
+        mean = np.pad(mean, ((0, 0), (0, around.size)))
+        return cls(index, around, expected, mean, both, start)
 
     @property
     def size(self) -> int:
@@ -95,7 +108,7 @@ class TestPrior:
         between = np.atleast_2d(np.cov(self.mean, rowvar=False))
         mean = middle + np.sqrt(1.0 - SMOOTH) * (self.mean - middle)
         covariance = self.covariance + SMOOTH * between + 1e-12 * np.eye(middle.size)
-        return TestPrior(self.index, self.expected, mean, covariance, self.start)
+        return replace(self, mean=mean, covariance=covariance)
 
     @cached_property
     def root(self) -> Array:
@@ -112,7 +125,7 @@ class TestPrior:
         return np.asarray(-np.log(diagonal).sum(axis=1) - betaln(*self.start))
 
     def draw(self, labels: Index, rng: np.random.Generator) -> Array:
-        """Points of the densities with these labels (n,), (n, d + 1)."""
+        """Points of the densities with these labels (n,), (n, D)."""
         standard = rng.standard_normal((len(labels), self.mean.shape[1]))
         x = self.mean[labels] + np.einsum("nij,nj->ni", self.root[labels], standard)
         drawn = rng.beta(self.start[0][labels], self.start[1][labels])
@@ -120,7 +133,7 @@ class TestPrior:
         return np.concatenate([x, np.log(start / (1.0 - start))[:, None]], axis=1)
 
     def log_density(self, labels: Index, points: Array) -> Array:
-        """Log density of points (..., d + 1) under their labels' (...), without constants."""
+        """Log density of points (..., D) under their labels' (...), without constants."""
         away = points[..., :-1] - self.mean[labels]
         standard = (self._inverse[labels] @ away[..., None])[..., 0]
         t, (a, b) = points[..., -1], self.start
@@ -133,7 +146,7 @@ class TestPrior:
         )
 
     def relabelled(self, labels: Index, points: Array, rng: np.random.Generator) -> Index:
-        """Labels of points (n, d + 1), drawn anew among `SOME` by their densities, (n,).
+        """Labels of points (n, D), drawn anew among `SOME` by their densities, (n,).
 
         It leaves the mixture as it is, since all labels are equally probable.
         """
@@ -145,12 +158,18 @@ class TestPrior:
         gumbel = density + rng.gumbel(size=density.shape)
         return np.asarray(among[np.arange(len(labels)), np.argmax(gumbel, axis=1)])
 
+    def deviation(self, points: Array) -> tuple[Along, Array]:
+        """How points deviate from the laws: the numbers (n, m), and what they say."""
+        return self.around, points[:, -1 - self.around.size : -1]
+
     def parts(self, labels: Index, points: Array) -> Parts:
         """What points are made of: all that differs from level and law counts as scatter."""
         level, law = self.expected.level[labels], self.expected.law[labels]
-        return Parts(level, law, points[:, :-1] - level - law)
+        around, numbers = self.deviation(points)
+        own = points[:, : -1 - around.size]
+        return around.added(Parts(level, law, own - level - law), self.index[labels], numbers)
 
-
-def start_of(points: Array) -> Array:
-    """Start in the gap of points (n, d + 1), (n,)."""
-    return np.asarray(expit(points[:, -1]))
+    @staticmethod
+    def starts(points: Array) -> Array:
+        """Places in the gap at which points (n, D) begin, (n,)."""
+        return np.asarray(expit(points[:, -1]))

@@ -45,7 +45,7 @@ class Tempered:
     Attributes
     ----------
     labels : (n,) int
-    points : (n, d + 1)
+    points : (n, D)
     powers : int
         Steps of the power.
     accepted : float
@@ -73,7 +73,7 @@ def temper(
     prior : TestPrior
         Smoothed, so that its densities overlap.
     log_likelihood : callable
-        Of labels (n,) and points (n, d + 1), (n,).
+        Of labels (n,) and points (n, D), (n,).
     rng : numpy.random.Generator
     n : int
     relabel : bool

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Model
+from mfd_bayes.population.along import Along
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
 
@@ -32,19 +33,28 @@ def unknown_of(
 
 
 def scales_of(
-    population: Population, model: Model, history: Array, level: float, index: NDArray[np.intp]
+    population: Population,
+    model: Model,
+    history: Array,
+    index: NDArray[np.intp],
+    deviation: tuple[Along, Array],
 ) -> dict[str, Array]:
     """Factors along a history of actuation (T,) of what follows it, over their values at a level.
 
-    They are (n, T) each, of draws of the hyperparameters (n,).
+    They are (n, T) each, of draws of the hyperparameters (n,) and of their deviations from the
+    laws: those around the level, and the numbers of each draw.
     """
-    reference = np.array([level])
+    around, numbers = deviation
+    reference = np.array([around.level])
+    beside = around.factors(index, numbers, history)
     scales = {}
     for name in population.layout.laws:
-        along = population.ratio(name, history).reshape(-1, history.size)[index]
-        at_level = population.ratio(name, reference).reshape(-1, 1)[index]
+        along = population.ratio_of(name, history, index)
+        at_level = population.ratio_of(name, reference, index)
         # without any actuation along the history it stays at its level
         scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)
+        if name in beside:
+            scales[name] *= beside[name]
     # what follows another quantity in this model, such as static friction
     tied = {name: scales[other] for name, other in model.tied_laws.items() if other in scales}
     return scales | tied

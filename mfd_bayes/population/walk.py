@@ -28,7 +28,7 @@ class Walk:
 
     Attributes
     ----------
-    labels, points : (n,), (n, d + 1)
+    labels, points : (n,), (n, D)
         As in `TestPrior`.
     values : mapping of str to (n,)
     state : State, or None
@@ -56,18 +56,20 @@ class Steps:
     predictor : Predictor
     prior : TestPrior
     counting : Counting
-    level : float, ksi or kip
-        Actuation to which the draws' parameters belong.
     """
 
     predictor: Predictor
     prior: TestPrior
     counting: Counting
-    level: float
+
+    @property
+    def level(self) -> float:
+        """Actuation to which the draws' parameters belong, ksi or kip."""
+        return self.prior.around.level
 
     def begin(self, labels: Index, points: Array) -> Walk:
         """Draws before the first sample."""
-        values = values_of(self.predictor, points)
+        values = values_of(self.predictor, self.prior, labels, points)
         return Walk(labels, points, values, None, None, np.zeros(len(labels)))
 
     def _at_rest(self, walk: Walk, direction: int) -> Any:
@@ -96,7 +98,7 @@ class Steps:
         model, state = self.predictor.model, walk.state
         if state is None:
             state = self._at_rest(walk, trace.path.direction)
-        scales = self._scales(trace, new, self.prior.index[walk.labels])
+        scales = self._scales(trace, new, walk)
         before = np.diff(trace.time, prepend=trace.time[0])
         force = np.empty((len(walk.labels), new.size))
         for i, at in enumerate(new.tolist()):
@@ -107,13 +109,14 @@ class Steps:
             )
         return force, state
 
-    def _scales(self, trace: Trace, new: Index, index: Index) -> dict[str, Array]:
+    def _scales(self, trace: Trace, new: Index, walk: Walk) -> dict[str, Array]:
         """Factors of what follows the actuation, (n, m) each; none where it is as planned."""
         history = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[new]
         if not np.all(np.isfinite(history)) or np.allclose(history, self.level, rtol=1e-9):
             return {}
-        known = self.predictor
-        return scales_of(known.population, known.model, history, self.level, index)
+        known, index = self.predictor, self.prior.index[walk.labels]
+        deviation = self.prior.deviation(walk.points)
+        return scales_of(known.population, known.model, history, index, deviation)
 
     def log_likelihood(self, walk: Walk) -> Array:
         """Log likelihood of draws from their sums, (n,)."""

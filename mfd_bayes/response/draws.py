@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Model
+from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
@@ -37,10 +38,17 @@ def draw_dampers(
         return no_dampers(choice.draws)
     rng = np.random.default_rng([choice.seed, 0])
     index = rng.choice(population.size, size=choice.draws)
-    drawn = [_values(population, choice, index, j, level) for j, level in enumerate(levels)]
+    found = levels_along(building)
+    times = found[0] if found else None
+    histories = found[1] if found else [None] * len(levels)
+    around = [
+        _deviation(population, choice, level, history)
+        for level, history in zip(levels, histories, strict=True)
+    ]
+    drawn = [_values(population, choice, index, j, one) for j, one in enumerate(around)]
     about = [_about(model, values, typical) for values, typical in drawn]
     slip = np.stack([slip_force_of(model, values) for values, _ in drawn], axis=1)
-    scales, times = _scales(population, model, building, index)
+    scales = _scales(population, model, histories, index, around)
     return Dampers(
         model,
         np.stack([model.theta(values) for values, _ in drawn], axis=1),
@@ -53,14 +61,37 @@ def draw_dampers(
     )
 
 
+def _setting(population: Population, choice: Choice, level: float) -> Setting:
+    return Setting(level, choice.session, dict(population.layout.covariate_reference))
+
+
+def _deviation(
+    population: Population, choice: Choice, level: float, history: Array | None
+) -> tuple[Along, Array]:
+    """How a damper deviates from the laws around a level, and the numbers of each draw (n, m).
+
+    Dampers have the same numbers: a deviation belongs to the session.
+    """
+    around = Along.of(population, _setting(population, choice, level), history)
+    rng = np.random.default_rng([choice.seed, 5])
+    return around, rng.standard_normal((around.size, choice.draws)).T
+
+
 def _values(
-    population: Population, choice: Choice, index: NDArray[np.intp], j: int, level: float
+    population: Population,
+    choice: Choice,
+    index: NDArray[np.intp],
+    j: int,
+    deviation: tuple[Along, Array],
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Quantities of the damper j at a level of actuation, (n,) each, with and without scatter."""
-    scattered = choice.kind == "new_test"
-    setting = Setting(level, choice.session, dict(population.layout.covariate_reference))
+    """Quantities of the damper j at its level, (n,) each, with and without scatter."""
+    scattered, (around, numbers) = choice.kind == "new_test", deviation
+    setting = _setting(population, choice, around.level)
     shared = np.random.default_rng([choice.seed, 1])
-    parts = population.draw_parts(setting, index, shared, scattered=scattered)
+    parts = population.draw_parts(
+        setting, index, shared, scattered=scattered, leveled=not around.size
+    )
+    parts = around.added(parts, index, numbers)
     scatter = parts.scatter
     if scattered:
         own = np.random.default_rng([choice.seed, 2, j])
@@ -106,15 +137,18 @@ def _leftover(population: Population, slip: Array, choice: Choice) -> Leftover |
 
 
 def _scales(
-    population: Population, model: Model, building: Building, index: NDArray[np.intp]
-) -> tuple[Mapping[str, Array], Array | None]:
-    """Factors of what follows the actuation, (n, m, T) each, where a damper has a history."""
-    found = levels_along(building)
-    if found is None:
-        return {}, None
-    times, levels = found
+    population: Population,
+    model: Model,
+    histories: Sequence[Array | None],
+    index: NDArray[np.intp],
+    around: Sequence[tuple[Along, Array]],
+) -> Mapping[str, Array]:
+    """Factors of what follows the actuation, (n, m, T) each, where dampers have histories."""
     each = [
-        scales_of(population, model, along, level_of(device, building.folder), index)
-        for device, along in zip(building.devices, levels, strict=True)
+        scales_of(population, model, history, index, deviation)
+        for history, deviation in zip(histories, around, strict=True)
+        if history is not None
     ]
-    return {name: np.stack([one[name] for one in each], axis=1) for name in each[0]}, times
+    if not each:
+        return {}
+    return {name: np.stack([one[name] for one in each], axis=1) for name in each[0]}
