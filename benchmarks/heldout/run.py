@@ -6,8 +6,6 @@ calibrates the sessions of the band brake and predicts what was left out:
 
 -   the 36 lb harmonic tests, each in turn, and the earthquakes from all of them;
 -   the 2022 session: each tension in turn, and each test whose tension another test has too;
--   semi-active tests of another session, under the tension measured at the band's slack end,
-    alone and given their first seconds;
 -   with --zero, instead: the two tests at zero tension from those at 30 and 36 lb, and each from
     all others.
 
@@ -36,10 +34,6 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.pace import Pace
-from mfd_bayes.population.predict import Predictor
 from mfd_bayes.runs.results import Score
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.folds import folds_of, run_folds
@@ -59,8 +53,6 @@ PUBLISHED = {
     "36lb_0.25Hz_1.5in": 0.180,
 }
 """RRSE of the LuGre model that the dataset's authors published (shared/data/brfd/README.md)."""
-GIVEN = 4.0
-"""First part of a semi-active test that is given, s; scored is the rest."""
 WINDOWS = {"36lb_ImperialValleyDBE": (3.0, 7.5), "36lb_KocaeliDBE": (6.0, 14.0)}
 """Where they are scored, s; other records as a whole."""
 
@@ -210,33 +202,6 @@ def zero(run: Run, options: argparse.Namespace) -> None:
                 line(p.test, p.score, f"{p.fitted.width:12.2f}")
 
 
-def semi_active(runs: dict[str, Run], options: argparse.Namespace) -> None:
-    """Tests under a changing tension, from all other sessions together; alone and given 4 s."""
-    header("semi-active, 2023-08: slack end's tension as measured; from all other sessions")
-    population, some = records.join(runs, options.fold_effort)
-    predictor = Predictor(population, some.model, some.noise)
-    pace = Pace.of(test.trace for run in runs.values() for test in run.tests.values())
-    for name, session, trace in records.semi_active_tests(options.data / "brfd"):
-        forecast = Forecast("observation", draws=DRAWS, session=session)
-        begin = float(trace.time[0])
-        later = trace.time > begin + GIVEN
-        bands = [
-            predictor.predict(trace, forecast),
-            predict_given(predictor, trace, forecast, (begin, begin + GIVEN), pace),
-        ]
-        force = np.asarray(trace.force)[later]
-        alone, known = (score(band.draws[:, later], force) for band in bands)
-        low, high = np.quantile(1000.0 * np.asarray(trace.actuation), [0.05, 0.95])
-        line(name, alone, f"tension {low:.0f} to {high:.0f} lb")
-        line(f"  given its first {GIVEN:g} s", known)
-        half = known.rrse / alone.rrse
-        bar(f"{name}: RRSE given {GIVEN:g} s over that alone", half, half <= 0.5, "at most 0.5")
-        for words, found in (("alone", alone), (f"given {GIVEN:g} s", known)):
-            covered = found.coverage[2]
-            good = 0.90 <= covered <= 0.98
-            bar(f"{name}: coverage of 95 % bands, {words}", covered, good, "0.90 to 0.98")
-
-
 def speed(run: Run) -> None:
     """Time of a band at 500 draws."""
     test = next(iter(run.tests.values()))
@@ -281,7 +246,6 @@ def main() -> None:
     one_level(runs["36lb"], options)
     many_levels(runs["2022-07"], options)
     speed(runs["36lb"])
-    semi_active(runs | {"30lb": finished(options.out, "30lb", options)}, options)
     print(f"\n{len(missed)} bars missed" if missed else "\nall bars hold")
     sys.exit(1 if missed else 0)
 

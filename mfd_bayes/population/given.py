@@ -262,7 +262,7 @@ def sample_known(
         return problem.known(smooth, labels, points).log_likelihood
 
     varying = problem.part.trace.varying
-    found = temper(smooth, log_likelihood, rng, max(n, POINTS), relabel=not varying)
+    found = temper(smooth, log_likelihood, rng, max(n, POINTS), depends=varying)
     chosen = rng.permutation(len(found.labels))[:n]
     known = problem.known(smooth, found.labels[chosen], found.points[chosen])
     return known, found.powers, found.accepted

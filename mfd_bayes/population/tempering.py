@@ -64,7 +64,7 @@ def temper(
     rng: np.random.Generator,
     n: int,
     *,
-    relabel: bool = True,
+    depends: bool = False,
 ) -> Tempered:
     """Draws of the posterior of a test, n of them.
 
@@ -76,8 +76,8 @@ def temper(
         Of labels (n,) and points (n, D), (n,).
     rng : numpy.random.Generator
     n : int
-    relabel : bool
-        Whether the likelihood does not depend on labels, so that they may change.
+    depends : bool
+        Whether the likelihood depends on labels too, not on points alone.
     """
     cloud = _Cloud(prior, log_likelihood, rng, n)
     power, powers = 0.0, 0
@@ -88,8 +88,8 @@ def temper(
         if power > 1.0 - 1e-12:
             power = 1.0
         for turn in range(MOVES if power < 1.0 else LAST):
-            if relabel and turn % EVERY == 0:
-                cloud.relabel()
+            if turn % EVERY == 0:
+                cloud.relabel(power, depends)
             cloud.move(power)
     return Tempered(cloud.labels, cloud.points, powers, cloud.accepted)
 
@@ -143,10 +143,17 @@ class _Cloud:
         covariance += 1e-9 * np.diag(np.diag(covariance)) + 1e-14 * np.eye(len(covariance))
         self.root = np.linalg.cholesky(covariance)
 
-    def relabel(self) -> None:
-        """New labels of the points."""
-        self.labels = self.prior.relabelled(self.labels, self.points, self.rng)
-        self.log_prior = self.prior.log_density(self.labels, self.points)
+    def relabel(self, power: float, depends: bool) -> None:
+        """New labels of the points by the prior, and by a likelihood that depends on them."""
+        labels = self.prior.relabelled(self.labels, self.points, self.rng)
+        if depends:
+            found = self.density(labels, self.points)
+            gain = power * (found - self.log_likelihood)
+            yes = np.log(self.rng.random(len(labels))) < gain
+            labels = np.where(yes, labels, self.labels)
+            self.log_likelihood = np.where(yes, found, self.log_likelihood)
+        self.labels = labels
+        self.log_prior = self.prior.log_density(labels, self.points)
 
     def move(self, power: float) -> None:
         """A Metropolis step of each point, at a power of the likelihood."""

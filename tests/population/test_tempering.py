@@ -1,0 +1,44 @@
+"""Sequential Monte Carlo of a test's posterior."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.population.along import Along
+from mfd_bayes.population.parts import Expected
+from mfd_bayes.population.prior_of_test import TestPrior
+from mfd_bayes.population.tempering import temper
+
+LABELS, POINTS = 40, 2000
+
+
+@pytest.fixture(scope="module")
+def prior():
+    """Of one quantity; each label's density is near the next one's."""
+    mean = np.linspace(-0.5, 0.5, LABELS)[:, None]
+    ones = np.ones(LABELS)
+    nothing = Expected(mean, 0.0 * mean, (), 0.0 * mean, np.ones((LABELS, 1, 1)))
+    around = Along(None, 1.0, np.zeros(1))
+    spread = np.ones((LABELS, 1, 1))
+    return TestPrior(np.arange(LABELS), around, nothing, mean, spread, (ones, ones))
+
+
+@pytest.mark.parametrize("depends", [True, False])
+def test_labels_follow_a_likelihood_that_depends_on_them(prior, depends):
+    slope = 4.0
+
+    def log_likelihood(labels, points):
+        return slope * labels / LABELS - 2.0 * (points[:, 0] - 1.0) ** 2
+
+    rng = np.random.default_rng(1)
+    found = temper(prior, log_likelihood, rng, POINTS, depends=depends)
+    # each label has a weight of its own, and a Gaussian posterior of the point
+    mean = prior.mean[:, 0]
+    weight = np.exp(slope * np.arange(LABELS) / LABELS - 0.5 * (1.0 - mean) ** 2 / 1.25)
+    weight /= weight.sum()
+    label, point = weight @ np.arange(LABELS), weight @ (mean + 4.0) / 5.0
+    near = abs(found.labels.mean() - label) < 0.08 * LABELS
+    assert near == depends  # the control takes labels by the prior alone
+    if depends:
+        assert found.points[:, 0].mean() == pytest.approx(point, abs=0.05)
+        sd = np.sqrt(weight @ np.arange(LABELS) ** 2.0 - label**2)
+        assert found.labels.std() == pytest.approx(sd, rel=0.15)
