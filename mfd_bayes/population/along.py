@@ -69,7 +69,8 @@ class Along:
     Attributes
     ----------
     population : Population
-    level : float, ksi or kip
+    setting : Setting
+        With the level.
     octaves : (G,)
         Of the actuations at which deviations are drawn, from the level.
     processes : tuple of _Process
@@ -78,7 +79,7 @@ class Along:
     """
 
     population: Population
-    level: float
+    setting: Setting
     octaves: Array
     processes: tuple[_Process, ...] = ()
 
@@ -87,7 +88,7 @@ class Along:
         """Deviations around a setting's actuation along a history (T,), or without one."""
         level = setting.actuation
         if history is None or np.ptp(history) <= SAME * level:
-            return cls(population, level, np.zeros(1))
+            return cls(population, setting, np.zeros(1))
         octaves = _knots(population, level, history)
         found, begin = [], 0
         for effect in population.layout.effects:
@@ -96,7 +97,12 @@ class Along:
                 cells = [(own[0], level * 2.0**o) if o else own for o in octaves.tolist()]
                 found += _processes(population, effect, begin, cells)
             begin += len(effect.cells)
-        return cls(population, level, octaves, tuple(found))
+        return cls(population, setting, octaves, tuple(found))
+
+    @property
+    def level(self) -> float:
+        """Actuation, ksi or kip."""
+        return self.setting.actuation
 
     @property
     def size(self) -> int:
@@ -127,6 +133,8 @@ class Along:
 
         They are (n, T) each, by name.
         """
+        if not self.processes:
+            return {}
         places = _octaves(history, self.level)
         lines = np.array(
             [np.interp(places, self.octaves, one) for one in np.eye(self.octaves.size)]

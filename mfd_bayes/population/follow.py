@@ -71,7 +71,7 @@ class Forecaster:
         self._predictor, self._forecast, self._level = predictor, forecast, setting.actuation
         around = Along.of(predictor.population, setting, self._level * EITHER_WAY)
         self._rng = np.random.default_rng(forecast.seed)
-        self._prior = TestPrior.of(predictor.population, setting, self._rng, TRIED, around)
+        self._prior = TestPrior.of(around, self._rng, TRIED)
         self._counting = counting_of(predictor, self._prior, pace, setting)
         self._residual, self._may_refresh = self._counting.residual, refresh
         self._likelihood = GivenLikelihood(self._residual)

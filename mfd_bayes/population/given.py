@@ -208,7 +208,7 @@ def predict_given(
     rng = np.random.default_rng(forecast.seed)
     left = partial(left_of, predictor.population, predictor.model, trace=trace)
     around = predictor.around(trace, setting)
-    prior = TestPrior.of(predictor.population, setting, rng, TRIED, around, left)
+    prior = TestPrior.of(around, rng, TRIED, left)
     counting = counting_of(predictor, prior, pace, setting)
     problem = GivenProblem(predictor, prior, part, counting)
     known, told = draw_known(problem, forecast.draws, rng)

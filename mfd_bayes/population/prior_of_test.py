@@ -16,8 +16,6 @@ from scipy.special import betaln, expit, log_expit
 
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected, Parts
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import Setting
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -63,34 +61,38 @@ class TestPrior:
     @classmethod
     def of(
         cls,
-        population: Population,
-        setting: Setting,
+        around: Along,
         rng: np.random.Generator,
         n: int,
-        around: Along,
         left: Callable[[Mapping[str, Array]], float | None] = lambda _: None,
     ) -> TestPrior:
         """Prior of a test under a setting, from n draws of the hyperparameters.
 
-        `left` gives, of quantities (n,) by name, the place where the motion leaves the device, if
-        the motion is known.
+        Parameters
+        ----------
+        around : Along
+            With the population, the setting, and how the test deviates from the laws.
+        rng : numpy.random.Generator
+        n : int
+        left : callable
+            Gives, of quantities (n,) by name, the place where the motion leaves the device, if the
+            motion is known.
         """
+        population, setting = around.population, around.setting
         index = rng.choice(population.size, size=n, replace=n > population.size)
         expected = population.expected(setting, index)
+        mean = expected.level + expected.law
+        d = mean.shape[1]
         root = expected.scatter[:, :, None] * expected.together
-        covariance = root @ np.swapaxes(root, 1, 2)
+        covariance = np.tile(np.eye(d + around.size), (n, 1, 1))
+        covariance[:, :d, :d] = root @ np.swapaxes(root, 1, 2)
         for name, k, sd in expected.open:
             if name != "level" or not around.size:
                 covariance[:, k, k] += sd**2
-        mean = expected.level + expected.law
         place = left(population.values(Parts(mean, np.zeros_like(mean), np.zeros_like(mean))))
         start = population.start_density(rng, n, setting, place)
-        both = np.zeros((n, *(mean.shape[1] + around.size,) * 2)) + np.eye(
-            mean.shape[1] + around.size
-        )
-        both[:, : mean.shape[1], : mean.shape[1]] = covariance
         mean = np.pad(mean, ((0, 0), (0, around.size)))
-        return cls(index, around, expected, mean, both, start)
+        return cls(index, around, expected, mean, covariance, start)
 
     @property
     def size(self) -> int:

@@ -118,9 +118,7 @@ def test_a_history_scatters_as_constant_tests_at_its_levels(population, monkeypa
     together = correlation([0.6], [1.5])[0, 0]
     assert np.corrcoef(forces.T)[0, 1] == pytest.approx(together, abs=0.08)
     # the control: laws that hold exactly along the history
-    monkeypatch.setattr(
-        Along, "of", lambda population, one, _: Along(population, one.actuation, np.zeros(1))
-    )
+    monkeypatch.setattr(Along, "of", lambda population, one, _: Along(population, one, np.zeros(1)))
     forces = np.log(ask(population, STEP)[:, [EARLY, LATE]])
     assert np.corrcoef(forces.T)[0, 1] > 0.99
 

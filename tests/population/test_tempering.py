@@ -6,6 +6,7 @@ import pytest
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected
 from mfd_bayes.population.prior_of_test import TestPrior
+from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.tempering import temper
 
 LABELS, POINTS = 40, 2000
@@ -17,7 +18,7 @@ def prior():
     mean = np.linspace(-0.5, 0.5, LABELS)[:, None]
     ones = np.ones(LABELS)
     nothing = Expected(mean, 0.0 * mean, (), 0.0 * mean, np.ones((LABELS, 1, 1)))
-    around = Along(None, 1.0, np.zeros(1))
+    around = Along(None, Setting(1.0), np.zeros(1))
     spread = np.ones((LABELS, 1, 1))
     return TestPrior(np.arange(LABELS), around, nothing, mean, spread, (ones, ones))
 
