@@ -101,7 +101,9 @@ def make_population(motion: Trace, scatter: float = 0.15, level_sd: float = LAWF
     """A population with levels known to 3 % and scatter of 15 %."""
     priors = load_priors("mfd")
     settings = [Setting(p, "", setting_of(motion).covariates) for p in (0.5, 1.0, 2.0)]
-    layout = replace(lay_out(priors, tuple(MEDIANS), settings), reference=1.0)
+    lawful = level_sd <= LAWFUL
+    laws = None if lawful else {"Fc_fwd": "power", "Fc_bwd": "power"}
+    layout = replace(lay_out(priors, tuple(MEDIANS), settings, laws), reference=1.0)
     d, shape = len(MEDIANS), (4, 500)
     rng = np.random.default_rng(1)
     middle = layout.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
@@ -111,6 +113,10 @@ def make_population(motion: Trace, scatter: float = 0.15, level_sd: float = LAWF
     h = np.zeros((*shape, layout.dim))
     h[..., :d] = np.log(np.where(np.array(layout.names) == "offset", 0.05, scatter))
     h[..., d : d + len(layout.effects)] = np.log(level_sd)
+    if not lawful:  # what draws of the hyperparameters say of laws and levels differs too
+        h[..., d : d + len(layout.effects)] += 0.4 * rng.normal(size=(*shape, 1))
+        shapes = 0.8 + 0.2 * rng.normal(size=(*shape, len(layout.shapes)))
+        h[..., d + len(layout.effects) :] = shapes
     kept = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
     return Population(
         layout=layout,
@@ -152,16 +158,41 @@ def draw_truth(study: Study, rng: np.random.Generator, noisier: float = 1.0) -> 
     population = predictor.population
     index = rng.choice(population.size, size=1)
     setting = setting_of(motion, study.session)
-    around = predictor.around(motion, setting)
-    parts = population.draw_parts(setting, index, rng, leveled=not around.size)
-    numbers = rng.standard_normal((1, around.size))
-    values = population.values(around.added(parts, index, numbers))
+    varying = motion.varying
+    values = population.values(population.draw_parts(setting, index, rng, leveled=not varying))
     values |= {"start": population.draw_starts(rng, 1, setting), "gamma1": np.ones(1)}
-    scales = predictor.scales(motion, index, (around, numbers))
+    scales = {}
+    if varying:
+        level, scales = _deviation(population, motion, int(index[0]), rng)
+        values |= {name: values[name] * factor for name, factor in level.items()}
     force = _damper(study, values, scales, rng)
     noise = _noise(study, replace(motion, force=force), rng)
     measured = force + values["offset"] + noisier * values["noise_sd"] * noise
     return Truth(replace(motion, force=measured), force, values)
+
+
+def _deviation(
+    population: Population, motion: Trace, index: int, rng: np.random.Generator
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Factors of a test's level, and along its history over the level, of a session of its own.
+
+    They are drawn sample by sample from the covariance of levels (docs/pages/model.md, laws).
+    """
+    layout, history = population.layout, np.append(motion.actuation, motion.reference_actuation)
+    r = np.sqrt(3.0) * np.abs(np.log2(history[:, None] / history))
+    level, scales = {}, {}
+    for i, effect in enumerate(layout.effects):
+        sd = float(np.exp(population.h.reshape(population.size, -1)[index, len(layout.names) + i]))
+        size = sd * np.clip(effect.reference / history, 0.5, 2.0)
+        values, vectors = np.linalg.eigh(size[:, None] * size * (1.0 + r) * np.exp(-r))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        for k in effect.members:
+            name = layout.names[k]
+            drawn = root @ rng.standard_normal(history.size)
+            law = population.ratio(name, history).reshape(population.size, -1)[index]
+            level[name] = np.exp(drawn[-1:])
+            scales[name] = (np.exp(drawn[:-1] - drawn[-1]) * law[:-1] / law[-1])[None]
+    return level, scales | {f"Fs_{way}": scales[f"Fc_{way}"] for way in ("fwd", "bwd")}
 
 
 def _damper(

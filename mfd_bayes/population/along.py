@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 STEP = 0.25
-"""Octaves between the actuations at which deviations are drawn, and those of calibrated levels;
-straight lines join them."""
+"""Octaves between the actuations at which deviations are drawn, besides those of calibrated levels;
+between them they are interpolated."""
 
 FARTHEST = 4.0
-"""Octaves from the level within which deviations differ."""
+"""Octaves from the level beyond which the deviation stays as it is there."""
 
 NEAR = 0.02
 """Octaves within which two actuations are one."""
@@ -36,12 +36,15 @@ SAME = 1e-9
 """Change of the actuation, over the level, up to which it is constant."""
 
 ENOUGH = 0.99
-"""Share of the variance that the numbers which are drawn have."""
+"""Share of the variance of all actuations that is kept where few numbers are drawn for them."""
+
+LEAST = 0.2
+"""Sd of a deviation, over that of the effect, below which it need not be kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Process:
-    """Deviation of one quantity at G actuations, of which that at `home` is the level.
+    """Deviation of one quantity at G actuations.
 
     Attributes
     ----------
@@ -64,17 +67,17 @@ class _Process:
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """Deviations of the quantities that follow the actuation, around a level.
+    """Deviations of the quantities that follow the actuation, between the actuations of a history.
 
     Attributes
     ----------
     population : Population
     setting : Setting
-        With the level.
+        With the level to which a test's parameters belong.
     octaves : (G,)
-        Of the actuations at which deviations are drawn, from the level.
+        Of the actuations at which deviations are drawn, from the level, which is among them.
     processes : tuple of _Process
-        None where the actuation is constant, or where too few levels were tested to tell a
+        Empty where the actuation is constant, or where too few levels were tested to tell a
         deviation from a law: then the laws hold.
     """
 
@@ -85,9 +88,9 @@ class Along:
 
     @classmethod
     def of(cls, population: Population, setting: Setting, history: Array | None) -> Along:
-        """Deviations around a setting's actuation along a history (T,), or without one."""
+        """Deviations at a setting's actuation and along a history (T,), or without one."""
         level = setting.actuation
-        if history is None or np.ptp(history) <= SAME * level:
+        if history is None or np.max(np.abs(history - level)) <= SAME * level:
             return cls(population, setting, np.zeros(1))
         octaves = _knots(population, level, history)
         found, begin = [], 0
@@ -109,8 +112,8 @@ class Along:
         """How many numbers are drawn for each test."""
         return sum(one.root.shape[1] for one in self.processes)
 
-    def at_level(self, index: Index, numbers: Array) -> Array:
-        """What is unknown of the deviation at the level, in prior units, (n, d).
+    def unknown(self, index: Index, numbers: Array, level: float | None = None) -> Array:
+        """What is unknown of the deviation at a level, in prior units, (n, d).
 
         Parameters
         ----------
@@ -118,44 +121,63 @@ class Along:
             Draws of the hyperparameters.
         numbers : (n, size)
             N(0, 1) in the prior.
+        level : float, optional
+            Another than that of the setting.
         """
         found = np.zeros((len(index), len(self.population.layout.names)))
-        home = int(np.searchsorted(self.octaves, 0.0))
+        lines = self._lines(np.array([self.level if level is None else level]))[:, 0]
         sd = self._sd(index)
         for one, own in self._each(numbers):
-            found[:, one.quantity] += sd[:, one.columns.start, one.quantity] * (
-                own @ one.root[home]
-            )
+            k = one.quantity
+            found[:, k] += sd[:, one.columns.start, k] * (own @ (lines @ one.root))
         return found
 
-    def factors(self, index: Index, numbers: Array, history: Array) -> dict[str, Array]:
-        """Factors of quantities along a history (T,) for what they deviate more than at the level.
+    def factors(
+        self, index: Index, numbers: Array, history: Array, level: float | None = None
+    ) -> dict[str, Array]:
+        """Factors of quantities along a history (T,) for what they deviate more than at a level.
 
         They are (n, T) each, by name.
         """
         if not self.processes:
             return {}
-        places = _octaves(history, self.level)
-        lines = np.array(
-            [np.interp(places, self.octaves, one) for one in np.eye(self.octaves.size)]
-        )
+        lines = self._lines(history)
+        lines = lines - self._lines(np.array([self.level if level is None else level]))
         layout = self.population.layout
         latent = self.population.latent.reshape(-1, *self.population.latent.shape[2:])[index]
-        home, sd = int(np.searchsorted(self.octaves, 0.0)), self._sd(index)
-        found = {}
+        found, sd = {}, self._sd(index)
         for one, own in self._each(numbers):
             k, columns = one.quantity, one.columns
-            known = latent[:, 1 + columns.start : 1 + columns.stop, k] @ one.known.T
-            away = known + sd[:, columns.start, k, None] * (own @ one.root.T)
-            away = layout.spread[k] * (away - away[:, home, None])
-            found[one.name] = np.exp(away @ lines)
+            known = latent[:, 1 + columns.start : 1 + columns.stop, k] @ (one.known.T @ lines)
+            drawn = sd[:, columns.start, k, None] * (own @ (one.root.T @ lines))
+            found[one.name] = np.exp(layout.spread[k] * (known + drawn))
         return found
 
-    def added(self, parts: Parts, index: Index, numbers: Array) -> Parts:
+    def trends(self, index: Index) -> Array:
+        """What draws expect at both ends of the history: logarithms over the level, (n, q)."""
+        if not self.processes:
+            return np.zeros((len(index), 0))
+        ends = self.level * 2.0 ** self.octaves[[0, -1]]
+        factors = self.factors(index, np.zeros((len(index), self.size)), ends)
+        found = []
+        for name in self.population.layout.laws:
+            law = self.population.ratio_of(name, ends, index) * factors.get(name, 1.0)
+            law = law / self.population.ratio_of(name, np.array([self.level]), index)
+            found.append(np.log(np.maximum(law, 1e-300)))
+        return np.concatenate(found, axis=1)
+
+    def added(
+        self, parts: Parts, index: Index, numbers: Array, level: float | None = None
+    ) -> Parts:
         """Parts of tests that were drawn without what is unknown of their level, with it."""
         if not self.size:
             return parts
-        return Parts(parts.level, parts.law + self.at_level(index, numbers), parts.scatter)
+        return Parts(parts.level, parts.law + self.unknown(index, numbers, level), parts.scatter)
+
+    def _lines(self, actuation: Array) -> Array:
+        """Weights of the G actuations in deviations at others (T,), (G, T)."""
+        places = _octaves(actuation, self.level)
+        return np.array([np.interp(places, self.octaves, one) for one in np.eye(len(self.octaves))])
 
     def _sd(self, index: Index) -> Array:
         """Sd of each part of the effects, in prior units, (n, cells, d)."""
@@ -183,8 +205,8 @@ def _knots(population: Population, level: float, history: Array) -> Array:
     Besides even ones there are those at which deviations have a bend: of calibrated levels, and
     where their sd stops to change.
     """
-    along = _octaves(history, level)
-    low, high = min(float(along.min()), 0.0), max(float(along.max()), 0.0)
+    reached = _octaves(history, level)
+    low, high = min(float(reached.min()), 0.0), max(float(reached.max()), 0.0)
     even = STEP * np.arange(np.floor(low / STEP), np.ceil(high / STEP) + 1.0)
     effects = [effect for effect in population.layout.effects if effect.name == "level"]
     bends = [actuation for effect in effects for _, actuation in effect.cells]
@@ -211,12 +233,13 @@ def _processes(
 def _few(root: Array) -> Array:
     """Weights (G, R) of few numbers that have almost the covariance of a root (G, G).
 
-    Variances are the same.
+    Variances are the same. Actuations count alike, however large their variance is.
     """
-    values, vectors = np.linalg.eigh(root @ root.T)
-    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    count = int(np.searchsorted(np.cumsum(values), ENOUGH * values.sum())) + 1
-    found = vectors[:, :count] * np.sqrt(values[:count])
-    wanted, kept = np.sum(root**2, axis=1), np.sum(found**2, axis=1)
-    found = found * np.sqrt(wanted / np.maximum(kept, 1e-300))[:, None]
-    return np.asarray(found * np.where(found.sum(axis=0) < 0.0, -1.0, 1.0))
+    wanted = np.sum(root**2, axis=1)
+    size = np.sqrt(wanted + LEAST**2)[:, None]
+    vectors, values, _ = np.linalg.svd(root / size)
+    share = np.cumsum(values**2) / np.sum(values**2)
+    count = int(np.searchsorted(share, ENOUGH)) + 1
+    found = size * vectors[:, :count] * values[:count]
+    kept = np.sum(found**2, axis=1)
+    return np.asarray(found * np.sqrt(wanted / np.maximum(kept, 1e-300))[:, None])

@@ -43,7 +43,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 EITHER_WAY = np.array([0.25, 4.0])
-"""Actuations over the planned one between which a followed test may deviate from the laws."""
+"""Actuations over the planned one, between which deviations from the laws are known to differ; so
+they are between all that were tested."""
 
 
 class Forecaster:
@@ -69,7 +70,9 @@ class Forecaster:
         if not (hasattr(model, "step") and hasattr(model, "start")):
             raise FitError(f"the model {model.name} has no steps, which following a test needs")
         self._predictor, self._forecast, self._level = predictor, forecast, setting.actuation
-        around = Along.of(predictor.population, setting, self._level * EITHER_WAY)
+        tested = [one.actuation for one in predictor.population.layout.settings]
+        reached = np.append(self._level * EITHER_WAY, [p for p in tested if p > 0.0])
+        around = Along.of(predictor.population, setting, reached)
         self._rng = np.random.default_rng(forecast.seed)
         self._prior = TestPrior.of(around, self._rng, TRIED)
         self._counting = counting_of(predictor, self._prior, pace, setting)

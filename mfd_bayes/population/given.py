@@ -159,8 +159,7 @@ def counting_of(predictor: Predictor, prior: TestPrior, pace: Pace, setting: Set
             "the run is of an earlier version, which did not keep the noise that a given part "
             "needs: calibrate the campaign again"
         )
-    middle = np.concatenate([prior.mean, np.zeros((prior.size, 1))], axis=1)
-    values = values_of(predictor, prior, np.arange(prior.size), middle)
+    values = values_of(predictor, prior, np.arange(prior.size), prior.middle)
     slip = np.median(slip_force_of(predictor.model, values))
     return Counting(found, pace, pace.step(setting.covariates["velocity"]), float(slip))
 
@@ -261,8 +260,8 @@ def sample_known(
     def log_likelihood(labels: Index, points: Array) -> Array:
         return problem.known(smooth, labels, points).log_likelihood
 
-    varying = problem.part.trace.varying
-    found = temper(smooth, log_likelihood, rng, max(n, POINTS), depends=varying)
+    depends = problem.part.trace.varying or smooth.around.size > 0
+    found = temper(smooth, log_likelihood, rng, max(n, POINTS), depends=depends)
     chosen = rng.permutation(len(found.labels))[:n]
     known = problem.known(smooth, found.labels[chosen], found.points[chosen])
     return known, found.powers, found.accepted

@@ -262,8 +262,9 @@ class Population:
         expected = self.expected(setting, index)
         law = expected.law.copy()
         for name, k, sd in expected.open:
-            if (scattered or name != "session") and (leveled or name != "level"):
-                law[:, k] += sd * rng.standard_normal(len(law))
+            drawn = rng.standard_normal(len(law)) if scattered or name != "session" else 0.0
+            if leveled or name != "level":
+                law[:, k] += sd * drawn
         scatter = np.zeros_like(law)
         if scattered:
             deviation = np.einsum("nij,nj->ni", expected.together, rng.standard_normal(law.shape))

@@ -179,13 +179,10 @@ class Predictor:
     ) -> dict[str, Array]:
         """Factors of what follows the actuation, over its values at a level, (n, T) each.
 
-        Empty where the actuation is constant; index are the tests' draws of laws, and they lie off
-        the laws by this deviation, in numbers (n, m).
+        Empty where the actuation is always that of the level; see `scales_of`.
         """
-        if not trace.varying:
-            return {}
-        history = np.asarray(trace.actuation)
-        return scales_of(self.population, self.model, history, index, deviation)
+        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
+        return scales_of(self.model, actuation, index, deviation)
 
     def values(self, drawn: Drawn) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""

@@ -29,11 +29,11 @@ SOME = 4
 
 @dataclass(frozen=True, eq=False)
 class TestPrior:
-    """Mixture of N densities of one test's d shared coordinates, in prior units, and its start.
+    """Mixture of N densities of one test, each of which has a label.
 
-    A point is (x, e, t): x (d,), the m numbers e of its deviation from the laws along a history of
-    actuation, and the logit t of the start. With such a history x is without what is unknown of the
-    deviation at its level, which follows from e. D is d + m + 1.
+    A point is (x, e, t), D numbers: the d shared coordinates x in prior units; the m numbers e of
+    its deviations from the laws between the actuations of a history; and the logit t of its start.
+    With such a history x leaves out the unknown part of the deviation at the level; e gives it.
 
     Attributes
     ----------
@@ -43,8 +43,9 @@ class TestPrior:
         Deviations from the laws.
     expected : Expected
         Level and law of each.
-    mean : (N, d + m)
-    covariance : (N, d + m, d + m)
+    mean : (N, d)
+    covariance : (N, d, d)
+        Of x. The numbers e are independent, N(0, 1).
     start : (N,), (N,)
         Exponents of the start's Beta density.
     """
@@ -81,17 +82,14 @@ class TestPrior:
         population, setting = around.population, around.setting
         index = rng.choice(population.size, size=n, replace=n > population.size)
         expected = population.expected(setting, index)
-        mean = expected.level + expected.law
-        d = mean.shape[1]
         root = expected.scatter[:, :, None] * expected.together
-        covariance = np.tile(np.eye(d + around.size), (n, 1, 1))
-        covariance[:, :d, :d] = root @ np.swapaxes(root, 1, 2)
+        covariance = root @ np.swapaxes(root, 1, 2)
         for name, k, sd in expected.open:
             if name != "level" or not around.size:
                 covariance[:, k, k] += sd**2
+        mean = expected.level + expected.law
         place = left(population.values(Parts(mean, np.zeros_like(mean), np.zeros_like(mean))))
         start = population.start_density(rng, n, setting, place)
-        mean = np.pad(mean, ((0, 0), (0, around.size)))
         return cls(index, around, expected, mean, covariance, start)
 
     @property
@@ -99,18 +97,34 @@ class TestPrior:
         """Number of densities N."""
         return len(self.mean)
 
+    @property
+    def middle(self) -> Array:
+        """The middle of each density, as points, (N, D)."""
+        return np.pad(self.mean, ((0, 0), (0, self.around.size + 1)))
+
     def smoothed(self) -> TestPrior:
         """The same mean and covariance, with densities that overlap.
 
         The draws' means are shrunk towards their mean, and what they lose of their covariance is
         given to each density (West, 1993): also a quantity that is the same in all tests, which
-        each density knows exactly, can then be moved.
+        each density knows exactly, can then be moved. Along a history the means are shrunk towards
+        what they follow of the laws' trends: a draw whose law is steep keeps the level that belongs
+        to it.
         """
-        middle = self.mean.mean(axis=0)
-        between = np.atleast_2d(np.cov(self.mean, rowvar=False))
-        mean = middle + np.sqrt(1.0 - SMOOTH) * (self.mean - middle)
-        covariance = self.covariance + SMOOTH * between + 1e-12 * np.eye(middle.size)
+        middle = self.mean.mean(axis=0) + self._followed()
+        away = self.mean - middle
+        between = np.atleast_2d(away.T @ away / (self.size - 1.0))
+        mean = middle + np.sqrt(1.0 - SMOOTH) * away
+        covariance = self.covariance + SMOOTH * between + 1e-12 * np.eye(self.mean.shape[1])
         return replace(self, mean=mean, covariance=covariance)
+
+    def _followed(self) -> Array:
+        """What the means follow of the laws' trends, around their mean, (N, d)."""
+        trends = self.around.trends(self.index)
+        trends = trends - trends.mean(axis=0)
+        if not trends.shape[1]:
+            return np.zeros_like(self.mean)
+        return np.asarray(trends @ np.linalg.lstsq(trends, self.mean, rcond=1e-6)[0])
 
     @cached_property
     def root(self) -> Array:
@@ -130,19 +144,22 @@ class TestPrior:
         """Points of the densities with these labels (n,), (n, D)."""
         standard = rng.standard_normal((len(labels), self.mean.shape[1]))
         x = self.mean[labels] + np.einsum("nij,nj->ni", self.root[labels], standard)
+        numbers = rng.standard_normal((len(labels), self.around.size))
         drawn = rng.beta(self.start[0][labels], self.start[1][labels])
         start = np.clip(drawn, 1e-12, 1.0 - 1e-12)
-        return np.concatenate([x, np.log(start / (1.0 - start))[:, None]], axis=1)
+        return np.concatenate([x, numbers, np.log(start / (1.0 - start))[:, None]], axis=1)
 
     def log_density(self, labels: Index, points: Array) -> Array:
         """Log density of points (..., D) under their labels' (...), without constants."""
-        away = points[..., :-1] - self.mean[labels]
+        d = self.mean.shape[1]
+        away = points[..., :d] - self.mean[labels]
         standard = (self._inverse[labels] @ away[..., None])[..., 0]
-        t, (a, b) = points[..., -1], self.start
+        numbers, t, (a, b) = points[..., d:-1], points[..., -1], self.start
         # with the logit's Jacobian
         of_start = a[labels] * log_expit(t) + b[labels] * log_expit(-t)
         return np.asarray(
             -0.5 * np.einsum("...i,...i->...", standard, standard)
+            - 0.5 * np.einsum("...i,...i->...", numbers, numbers)
             + self._log_scale[labels]
             + of_start
         )
@@ -161,7 +178,7 @@ class TestPrior:
         return np.asarray(among[np.arange(len(labels)), np.argmax(gumbel, axis=1)])
 
     def deviation(self, points: Array) -> tuple[Along, Array]:
-        """How points deviate from the laws: the numbers (n, m), and what they say."""
+        """How points deviate from the laws, with the numbers e of each, (n, m)."""
         return self.around, points[:, -1 - self.around.size : -1]
 
     def parts(self, labels: Index, points: Array) -> Parts:

@@ -33,23 +33,36 @@ def unknown_of(
 
 
 def scales_of(
-    population: Population,
     model: Model,
-    history: Array,
+    actuation: Array,
     index: NDArray[np.intp],
     deviation: tuple[Along, Array],
+    level: float | None = None,
 ) -> dict[str, Array]:
     """Factors along a history of actuation (T,) of what follows it, over their values at a level.
 
-    They are (n, T) each, of draws of the hyperparameters (n,) and of their deviations from the
-    laws: those around the level, and the numbers of each draw.
+    They are (n, T) each; none where the actuation is not known, or is always at the level.
+
+    Parameters
+    ----------
+    model : Model
+    actuation : (T,), ksi or kip
+    index : (n,) int
+        Draws of the hyperparameters.
+    deviation : Along, (n, m)
+        How they deviate from the laws, with the numbers of each.
+    level : float, optional
+        Another than that of the setting.
     """
     around, numbers = deviation
-    reference = np.array([around.level])
-    beside = around.factors(index, numbers, history)
+    population, level = around.population, around.level if level is None else level
+    if not np.all(np.isfinite(actuation)) or np.allclose(actuation, level, rtol=1e-9, atol=0.0):
+        return {}
+    reference = np.array([level])
+    beside = around.factors(index, numbers, actuation, level)
     scales = {}
     for name in population.layout.laws:
-        along = population.ratio_of(name, history, index)
+        along = population.ratio_of(name, actuation, index)
         at_level = population.ratio_of(name, reference, index)
         # without any actuation along the history it stays at its level
         scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)

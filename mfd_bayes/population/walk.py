@@ -111,12 +111,9 @@ class Steps:
 
     def _scales(self, trace: Trace, new: Index, walk: Walk) -> dict[str, Array]:
         """Factors of what follows the actuation, (n, m) each; none where it is as planned."""
-        history = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[new]
-        if not np.all(np.isfinite(history)) or np.allclose(history, self.level, rtol=1e-9):
-            return {}
-        known, index = self.predictor, self.prior.index[walk.labels]
-        deviation = self.prior.deviation(walk.points)
-        return scales_of(known.population, known.model, history, index, deviation)
+        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[new]
+        index, deviation = self.prior.index[walk.labels], self.prior.deviation(walk.points)
+        return scales_of(self.predictor.model, actuation, index, deviation)
 
     def log_likelihood(self, walk: Walk) -> Array:
         """Log likelihood of draws from their sums, (n,)."""

@@ -40,15 +40,16 @@ def draw_dampers(
     index = rng.choice(population.size, size=choice.draws)
     found = levels_along(building)
     times = found[0] if found else None
-    histories = found[1] if found else [None] * len(levels)
-    around = [
-        _deviation(population, choice, level, history)
-        for level, history in zip(levels, histories, strict=True)
-    ]
-    drawn = [_values(population, choice, index, j, one) for j, one in enumerate(around)]
+    histories = found[1] if found else [np.array([level]) for level in levels]
+    deviation = _deviation(population, choice, levels, histories)
+    drawn = [_values(choice, index, deviation, j, level) for j, level in enumerate(levels)]
     about = [_about(model, values, typical) for values, typical in drawn]
     slip = np.stack([slip_force_of(model, values) for values, _ in drawn], axis=1)
-    scales = _scales(population, model, histories, index, around)
+    each = [
+        scales_of(model, history, index, deviation, level)
+        for history, level in zip(histories, levels, strict=True)
+    ]
+    scales = _together(each, (choice.draws, len(histories[0])))
     return Dampers(
         model,
         np.stack([model.theta(values) for values, _ in drawn], axis=1),
@@ -66,32 +67,28 @@ def _setting(population: Population, choice: Choice, level: float) -> Setting:
 
 
 def _deviation(
-    population: Population, choice: Choice, level: float, history: Array | None
+    population: Population, choice: Choice, levels: Sequence[float], histories: Sequence[Array]
 ) -> tuple[Along, Array]:
-    """How a damper deviates from the laws around a level, and the numbers of each draw (n, m).
+    """How dampers deviate from the laws, and the numbers of each draw (n, m).
 
-    Dampers have the same numbers: a deviation belongs to the session.
+    All dampers of a building have one deviation: it belongs to the session.
     """
-    around = Along.of(population, _setting(population, choice, level), history)
+    setting = _setting(population, choice, max(levels))
+    around = Along.of(population, setting, np.unique(np.concatenate(histories)))
     rng = np.random.default_rng([choice.seed, 5])
-    return around, rng.standard_normal((around.size, choice.draws)).T
+    return around, rng.standard_normal((choice.draws, around.size))
 
 
 def _values(
-    population: Population,
-    choice: Choice,
-    index: NDArray[np.intp],
-    j: int,
-    deviation: tuple[Along, Array],
+    choice: Choice, index: NDArray[np.intp], deviation: tuple[Along, Array], j: int, level: float
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Quantities of the damper j at its level, (n,) each, with and without scatter."""
     scattered, (around, numbers) = choice.kind == "new_test", deviation
-    setting = _setting(population, choice, around.level)
+    population, leveled = around.population, not around.size
+    setting = _setting(population, choice, level)
     shared = np.random.default_rng([choice.seed, 1])
-    parts = population.draw_parts(
-        setting, index, shared, scattered=scattered, leveled=not around.size
-    )
-    parts = around.added(parts, index, numbers)
+    parts = population.draw_parts(setting, index, shared, scattered=scattered, leveled=leveled)
+    parts = around.added(parts, index, numbers, level)
     scatter = parts.scatter
     if scattered:
         own = np.random.default_rng([choice.seed, 2, j])
@@ -136,19 +133,8 @@ def _leftover(population: Population, slip: Array, choice: Choice) -> Leftover |
     return Leftover(residual.basis, learned, slip / residual.slip_force)
 
 
-def _scales(
-    population: Population,
-    model: Model,
-    histories: Sequence[Array | None],
-    index: NDArray[np.intp],
-    around: Sequence[tuple[Along, Array]],
-) -> Mapping[str, Array]:
-    """Factors of what follows the actuation, (n, m, T) each, where dampers have histories."""
-    each = [
-        scales_of(population, model, history, index, deviation)
-        for history, deviation in zip(histories, around, strict=True)
-        if history is not None
-    ]
-    if not each:
-        return {}
-    return {name: np.stack([one[name] for one in each], axis=1) for name in each[0]}
+def _together(each: Sequence[Mapping[str, Array]], shape: tuple[int, int]) -> dict[str, Array]:
+    """Factors of what follows the actuation, (n, m, T) each; none where no damper has any."""
+    names = {name: None for one in each for name in one}
+    ones = np.ones(shape)
+    return {name: np.stack([one.get(name, ones) for one in each], axis=1) for name in names}

@@ -203,13 +203,13 @@ class Run:
         elif kind == THIS_TEST or test:
             name = asked.this_test(self.tests, self.held_out, forecast, test)
             asked.check_level(name, self.tests[name].trace, trace, self.actuation_unit)
-            band = predictor.repeat(trace, forecast, self.tests[name].stored.values())
+            own = replace(forecast, session=self.session(name))
+            band = predictor.repeat(trace, own, self.tests[name].stored.values())
         else:
             band = predictor.predict(trace, forecast)
         left = self.departures(trace, test)
         remarks = asked.remarks_of(left, self.manifest, self.system, widened=not test)
-        if after and forecast.before is None:
-            remarks += (NO_GAP,)
+        remarks += (NO_GAP,) if after and forecast.before is None else ()
         band = replace(band, remarks=remarks + band.remarks, extras=self.extras)
         return asked.recalibrated(band, scores, self.manifest) if recalibrate else band
 

@@ -25,6 +25,7 @@ from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.pipeline import calibration as execution
 from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.population.predict import Predictor
 from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
 from mfd_bayes.runs.systems import SI_SMALL
@@ -343,6 +344,19 @@ def test_the_device_is_the_law_everywhere_and_this_very_test_a_kind_of_its_own(r
     assert np.mean((own.upper - own.lower)[later]) < 0.5 * np.mean(
         (scattered.upper - scattered.lower)[later]
     )
+
+
+def test_a_test_that_is_repeated_belongs_to_its_own_session(run, monkeypatch):
+    asked = []
+
+    def repeat(self, trace, forecast, own):
+        asked.append(forecast.session)
+        return self.predict(trace, replace(forecast, kind="new_test"))
+
+    monkeypatch.setattr(Predictor, "repeat", repeat)
+    monkeypatch.setattr(mb.Run, "session", lambda self, name: f"session of {name}")
+    predicted(run, 1.0, kind="this_test", test=TESTS[1])
+    assert asked == [f"session of {TESTS[1]}"]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from mfd_bayes.records.trace import Trace
 
 SD = 0.3
 NAME = "Fc_fwd"
-HISTORY = np.geomspace(0.4, 1.8, 60)
+HISTORY = np.geomspace(0.1, 1.8, 80)
 LEVEL = 0.9
 TESTED = (0.5, 1.0, 2.0)
 TIME = np.arange(401) / 100
@@ -58,7 +58,7 @@ def draws(population, session, n=20_000):
     rng = np.random.default_rng(3)
     index, k = np.zeros(n, dtype=np.intp), population.layout.names.index(NAME)
     numbers = rng.standard_normal((n, around.size))
-    level = population.layout.spread[k] * around.at_level(index, numbers)[:, k]
+    level = population.layout.spread[k] * around.unknown(index, numbers)[:, k]
     return level, np.log(around.factors(index, numbers, HISTORY)[NAME]) + level[:, None]
 
 
@@ -68,7 +68,7 @@ def test_a_new_session_deviates_as_its_levels_do(population):
     wanted = covariance(every, every)
     ours = np.cov(np.column_stack([found, level]), rowvar=False)
     np.testing.assert_allclose(ours, wanted, rtol=0.04, atol=0.06 * SD**2)
-    assert np.max(np.abs(ours - np.diag(wanted))) > 0.2 * SD**2  # the control
+    assert np.max(np.abs(ours - np.diag(np.diag(wanted)))) > 0.2 * SD**2  # the control
     np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.02)
 
 
@@ -89,7 +89,10 @@ def test_calibrated_levels_are_known(population):
     np.testing.assert_allclose(found.mean(axis=0), weights @ cells - at_level, atol=0.05)
     assert np.ptp(weights @ cells) > 0.1  # the control
     wanted = covariance(HISTORY, HISTORY) - weights @ covariance(TESTED, HISTORY)
-    np.testing.assert_allclose(np.cov(found, rowvar=False), wanted, atol=0.1 * SD**2)
+    np.testing.assert_allclose(np.cov(found, rowvar=False), wanted, atol=0.15 * SD**2)
+    # what differs between near actuations is not lost beside the large variance of low ones
+    sd = np.sqrt(np.diag(wanted)[20:] + np.diag(wanted)[:-20] - 2.0 * np.diag(wanted, 20))
+    np.testing.assert_allclose(np.std(found[:, 20:] - found[:, :-20], axis=0), sd, atol=0.1 * SD)
 
 
 def test_one_level_or_too_few_need_no_numbers(population, make_population):
@@ -99,9 +102,8 @@ def test_one_level_or_too_few_need_no_numbers(population, make_population):
     assert Along.of(population, Setting(0.0), np.zeros(9)).size == 0
     assert Along.of(population, Setting(LEVEL), HISTORY).size > 0
     below = np.array([0.0, 0.5, 1.0])  # a valve that opens
-    around = Along.of(population, setting := Setting(0.5), below)
+    around = Along.of(population, Setting(0.5), below)
     numbers = np.ones((4, around.size))
-    assert setting.actuation == around.level
     assert np.all(np.isfinite(around.factors(np.arange(4), numbers, below)[NAME]))
 
 
@@ -160,15 +162,19 @@ def test_ranks_are_uniform_given_half_of_a_history(tools, study, few, benchmark_
     assert min(p[1].values()) < 0.01 / len(p[1]), p[1]
 
 
-def test_a_followed_test_knows_what_a_given_part_says(tools, study, few):
+@pytest.mark.parametrize("varying", [True, False])
+def test_a_followed_test_knows_what_a_given_part_says(tools, study, few, varying):
+    if not varying:  # a level at which no test was made
+        study = replace(study, motion=replace(study.motion, actuation=0.7))
     truth, at = tools.draw_truth(study, np.random.default_rng(12)), 64
     trace = truth.trace
     setting = setting_of(trace, study.session)
     forecast = Forecast(draws=300, session=study.session)
     forecaster = Forecaster(study.predictor, setting, forecast, study.pace)
-    columns = (trace.time, trace.displacement, np.asarray(trace.actuation), trace.force)
+    actuation = np.broadcast_to(trace.actuation, trace.time.shape)
+    columns = (trace.time, trace.displacement, actuation, trace.force)
     forecaster.update(*(column[:at] for column in columns))
-    rest = Trace.from_arrays(trace.time[at:], trace.displacement[at:], columns[2][at:])
+    rest = Trace.from_arrays(trace.time[at:], trace.displacement[at:], actuation[at:])
     band = forecaster.band(rest)
     window = 0.0, float(trace.time[at - 1])
     whole = predict_given(study.predictor, trace, forecast, window, study.pace)

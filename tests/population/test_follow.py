@@ -1,5 +1,7 @@
 """A forecaster that follows a synthetic test of a known population."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,13 +36,14 @@ def truth(tools, study):
 def make(study, monkeypatch):
     monkeypatch.setattr(follow, "TRIED", 500)
     monkeypatch.setattr(given, "TRIED", 500)
-    monkeypatch.setattr(given, "POINTS", 200)
+    monkeypatch.setattr(given, "POINTS", 600)
     monkeypatch.setattr(tempering, "MOVES", 8)
     monkeypatch.setattr(tempering, "LAST", 24)
 
     def forecaster(**options):
         forecast = Forecast(options.pop("kind", "new_test"), draws=options.pop("draws", 300))
         setting = setting_of(study.motion)
+        setting = replace(setting, actuation=options.pop("planned", setting.actuation))
         return Forecaster(study.predictor, setting, forecast, study.pace, **options)
 
     return forecaster
@@ -118,6 +121,22 @@ def test_another_actuation_moves_the_force(make, truth):
     pressed = forecaster.band(rest(truth.trace, 2, actuation=2.0))
     assert usual.given.pareto_k < 0.7
     assert np.ptp(pressed.median) > 1.6 * np.ptp(usual.median)
+
+
+def test_a_test_may_be_at_another_actuation_than_planned(make, study, truth):
+    at = 64
+    forecaster = make(planned=1.4)
+    feed(forecaster, truth.trace, 0, at, actuation=1.0)
+    band = forecaster.band(rest(truth.trace, at, actuation=1.0))
+    assert band.given.method == "sampling"
+    inside = (band.lower <= truth.damper[at:]) & (truth.damper[at:] <= band.upper)
+    assert np.mean(inside) > 0.8
+    # the control: the actuation is said to have been another, so that the force then is less
+    forecaster = make(planned=1.4)
+    feed(forecaster, truth.trace, 0, at, actuation=1.4)
+    band = forecaster.band(rest(truth.trace, at, actuation=1.0))
+    inside = (band.lower <= truth.damper[at:]) & (truth.damper[at:] <= band.upper)
+    assert np.mean(inside) < 0.6
 
 
 def test_a_band_of_observations_is_wider(make, truth):
