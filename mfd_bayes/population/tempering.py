@@ -28,6 +28,9 @@ MOVES = 12
 LAST = 48
 """Metropolis steps at the end, where the power is 1."""
 
+USUAL = 16
+"""Coordinates of a point for which these steps are enough; with more, they grow in proportion."""
+
 EVERY = 4
 """Metropolis steps for each change of the labels."""
 
@@ -80,14 +83,14 @@ def temper(
         Whether the likelihood depends on labels too, not on points alone.
     """
     cloud = _Cloud(prior, log_likelihood, rng, n)
-    power, powers = 0.0, 0
+    power, powers, more = 0.0, 0, max(cloud.points.shape[1] / USUAL, 1.0)
     while power < 1.0:
         step = _next_step(cloud.log_likelihood, 1.0 - power)
         cloud.resample(softmax(step * cloud.log_likelihood))
         power, powers = power + step, powers + 1
         if power > 1.0 - 1e-12:
             power = 1.0
-        for turn in range(MOVES if power < 1.0 else LAST):
+        for turn in range(round(more * (MOVES if power < 1.0 else LAST))):
             if turn % EVERY == 0:
                 cloud.relabel(power, depends)
             cloud.move(power)
