@@ -22,7 +22,7 @@ from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.sequel import left_of, told
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
-from mfd_bayes.population.unshared import scales_of, unknown_of
+from mfd_bayes.population.unshared import scales_of, stays, unknown_of
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
@@ -179,9 +179,11 @@ class Predictor:
     ) -> dict[str, Array]:
         """Factors of what follows the actuation, over its values at a level, (n, T) each.
 
-        Empty where the actuation is always that of the level; see `scales_of`.
+        Empty where the trace has one actuation, that of the level; see `scales_of`.
         """
         actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
+        if not trace.varying and stays(actuation, deviation[0].level):
+            return {}
         return scales_of(self.model, actuation, index, deviation)
 
     def values(self, drawn: Drawn) -> dict[str, Array]:

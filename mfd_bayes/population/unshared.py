@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.along import Along
+from mfd_bayes.population.along import SAME, Along
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
 
@@ -32,6 +32,11 @@ def unknown_of(
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
 
+def stays(actuation: Array, level: float) -> bool:
+    """Whether an actuation is at a level throughout, or not known."""
+    return not np.all(np.isfinite(actuation)) or np.allclose(actuation, level, rtol=SAME, atol=0.0)
+
+
 def scales_of(
     model: Model,
     actuation: Array,
@@ -41,7 +46,7 @@ def scales_of(
 ) -> dict[str, Array]:
     """Factors along a history of actuation (T,) of what follows it, over their values at a level.
 
-    They are (n, T) each; none where the actuation is not known, or is always at the level.
+    They are (n, T) each.
 
     Parameters
     ----------
@@ -56,8 +61,6 @@ def scales_of(
     """
     around, numbers = deviation
     population, level = around.population, around.level if level is None else level
-    if not np.all(np.isfinite(actuation)) or np.allclose(actuation, level, rtol=1e-9, atol=0.0):
-        return {}
     reference = np.array([level])
     beside = around.factors(index, numbers, actuation, level)
     scales = {}

@@ -15,7 +15,7 @@ from mfd_bayes.population.pace import Counting
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior
 from mfd_bayes.population.residual import slip_force_of
-from mfd_bayes.population.unshared import scales_of
+from mfd_bayes.population.unshared import scales_of, stays
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -112,6 +112,8 @@ class Steps:
     def _scales(self, trace: Trace, new: Index, walk: Walk) -> dict[str, Array]:
         """Factors of what follows the actuation, (n, m) each; none where it is as planned."""
         actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[new]
+        if stays(actuation, self.level):
+            return {}
         index, deviation = self.prior.index[walk.labels], self.prior.deviation(walk.points)
         return scales_of(self.predictor.model, actuation, index, deviation)
 

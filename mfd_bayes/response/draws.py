@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,14 +49,14 @@ def draw_dampers(
         scales_of(model, history, index, deviation, level)
         for history, level in zip(histories, levels, strict=True)
     ]
-    scales = _together(each, (choice.draws, len(histories[0])))
+    scales = {name: np.stack([one[name] for one in each], axis=1) for name in each[0]}
     return Dampers(
         model,
         np.stack([model.theta(values) for values, _ in drawn], axis=1),
         np.stack([values["start"] for values, _ in drawn], axis=1),
         slip,
         _leftover(population, slip, choice),
-        scales,
+        scales if found else {},
         times,
         {name: np.stack([one[name] for one in about], axis=1) for name in about[0]},
     )
@@ -131,10 +131,3 @@ def _leftover(population: Population, slip: Array, choice: Choice) -> Leftover |
     rng = np.random.default_rng([choice.seed, 4])
     learned = residual.draw_coefficients(rng, len(slip))
     return Leftover(residual.basis, learned, slip / residual.slip_force)
-
-
-def _together(each: Sequence[Mapping[str, Array]], shape: tuple[int, int]) -> dict[str, Array]:
-    """Factors of what follows the actuation, (n, m, T) each; none where no damper has any."""
-    names = {name: None for one in each for name in one}
-    ones = np.ones(shape)
-    return {name: np.stack([one.get(name, ones) for one in each], axis=1) for name in names}
