@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import linalg, optimize
 from scipy.special import softmax
 
 from mfd_bayes.population.prior_of_test import TestPrior
@@ -22,17 +22,26 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 LogLikelihood = Callable[[Index, Array], Array]
 
-MOVES = 12
-"""Metropolis steps of each point at each power."""
+FORGOTTEN = 0.3
+"""Correlation of a coordinate with where the points were drawn, at most, before the power grows."""
 
-LAST = 48
-"""Metropolis steps at the end, where the power is 1."""
+INDEPENDENT = 0.15
+"""The same at the end, where the power is 1. Of a thousand points chance alone gives 0.03."""
 
-USUAL = 16
-"""Coordinates of a point for which these steps are enough; with more, they grow in proportion."""
+MOST = 40
+"""Metropolis steps of each point at each power, at most."""
+
+MOST_LAST = 160
+"""Metropolis steps at the end, at most."""
 
 EVERY = 4
 """Metropolis steps for each change of the labels."""
+
+TAILS = 10.0
+"""Degrees of freedom of the Student-t density near the points."""
+
+LONGEST = 0.99
+"""Length of a step, at most; 1 is a proposal that does not depend on where the point is."""
 
 KEPT = 0.5
 """Effective share of the points after each step of the power."""
@@ -83,17 +92,20 @@ def temper(
         Whether the likelihood depends on labels too, not on points alone.
     """
     cloud = _Cloud(prior, log_likelihood, rng, n)
-    power, powers, more = 0.0, 0, max(cloud.points.shape[1] / USUAL, 1.0)
+    power, powers = 0.0, 0
     while power < 1.0:
         step = _next_step(cloud.log_likelihood, 1.0 - power)
         cloud.resample(softmax(step * cloud.log_likelihood))
         power, powers = power + step, powers + 1
         if power > 1.0 - 1e-12:
             power = 1.0
-        for turn in range(round(more * (MOVES if power < 1.0 else LAST))):
-            if turn % EVERY == 0:
-                cloud.relabel(power, depends)
-            cloud.move(power)
+        last = power == 1.0
+        for _ in range((MOST_LAST if last else MOST) // EVERY):
+            cloud.relabel(power, depends)
+            for _ in range(EVERY):
+                cloud.move(power)
+            if cloud.remembered() < (INDEPENDENT if last else FORGOTTEN):
+                break
     return Tempered(cloud.labels, cloud.points, powers, cloud.accepted)
 
 
@@ -119,6 +131,55 @@ def systematic(weights: Array, n: int, rng: np.random.Generator) -> Index:
     return np.asarray(rng.permutation(np.minimum(picks, weights.size - 1)))
 
 
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """Student-t density near some points.
+
+    Attributes
+    ----------
+    mean : (D,)
+    root : (D, D)
+        Cholesky factor of the covariance.
+    """
+
+    mean: Array
+    root: Array
+
+    @classmethod
+    def of(cls, points: Array) -> _Near:
+        """The density with the mean and covariance of points (n, D)."""
+        covariance = np.atleast_2d(np.cov(points, rowvar=False))
+        covariance += 1e-9 * np.diag(np.diag(covariance)) + 1e-14 * np.eye(len(covariance))
+        return cls(points.mean(axis=0), np.linalg.cholesky(covariance))
+
+    def distance(self, points: Array) -> Array:
+        """Square of the Mahalanobis distance of points (n, D) from the mean, (n,)."""
+        standard = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True)
+        return np.asarray(np.sum(standard**2, axis=0))
+
+    def step(self, points: Array, length: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Crank–Nicolson steps of points (n, D) with lengths (n, 1) up to 1.
+
+        They leave the density as it is. Where the posterior is like it, long steps are accepted,
+        however many coordinates there are; those of a random walk are as short as 2.4/√D (Grumitt,
+        Karamanis and Seljak, 2024).
+
+        Returns
+        -------
+        proposed : (n, D)
+        log_ratio : (n,)
+            Of the densities before and after, to be added to the gain of the target's logarithm.
+        """
+        n, dim = points.shape
+        before, shape = self.distance(points), 0.5 * (TAILS + dim)
+        spread = np.sqrt(0.5 * (TAILS + before) / rng.standard_gamma(shape, n))[:, None]
+        drawn = spread * (rng.standard_normal((n, dim)) @ self.root.T)
+        away = np.sqrt(1.0 - length**2) * (points - self.mean)
+        proposed = self.mean + away + length * drawn
+        gain = np.log(TAILS + self.distance(proposed)) - np.log(TAILS + before)
+        return proposed, shape * gain
+
+
 class _Cloud:
     """Points that are moved together."""
 
@@ -134,7 +195,7 @@ class _Cloud:
         self.points = prior.draw(self.labels, rng)
         self.log_likelihood = log_likelihood(self.labels, self.points)
         self.log_prior = prior.log_density(self.labels, self.points)
-        self.length, self.accepted = 1.0, 0.0
+        self.length, self.accepted = 0.5, 0.0
 
     def resample(self, weights: Array) -> None:
         """Draw the points again by their weights."""
@@ -142,9 +203,13 @@ class _Cloud:
         self.labels, self.points = self.labels[chosen], self.points[chosen]
         self.log_likelihood = self.log_likelihood[chosen]
         self.log_prior = self.log_prior[chosen]
-        covariance = np.cov(self.points, rowvar=False)
-        covariance += 1e-9 * np.diag(np.diag(covariance)) + 1e-14 * np.eye(len(covariance))
-        self.root = np.linalg.cholesky(covariance)
+        self.drawn, self.near = self.points, _Near.of(self.points)
+
+    def remembered(self) -> float:
+        """Largest correlation of a coordinate with what it was when the points were drawn."""
+        now, then = (x - x.mean(axis=0) for x in (self.points, self.drawn))
+        size = np.sqrt(np.sum(now**2, axis=0) * np.sum(then**2, axis=0))
+        return float(np.max(np.sum(now * then, axis=0) / np.maximum(size, 1e-300)))
 
     def relabel(self, power: float, depends: bool) -> None:
         """New labels of the points by the prior, and by a likelihood that depends on them."""
@@ -160,15 +225,15 @@ class _Cloud:
 
     def move(self, power: float) -> None:
         """A Metropolis step of each point, at a power of the likelihood."""
-        rng, (n, dim) = self.rng, self.points.shape
-        length = self.length * 2.38 / np.sqrt(dim) * np.exp(0.7 * rng.standard_normal((n, 1)))
-        proposed = self.points + length * (rng.standard_normal((n, dim)) @ self.root.T)
+        rng, n = self.rng, len(self.points)
+        length = np.minimum(self.length * np.exp(0.4 * rng.standard_normal((n, 1))), LONGEST)
+        proposed, log_ratio = self.near.step(self.points, length, rng)
         found = self.density(self.labels, proposed)
         density = self.prior.log_density(self.labels, proposed)
         gain = density - self.log_prior + power * (found - self.log_likelihood)
-        yes = np.log(rng.random(n)) < gain
+        yes = np.log(rng.random(n)) < gain + log_ratio
         self.log_prior = np.where(yes, density, self.log_prior)
         self.points = np.where(yes[:, None], proposed, self.points)
         self.log_likelihood = np.where(yes, found, self.log_likelihood)
         self.accepted = float(np.mean(yes))
-        self.length = float(np.clip(self.length * np.exp(self.accepted - WANTED), 0.02, 3.0))
+        self.length = float(np.clip(self.length * np.exp(self.accepted - WANTED), 0.02, LONGEST))

@@ -143,8 +143,8 @@ def few():
         patch.setattr(given, "TRIED", 500)
         patch.setattr(given, "POINTS", 300)
         patch.setattr(follow, "TRIED", 500)
-        patch.setattr(tempering, "MOVES", 8)
-        patch.setattr(tempering, "LAST", 24)
+        patch.setattr(tempering, "MOST", 12)
+        patch.setattr(tempering, "MOST_LAST", 40)
         yield
 
 

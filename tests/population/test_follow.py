@@ -37,8 +37,8 @@ def make(study, monkeypatch):
     monkeypatch.setattr(follow, "TRIED", 500)
     monkeypatch.setattr(given, "TRIED", 500)
     monkeypatch.setattr(given, "POINTS", 600)
-    monkeypatch.setattr(tempering, "MOVES", 8)
-    monkeypatch.setattr(tempering, "LAST", 24)
+    monkeypatch.setattr(tempering, "MOST", 12)
+    monkeypatch.setattr(tempering, "MOST_LAST", 40)
 
     def forecaster(**options):
         forecast = Forecast(options.pop("kind", "new_test"), draws=options.pop("draws", 300))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mfd_bayes.population import tempering
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected
 from mfd_bayes.population.prior_of_test import TestPrior
@@ -43,3 +44,46 @@ def test_labels_follow_a_likelihood_that_depends_on_them(prior, depends):
         assert found.points[:, 0].mean() == pytest.approx(point, abs=0.05)
         sd = np.sqrt(weight @ np.arange(LABELS) ** 2.0 - label**2)
         assert found.labels.std() == pytest.approx(sd, rel=0.15)
+
+
+COORDINATES = 30
+
+
+@pytest.fixture(scope="module")
+def wide():
+    """Of thirty quantities, N(0, 1) each, under every label."""
+    mean = np.zeros((LABELS, COORDINATES))
+    ones, unit = (
+        np.ones(LABELS),
+        np.broadcast_to(np.eye(COORDINATES), (LABELS,) + (COORDINATES,) * 2),
+    )
+    nothing = Expected(mean, mean, (), mean, unit)
+    around = Along(None, Setting(1.0), np.zeros(1))
+    return TestPrior(np.arange(LABELS), around, nothing, mean, unit, (ones, ones))
+
+
+@pytest.mark.parametrize("reversible", [True, False])
+def test_many_coordinates_get_the_posterior_of_the_closed_form(wide, reversible, monkeypatch):
+    """Of thirty coordinates that a likelihood ties together; the control forgets the ratio."""
+    if not reversible:
+        step = tempering._Near.step
+        monkeypatch.setattr(
+            tempering._Near, "step", lambda *given: (step(*given)[0], np.zeros(len(given[1])))
+        )
+    rng = np.random.default_rng(2)
+    rows = rng.normal(size=(20, COORDINATES))
+    told = rows @ rng.normal(size=COORDINATES)
+
+    def log_likelihood(labels, points):
+        return -0.5 * np.sum((points[:, :-1] @ rows.T - told) ** 2, axis=1) / 0.1**2
+
+    found = temper(wide, log_likelihood, rng, POINTS).points[:, :-1]
+    covariance = np.linalg.inv(np.eye(COORDINATES) + rows.T @ rows / 0.1**2)
+    root = np.linalg.cholesky(covariance)
+    mean = covariance @ rows.T @ told / 0.1**2
+    standard = np.linalg.solve(root, (found - mean).T)
+    spread = float(np.mean(standard**2))
+    assert (abs(spread - 1.0) < 0.06) == reversible
+    if reversible:
+        assert np.abs(standard.mean(axis=1)).max() < 0.15
+        assert np.abs(standard.std(axis=1) - 1.0).max() < 0.15
