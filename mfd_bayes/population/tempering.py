@@ -1,9 +1,10 @@
 """Draws of a test's posterior by sequential Monte Carlo: the likelihood is let in step by step.
 
 Points of the prior are weighted by a small power of the likelihood, drawn again by their weights,
-and moved by Metropolis steps that leave the density at this power as it is; then the power grows
-until it is 1 (Neal, 2001; Del Moral, Doucet and Jasra, 2006). Each step of the power keeps half of
-the points effective, so that no weight can degenerate however much the data say.
+and moved by Metropolis steps that leave the density at this power as it is, until they have
+forgotten where they were; then the power grows until it is 1 (Neal, 2001; Del Moral, Doucet and
+Jasra, 2006). Each step of the power keeps half of the points effective, so that no weight can
+degenerate however much the data say.
 """
 
 from __future__ import annotations
@@ -150,7 +151,7 @@ class _Near:
         """The density with the mean and covariance of points (n, D)."""
         covariance = np.atleast_2d(np.cov(points, rowvar=False))
         covariance += 1e-9 * np.diag(np.diag(covariance)) + 1e-14 * np.eye(len(covariance))
-        return cls(points.mean(axis=0), np.linalg.cholesky(covariance))
+        return cls(points.mean(axis=0), np.asarray(np.linalg.cholesky(covariance)))
 
     def distance(self, points: Array) -> Array:
         """Square of the Mahalanobis distance of points (n, D) from the mean, (n,)."""
