@@ -99,6 +99,8 @@ def main() -> int:
         print("The actuation doubles during a test, and levels of actuation deviate from the laws.")
     print(command)
     print(f"{processor()}, {versions('numpy', 'arviz')}")
+    held = 100.0 * 0.95 * (DRAWS - 1) / (DRAWS + 1)
+    print(f"Between the quantiles of {DRAWS} draws lie {held:.1f} % of what is drawn like them.")
     print(lines)
     return 0 if good else 1
 
