@@ -1,10 +1,10 @@
 """Draws of a test's posterior by sequential Monte Carlo: the likelihood is let in step by step.
 
 Points of the prior are weighted by a small power of the likelihood, drawn again by their weights,
-and moved by Metropolis steps that leave the density at this power as it is, until they have
-forgotten where they were; then the power grows until it is 1 (Neal, 2001; Del Moral, Doucet and
-Jasra, 2006). Each step of the power keeps half of the points effective, so that no weight can
-degenerate however much the data say.
+and moved by Metropolis steps that leave the density at this power as it is. They are moved until
+they have forgotten where they were, or at most a given number of times; then the power grows until
+it is 1 (Neal, 2001; Del Moral, Doucet and Jasra, 2006). Each step of the power keeps half of the
+points effective, so that no weight can degenerate however much the data say.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ Index = NDArray[np.intp]
 LogLikelihood = Callable[[Index, Array], Array]
 
 FORGOTTEN = 0.3
-"""Correlation of a coordinate with where the points were drawn, at most, before the power grows."""
+"""Correlation of each coordinate with what it was when the points were drawn, below which the power
+grows."""
 
 INDEPENDENT = 0.15
 """The same at the end, where the power is 1. Of a thousand points chance alone gives 0.03."""
@@ -33,7 +34,7 @@ MOST = 40
 """Metropolis steps of each point at each power, at most."""
 
 MOST_LAST = 160
-"""Metropolis steps at the end, at most."""
+"""The same at the end, where the power is 1."""
 
 EVERY = 4
 """Metropolis steps for each change of the labels."""
@@ -140,7 +141,7 @@ class _Near:
     ----------
     mean : (D,)
     root : (D, D)
-        Cholesky factor of the covariance.
+        Cholesky factor of the scale matrix.
     """
 
     mean: Array
@@ -148,15 +149,10 @@ class _Near:
 
     @classmethod
     def of(cls, points: Array) -> _Near:
-        """The density with the mean and covariance of points (n, D)."""
-        covariance = np.atleast_2d(np.cov(points, rowvar=False))
-        covariance += 1e-9 * np.diag(np.diag(covariance)) + 1e-14 * np.eye(len(covariance))
-        return cls(points.mean(axis=0), np.asarray(np.linalg.cholesky(covariance)))
-
-    def distance(self, points: Array) -> Array:
-        """Square of the Mahalanobis distance of points (n, D) from the mean, (n,)."""
-        standard = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True)
-        return np.asarray(np.sum(standard**2, axis=0))
+        """The density with the mean of points (n, D), and their covariance as scale matrix."""
+        scale = np.cov(points, rowvar=False)
+        scale += 1e-9 * np.diag(np.diag(scale)) + 1e-14 * np.eye(len(scale))
+        return cls(points.mean(axis=0), np.asarray(np.linalg.cholesky(scale)))
 
     def step(self, points: Array, length: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Crank–Nicolson steps of points (n, D) with lengths (n, 1) up to 1.
@@ -172,13 +168,13 @@ class _Near:
             Of the densities before and after, to be added to the gain of the target's logarithm.
         """
         n, dim = points.shape
-        before, shape = self.distance(points), 0.5 * (TAILS + dim)
-        spread = np.sqrt(0.5 * (TAILS + before) / rng.standard_gamma(shape, n))[:, None]
-        drawn = spread * (rng.standard_normal((n, dim)) @ self.root.T)
-        away = np.sqrt(1.0 - length**2) * (points - self.mean)
-        proposed = self.mean + away + length * drawn
-        gain = np.log(TAILS + self.distance(proposed)) - np.log(TAILS + before)
-        return proposed, shape * gain
+        away = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True).T
+        before, shape = TAILS + np.sum(away**2, axis=1), 0.5 * (TAILS + dim)
+        spread = np.sqrt(0.5 * before / rng.standard_gamma(shape, n))[:, None]
+        new = np.sqrt(1.0 - length**2) * away
+        new += length * spread * rng.standard_normal((n, dim))
+        log_ratio = shape * (np.log(TAILS + np.sum(new**2, axis=1)) - np.log(before))
+        return self.mean + new @ self.root.T, log_ratio
 
 
 class _Cloud:

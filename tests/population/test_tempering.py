@@ -13,15 +13,19 @@ from mfd_bayes.population.tempering import temper
 LABELS, POINTS = 40, 2000
 
 
+def prior_of(mean):
+    """Prior with these means of the labels, (`LABELS`, d); each quantity has a variance of 1."""
+    ones, d = np.ones(LABELS), mean.shape[1]
+    unit = np.broadcast_to(np.eye(d), (LABELS, d, d))
+    nothing = Expected(mean, 0.0 * mean, (), 0.0 * mean, unit)
+    around = Along(None, Setting(1.0), np.zeros(1))
+    return TestPrior(np.arange(LABELS), around, nothing, mean, unit, (ones, ones))
+
+
 @pytest.fixture(scope="module")
 def prior():
     """Of one quantity; each label's density is near the next one's."""
-    mean = np.linspace(-0.5, 0.5, LABELS)[:, None]
-    ones = np.ones(LABELS)
-    nothing = Expected(mean, 0.0 * mean, (), 0.0 * mean, np.ones((LABELS, 1, 1)))
-    around = Along(None, Setting(1.0), np.zeros(1))
-    spread = np.ones((LABELS, 1, 1))
-    return TestPrior(np.arange(LABELS), around, nothing, mean, spread, (ones, ones))
+    return prior_of(np.linspace(-0.5, 0.5, LABELS)[:, None])
 
 
 @pytest.mark.parametrize("depends", [True, False])
@@ -51,20 +55,13 @@ COORDINATES = 30
 
 @pytest.fixture(scope="module")
 def wide():
-    """Of thirty quantities, N(0, 1) each, under every label."""
-    mean = np.zeros((LABELS, COORDINATES))
-    ones, unit = (
-        np.ones(LABELS),
-        np.broadcast_to(np.eye(COORDINATES), (LABELS,) + (COORDINATES,) * 2),
-    )
-    nothing = Expected(mean, mean, (), mean, unit)
-    around = Along(None, Setting(1.0), np.zeros(1))
-    return TestPrior(np.arange(LABELS), around, nothing, mean, unit, (ones, ones))
+    """Of thirty quantities; all labels have the same density."""
+    return prior_of(np.zeros((LABELS, COORDINATES)))
 
 
 @pytest.mark.parametrize("reversible", [True, False])
 def test_many_coordinates_get_the_posterior_of_the_closed_form(wide, reversible, monkeypatch):
-    """Of thirty coordinates that a likelihood ties together; the control forgets the ratio."""
+    """A likelihood ties thirty coordinates together; the control has no ratio of densities."""
     if not reversible:
         step = tempering._Near.step
         monkeypatch.setattr(
