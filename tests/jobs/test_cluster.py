@@ -422,6 +422,19 @@ def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
     assert "OPENBLAS_NUM_THREADS=1" in worker._limit_threads()
 
 
+def test_libraries_that_a_job_loads_later_have_one_thread_too():
+    code = (
+        "from mfd_bayes.jobs.cluster.worker import _limit_threads\n"
+        "from threadpoolctl import threadpool_info\n"
+        "assert _limit_threads() == ''\n"
+        "import mfd_bayes.pipeline.loaded\n"
+        "print(*sorted({pool['num_threads'] for pool in threadpool_info()}))"
+    )
+    words = [sys.executable, "-c", code]
+    printed = subprocess.run(words, env=os.environ | THREADS, capture_output=True, text=True)
+    assert printed.stdout == "1\n", printed.stderr
+
+
 def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
     from mfd_bayes.jobs.cluster.client import _Cluster, _Submitted
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from distributed import get_worker
+from scipy import linalg  # noqa: F401  # loads scipy's BLAS, for `_limit_threads` to find it
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from mfd_bayes.jobs.job import Job, State, Step
@@ -118,7 +119,8 @@ def _limit_threads() -> str:
     """Let numpy use one thread in this process from now on; "", or why that is not possible.
 
     The number of threads changes the last bits of numpy's sums. It is not set back: other jobs may
-    run in other threads of this process.
+    run in other threads of this process. It holds for the libraries that are loaded by now: numpy
+    and scipy each have a BLAS, and both are loaded with this module.
     """
     threadpool_limits(limits=1)
     many = [pool for pool in threadpool_info() if pool["num_threads"] != 1]
