@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -55,7 +56,7 @@ _CORNER = (
 
 
 def calibrated_view(run: Run, test: TestResult) -> TestView:
-    """A test that was fitted."""
+    """A test that was fitted; of its run the manifest alone is used."""
     posterior, stored = test.posterior, test.stored
     values = stored.values()
     replicas = replicate(posterior, values, np.random.default_rng(0))
@@ -71,6 +72,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     )
     stage, travel = _stages(test, values)
     informed = {row.name for row in rows if row.contraction >= INFORMED}
+    most = SHOWN if len(manifest.tests) <= MANY else FEWER
     return TestView(
         id=test.id,
         role="calibrate",
@@ -80,7 +82,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         device=fan_of("this_test", replicas.force),
         observation=fan_of("observation", replicas.observed),
         rows=tuple(rows),
-        marginals=_marginals(test, values, prior, rows, SHOWN if len(run.tests) <= MANY else FEWER),
+        marginals=_marginals(test, values, prior, rows, most),
         chains={name: _by_step(stored, name) for name in posterior.names},
         corner=tuple(name for name in _CORNER if name in informed),
         checks=checks_of_test(checked),
@@ -197,6 +199,12 @@ def _marginals(
         Marginal(n, units()[n], _once(_some(prior[n], most)), _some(values[n], most), shrunk[n])
         for n in sampled
     )
+
+
+def sharing_priors(view: TestView) -> TestView:
+    """A test that another process has made, with the prior draws that others of this one hold."""
+    marginals = (replace(m, prior=_once(m.prior)) for m in view.marginals)
+    return replace(view, marginals=tuple(marginals))
 
 
 def _once(draws: Array) -> Array:

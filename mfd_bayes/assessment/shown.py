@@ -3,42 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
-from mfd_bayes.assessment.fits import calibrated_view, held_out_view
+from mfd_bayes.assessment.fits import calibrated_view, held_out_view, sharing_priors
 from mfd_bayes.assessment.views import CampaignView, Check, TestView
 from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.jobs.functions import in_turn, several_processes
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
+
+Given = TypeVar("Given")
 
 SHOWN = "report"
 """Name of the check that fails where a test is left out of the report."""
 
 
-def views_of_tests(run: Run) -> tuple[list[TestView], dict[str, str]]:
+def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, str]]:
     """Views of all tests, in the order of the campaign; and why others cannot be shown.
+
+    Parameters
+    ----------
+    run : Run
+    jobs : int
+        Processes that make those of calibrated tests.
 
     Raises
     ------
     StoreError
         When a stored file cannot be used: that is no fault of one test.
     """
-    makers: dict[str, Callable[[], TestView]] = {
-        **{name: partial(calibrated_view, run, test) for name, test in run.tests.items()},
-        **{name: partial(held_out_view, run, name, t) for name, t in run.held_out.items()},
-    }
-    views, lost = [], {}
-    for name in (name for name in run.manifest.tests if name in makers):
-        try:
-            with np.errstate(all="ignore"):  # what is not finite is refused by name
-                views.append(makers[name]())
-        except StoreError:
-            raise
-        except MfdError as error:
-            lost[name] = str(error)
-    return views, lost
+    found = _calibrated(run, jobs)
+    for name, trace in run.held_out.items():
+        found[name] = _attempt(partial(held_out_view, run, name), trace)
+    names = [name for name in run.manifest.tests if name in found]
+    views = [view for name in names if isinstance(view := found[name], TestView)]
+    return views, {name: str(e) for name in names if isinstance(e := found[name], MfdError)}
+
+
+def _calibrated(run: Run, jobs: int) -> dict[str, TestView | MfdError]:
+    """View of each calibrated test, or why there is none.
+
+    Each test is sent to a process by itself: the records of all need not be held there.
+    """
+    view = partial(calibrated_view, replace(run, tests={}, held_out={}, extras=None))
+    views = [partial(_attempt, view)] * len(run.tests)
+    tests = enumerate(replace(test, extras=None) for test in run.tests.values())
+    with several_processes(views, jobs) as in_processes:
+        if in_processes is None:
+            return dict(zip(run.tests, in_turn(views)(tests), strict=True))
+        found = [
+            sharing_priors(view) if isinstance(view, TestView) else view
+            for view in in_processes(tests)
+        ]
+    return dict(zip(run.tests, found, strict=True))
+
+
+def _attempt(make: Callable[[Given], TestView], given: Given) -> TestView | MfdError:
+    """A view, or why it cannot be made."""
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is refused by name
+            return make(given)
+    except StoreError:
+        raise
+    except MfdError as error:
+        return error
 
 
 def unshown(lost: Mapping[str, str]) -> list[Check]:

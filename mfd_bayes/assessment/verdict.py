@@ -29,9 +29,9 @@ from mfd_bayes.runs.systems import SI, systems_beside
 from mfd_bayes.runs.verdict import Use, Verdict
 
 
-def assess(run: Run) -> CampaignView:
-    """Everything that the report of a run shows."""
-    tests, lost = views_of_tests(run)
+def assess(run: Run, jobs: int = 1) -> CampaignView:
+    """Everything that the report of a run shows, by one process or several."""
+    tests, lost = views_of_tests(run, jobs)
     return put_together(run, tests, law_rows(run), law_views(run), lost)
 
 

@@ -79,7 +79,8 @@ def write_report(
 
     system = named_system(units, run.system)
     observe(Step("report", "checks and bands"))
-    view = replace(assess(run), metric=system.name == SI.name)
+    processes = Workplace(jobs).processes
+    view = replace(assess(run, processes), metric=system.name == SI.name)
     if forms.next_test:
         observe(Step("report", "which test next"))
         view = replace(view, next_test=run.next_test())
@@ -87,7 +88,7 @@ def write_report(
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     view = in_words(view)
-    publish(view, run.folder, Workplace(jobs).processes, observe, forms)
+    publish(view, run.folder, processes, observe, forms)
     return view
 
 

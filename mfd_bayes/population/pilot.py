@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
+from mfd_bayes.jobs.functions import Evaluate, in_turn
 from mfd_bayes.population.fitted_test import FittedTest
 from mfd_bayes.population.residual import Residual, memory_of, slip_force_of
 from mfd_bayes.population.strokes import independent_share, learn_levels
@@ -63,7 +63,7 @@ class Pilot:
 def fit_pilot(
     likelihoods: Sequence[WorkingLikelihood],
     starts: Sequence[Array],
-    evaluate: Evaluate | None = None,
+    evaluate: Evaluate[Array, Array] | None = None,
 ) -> Pilot:
     """First fit of tests.
 
@@ -94,7 +94,7 @@ class _Fit:
         self,
         likelihoods: Sequence[WorkingLikelihood],
         starts: Sequence[Array],
-        evaluate: Evaluate | None,
+        evaluate: Evaluate[Array, Array] | None,
     ) -> None:
         self.evaluate = evaluate or in_turn([one.residual for one in likelihoods])
         layout = likelihoods[0].layout

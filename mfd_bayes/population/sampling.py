@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.jobs.likelihoods import Evaluate
+from mfd_bayes.jobs.functions import Evaluate
 from mfd_bayes.population.chains import Chains, TestDraws, ThinnedChains, by_walker
 from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.layout import Layout
@@ -86,7 +86,7 @@ def sample_joint(
     effort: Effort,
     rng: np.random.Generator,
     report: Callable[[int, Convergence], None] = lambda _, __: None,
-    evaluate: Evaluate | None = None,
+    evaluate: Evaluate[Array, Array] | None = None,
 ) -> JointDraws:
     """Draws of the population and of every test given all tests.
 

@@ -210,7 +210,7 @@ def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_pa
 
     benchmark_module("fuzz.runs").write_run(tmp_path / "out", small=True)
     assessed = report.assess(mb.open_run(tmp_path / "out"))
-    monkeypatch.setattr(report, "assess", lambda _: assessed)  # the same for both
+    monkeypatch.setattr(report, "assess", lambda *_: assessed)  # the same for both
     seen = []
     monkeypatch.setattr(publication, "publish", lambda view, *more: seen.append((view, more[-1])))
     command = ("report", str(tmp_path / "out"), "--units", "si", "--excel")

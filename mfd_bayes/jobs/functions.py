@@ -1,4 +1,4 @@
-"""Likelihoods of many tests by several processes, and other work in a process beside this one."""
+"""Functions of many tests by several processes, and other work in a process beside this one."""
 
 from __future__ import annotations
 
@@ -9,60 +9,60 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import islice
-from typing import TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Generic, TypeVar
 
 from mfd_bayes.jobs.processes import context, follow_parent, started_alike
 
 T = TypeVar("T")
-Array = NDArray[np.float64]
-Likelihood = Callable[[Array], Array]
-Points = list[tuple[int, Array]]
+Given = TypeVar("Given")
+Found = TypeVar("Found")
 
-Evaluate = Callable[[Iterable[tuple[int, Array]]], Iterator[Array]]
-"""Log likelihoods, or others of a test's functions, of pairs of its number and its points."""
+Evaluate = Callable[[Iterable[tuple[int, Given]]], Iterator[Found]]
+"""Values of tests' functions, as of their log likelihoods, of pairs of a test's number and what its
+function is given.
+"""
 
 FEWEST = 4
 """With fewer tests, one process is faster than several."""
 
 MOST = 16
-"""Largest number of tests whose points are sent together."""
+"""Largest number of tests that are sent together."""
 
-_LIKELIHOODS: ContextVar[Sequence[Likelihood]] = ContextVar("_LIKELIHOODS")
-"""In a worker process: the likelihoods that it was started with."""
+_FUNCTIONS: ContextVar[Sequence[Callable[[Any], Any]]] = ContextVar("_FUNCTIONS")
+"""In a worker process: the functions that it was started with."""
 
 
-def in_turn(likelihoods: Sequence[Likelihood]) -> Evaluate:
-    """Function that computes likelihoods in this process, one after the other."""
-    return lambda points: (likelihoods[j](x) for j, x in points)
+def in_turn(functions: Sequence[Callable[[Given], Found]]) -> Evaluate[Given, Found]:
+    """Function that computes values in this process, one after the other."""
+    return lambda points: (functions[j](x) for j, x in points)
 
 
 @contextmanager
-def several_processes(likelihoods: Sequence[Likelihood], jobs: int) -> Iterator[Evaluate | None]:
-    """Function that computes likelihoods in several processes; None where one would be faster.
+def several_processes(
+    functions: Sequence[Callable[[Given], Found]], jobs: int
+) -> Iterator[Evaluate[Given, Found] | None]:
+    """Function that computes values in several processes; None where one would be faster.
 
     The figures are those of this process, bit for bit. Where a process is lost, this one goes on
     alone.
 
     Parameters
     ----------
-    likelihoods : sequence of callable
-        Of each test its log likelihood, (n, D) coordinates to (n,), or another function of them;
-        each process gets a copy.
+    functions : sequence of callable
+        Of each test, such as its log likelihood, (n, D) coordinates to (n,); each process gets a
+        copy of all.
     jobs : int
         Number of processes.
     """
-    if jobs < 2 or len(likelihoods) < FEWEST:
+    if jobs < 2 or len(functions) < FEWEST:
         yield None
         return
-    pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(likelihoods,))
+    pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(functions,))
     try:
         with started_alike():
             for _ in range(jobs):
                 pool.submit(_compute, [])
-        yield _Pool(pool, likelihoods, jobs).evaluate
+        yield _Pool(pool, functions, jobs).evaluate
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -92,19 +92,20 @@ def beside(jobs: int, work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         pool.shutdown(cancel_futures=True)
 
 
-class _Pool:
+class _Pool(Generic[Given, Found]):
     """The processes; once one is lost, this process computes instead."""
 
     def __init__(
-        self, pool: ProcessPoolExecutor, likelihoods: Sequence[Likelihood], jobs: int
+        self, pool: ProcessPoolExecutor, functions: Sequence[Callable[[Given], Found]], jobs: int
     ) -> None:
-        self.pool, self.likelihoods, self.jobs = pool, likelihoods, jobs
-        self.size = max(1, min(MOST, len(likelihoods) // (4 * jobs)))
+        self.pool, self.functions, self.jobs = pool, functions, jobs
+        self.size = max(1, min(MOST, len(functions) // (2 * jobs)))
         self.lost = False
 
-    def evaluate(self, points: Iterable[tuple[int, Array]]) -> Iterator[Array]:
-        """Log likelihoods of points, in their order; a few are computed ahead."""
-        source, sent = iter(points), deque[tuple[Points, Future[list[Array]] | None]]()
+    def evaluate(self, points: Iterable[tuple[int, Given]]) -> Iterator[Found]:
+        """Values, in the order of what is given; a few are computed ahead."""
+        source = iter(points)
+        sent = deque[tuple[list[tuple[int, Given]], Future[list[Found]] | None]]()
         while batch := list(islice(source, self.size)):
             sent.append((batch, self._send(batch)))
             if len(sent) > 2 * self.jobs:
@@ -112,7 +113,7 @@ class _Pool:
         while sent:
             yield from self._receive(*sent.popleft())
 
-    def _send(self, points: Points) -> Future[list[Array]] | None:
+    def _send(self, points: list[tuple[int, Given]]) -> Future[list[Found]] | None:
         if not self.lost:
             try:
                 return self.pool.submit(_compute, points)
@@ -120,20 +121,22 @@ class _Pool:
                 self.lost = True
         return None
 
-    def _receive(self, points: Points, future: Future[list[Array]] | None) -> list[Array]:
+    def _receive(
+        self, points: list[tuple[int, Given]], future: Future[list[Found]] | None
+    ) -> list[Found]:
         if future is not None:
             try:
                 return future.result()
             except BrokenProcessPool:
                 self.lost = True
-        return [self.likelihoods[j](x) for j, x in points]
+        return [self.functions[j](x) for j, x in points]
 
 
-def _start(likelihoods: Sequence[Likelihood]) -> None:
-    _LIKELIHOODS.set(likelihoods)
+def _start(functions: Sequence[Callable[[Any], Any]]) -> None:
+    _FUNCTIONS.set(functions)
     follow_parent()
 
 
-def _compute(points: Points) -> list[Array]:
-    likelihoods = _LIKELIHOODS.get()
-    return [likelihoods[j](x) for j, x in points]
+def _compute(points: list[tuple[int, Any]]) -> list[Any]:
+    functions = _FUNCTIONS.get()
+    return [functions[j](x) for j, x in points]
