@@ -26,7 +26,7 @@ PIECE = 1 << 16
 WORTH = 2000
 """Numbers of an array whose computation takes as long as one more call for few vectors does."""
 
-GRID = 512
+GRID = 128
 """Deflections at which the spring is inverted for a first guess."""
 
 

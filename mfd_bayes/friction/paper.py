@@ -189,5 +189,9 @@ def actuate(
                 f"scales may hold {', '.join(ACTUATED)} with shape ({n}, {trace.samples}) or "
                 f"(1, {trace.samples}), got {name} with {factor.shape}"
             )
-    nearest = trace.path.nearest
-    return columns | {name: columns[name] * factor.T[nearest] for name, factor in scales.items()}
+    nearest, followed = trace.path.nearest, {}
+    for name, factor in scales.items():
+        along = factor.T.take(nearest, axis=0)
+        own = len(factor) == n  # else the product is larger
+        followed[name] = np.multiply(along, columns[name], out=along if own else None)
+    return columns | followed

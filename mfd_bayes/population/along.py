@@ -132,12 +132,12 @@ class Along:
             found[:, k] += sd[:, one.columns.start, k] * (own @ (lines @ one.root))
         return found
 
-    def factors(
+    def log_factors(
         self, index: Index, numbers: Array, history: Array, level: float | None = None
     ) -> dict[str, Array]:
-        """Factors of quantities along a history (T,) for what they deviate more than at a level.
+        """Logarithms of quantities along a history (T,), for what they deviate more than at a level.
 
-        They are (n, T) each, by name.
+        They are (T, n) each, by name.
         """
         if not self.processes:
             return {}
@@ -148,9 +148,10 @@ class Along:
         found, sd = {}, self._sd(index)
         for one, own in self._each(numbers):
             k, columns = one.quantity, one.columns
-            known = latent[:, 1 + columns.start : 1 + columns.stop, k] @ (one.known.T @ lines)
-            drawn = sd[:, columns.start, k, None] * (own @ (one.root.T @ lines))
-            found[one.name] = np.exp(layout.spread[k] * (known + drawn))
+            known = latent[:, 1 + columns.start : 1 + columns.stop, k]
+            drawn = sd[:, columns.start, k, None] * own
+            weights = layout.spread[k] * (lines.T @ np.hstack([one.known, one.root]))
+            found[one.name] = weights @ np.hstack([known, drawn]).T
         return found
 
     def trends(self, index: Index) -> Array:
@@ -158,12 +159,12 @@ class Along:
         if not self.processes:
             return np.zeros((len(index), 0))
         ends = self.level * 2.0 ** self.octaves[[0, -1]]
-        factors = self.factors(index, np.zeros((len(index), self.size)), ends)
+        logs = self.log_factors(index, np.zeros((len(index), self.size)), ends)
         found = []
         for name in self.population.layout.laws:
-            law = self.population.ratio_of(name, ends, index) * factors.get(name, 1.0)
+            law = self.population.ratio_of(name, ends, index)
             law = law / self.population.ratio_of(name, np.array([self.level]), index)
-            found.append(np.log(np.maximum(law, 1e-300)))
+            found.append(np.log(np.maximum(law, 1e-300)) + logs.get(name, np.zeros((2, 1))).T)
         return np.concatenate(found, axis=1)
 
     def added(

@@ -106,6 +106,19 @@ def ratio(relative: Array, share: Array, exponent: Array) -> Array:
     return followed
 
 
+def ratios_along(relative: Array, share: Array, exponent: Array) -> Array:
+    """As `ratio` for long histories: v(p)/v(p0) at p/p0 (T,) of laws (n,), time first, (T, n)."""
+    positive = relative > 0
+    power = np.multiply.outer(np.log(np.where(positive, relative, 1.0)), exponent)
+    with np.errstate(over="ignore"):
+        np.exp(power, out=power)
+    np.minimum(power, _MOST, out=power)
+    power[~positive] = 0.0
+    power *= share
+    power += 1.0 - share
+    return np.asarray(power)
+
+
 def value_of(shape: str, q: Array) -> Array:
     """A shape at its coordinate q: a share is the logistic function of it, others q itself."""
     return np.asarray(special.expit(q)) if shape == "share" else q

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.population.beyond import unknown_beyond
-from mfd_bayes.population.laws import INTERCEPTS, ratio
+from mfd_bayes.population.laws import INTERCEPTS, ratio, ratios_along
 from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.residual import Residual
@@ -133,6 +133,11 @@ class Population:
         """The same of draws by number (n,), of a quantity with a law, (n, m)."""
         share, exponent = (shape.reshape(-1, 1)[index] for shape in self.shapes(name))
         return ratio(np.asarray(actuation) / self.layout.reference, share, exponent)
+
+    def ratios_along(self, name: str, history: Array, index: NDArray[np.intp]) -> Array:
+        """The same along a history of actuation (T,), time first, (T, n)."""
+        share, exponent = (shape.ravel()[index] for shape in self.shapes(name))
+        return ratios_along(history / self.layout.reference, share, exponent)
 
     def median(self, name: str, actuation: Array) -> Array:
         """Median over tests of a quantity at each actuation, (chain, draw, m)."""

@@ -61,16 +61,17 @@ def scales_of(
     """
     around, numbers = deviation
     population, level = around.population, around.level if level is None else level
-    reference = np.array([level])
-    beside = around.factors(index, numbers, actuation, level)
+    beside = around.log_factors(index, numbers, actuation, level)
     scales = {}
     for name in population.layout.laws:
-        along = population.ratio_of(name, actuation, index)
-        at_level = population.ratio_of(name, reference, index)
+        at_level = population.ratio_of(name, np.array([level]), index)[:, 0]
+        along = population.ratios_along(name, actuation, index)  # time first, as forces need it
+        along /= np.where(at_level > 0, at_level, 1.0)
         # without any actuation along the history it stays at its level
-        scales[name] = np.where(at_level > 0, along / np.maximum(at_level, 1e-300), 1.0)
+        np.copyto(along, 1.0, where=at_level <= 0)
         if name in beside:
-            scales[name] *= beside[name]
+            along *= np.exp(beside[name], out=beside[name])
+        scales[name] = along.T
     # what follows another quantity in this model, such as static friction
     tied = {name: scales[other] for name, other in model.tied_laws.items() if other in scales}
     return scales | tied

@@ -59,7 +59,7 @@ def draws(population, session, n=20_000):
     index, k = np.zeros(n, dtype=np.intp), population.layout.names.index(NAME)
     numbers = rng.standard_normal((n, around.size))
     level = population.layout.spread[k] * around.unknown(index, numbers)[:, k]
-    return level, np.log(around.factors(index, numbers, HISTORY)[NAME]) + level[:, None]
+    return level, around.log_factors(index, numbers, HISTORY)[NAME].T + level[:, None]
 
 
 def test_a_new_session_deviates_as_its_levels_do(population):
@@ -104,7 +104,7 @@ def test_one_level_or_too_few_need_no_numbers(population, make_population):
     below = np.array([0.0, 0.5, 1.0])  # a valve that opens
     around = Along.of(population, Setting(0.5), below)
     numbers = np.ones((4, around.size))
-    assert np.all(np.isfinite(around.factors(np.arange(4), numbers, below)[NAME]))
+    assert np.all(np.isfinite(around.log_factors(np.arange(4), numbers, below)[NAME]))
 
 
 def ask(population, actuation):

@@ -11,6 +11,7 @@ from mfd_bayes.population.laws import (
     draw_shape,
     log_prior,
     ratio,
+    ratios_along,
     shapes_of,
     value_of,
 )
@@ -85,6 +86,15 @@ def test_ratios_broadcast_draws_against_actuations():
     found = ratio(np.linspace(0.1, 2, 5), share, np.ones((2, 3, 1)))
     assert found.shape == (2, 3, 5)
     np.testing.assert_allclose(found[1, 2], np.linspace(0.1, 2, 5))
+
+
+def test_ratios_along_a_history_are_those_at_each_actuation():
+    history = np.array([-0.1, 0.0, 1e-6, 0.3, 1.0, 2.5, 1e10])
+    share, exponent = np.array([1.0, 1.0, 0.4, 0.0]), np.array([1.0, 40.0, 0.7, 1.0])
+    found = ratios_along(history, share, exponent)
+    expected = ratio(history, share[:, None], exponent[:, None]).T
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
+    assert np.all(found[:2] == [0.0, 0.0, 0.6, 1.0])
 
 
 @pytest.mark.parametrize("shape", DENSITIES)
