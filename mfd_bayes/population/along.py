@@ -135,7 +135,7 @@ class Along:
     def log_factors(
         self, index: Index, numbers: Array, history: Array, level: float | None = None
     ) -> dict[str, Array]:
-        """Logarithms of factors along a history (T,), for what quantities deviate more than at a level.
+        """Logarithms of quantities along a history (T,), less those at a level.
 
         They are (T, n) each, by name.
         """
