@@ -12,7 +12,7 @@ import numpy as np
 from mfd_bayes.assessment.fits import calibrated_view, held_out_view, sharing_priors
 from mfd_bayes.assessment.views import CampaignView, Check, TestView
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.jobs.functions import in_turn, several_processes
+from mfd_bayes.jobs.likelihoods import in_turn, several_processes
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
 

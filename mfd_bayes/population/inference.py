@@ -17,8 +17,8 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
-from mfd_bayes.jobs.functions import beside, several_processes
 from mfd_bayes.jobs.job import Progress
+from mfd_bayes.jobs.likelihoods import beside, several_processes
 from mfd_bayes.population.apart import set_apart
 from mfd_bayes.population.law_scores import (
     TESTS,

@@ -18,7 +18,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.jobs.functions import Evaluate, in_turn
+from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
 from mfd_bayes.population.chains import Chains, Choice, Index
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.test_likelihood import TestLikelihood

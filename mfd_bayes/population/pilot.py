@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.jobs.functions import Evaluate, in_turn
+from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
 from mfd_bayes.population.fitted_test import FittedTest
 from mfd_bayes.population.residual import Residual, memory_of, slip_force_of
 from mfd_bayes.population.strokes import independent_share, learn_levels

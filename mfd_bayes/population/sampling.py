@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.jobs.functions import Evaluate
+from mfd_bayes.jobs.likelihoods import Evaluate
 from mfd_bayes.population.chains import Chains, TestDraws, ThinnedChains, by_walker
 from mfd_bayes.population.laws import LAWS
 from mfd_bayes.population.layout import Layout

@@ -30,10 +30,10 @@ grows."""
 INDEPENDENT = 0.15
 """The same at the end, where the power is 1. Of a thousand points chance alone gives 0.03."""
 
-MOST = 24
+MOST = 40
 """Metropolis steps of each point at each power, at most."""
 
-MOST_LAST = 120
+MOST_LAST = 160
 """The same at the end, where the power is 1."""
 
 EVERY = 4

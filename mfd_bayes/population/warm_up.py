@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from mfd_bayes.calibration.diagnostics import tempering
-from mfd_bayes.jobs.functions import Evaluate
+from mfd_bayes.jobs.likelihoods import Evaluate
 from mfd_bayes.population.chains import Chains
 from mfd_bayes.population.joint import Joint
 from mfd_bayes.population.layout import Layout

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mfd_bayes.jobs.functions import beside, several_processes
+from mfd_bayes.jobs.likelihoods import beside, several_processes
 
 TESTS = 9
 
