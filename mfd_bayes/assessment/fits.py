@@ -123,7 +123,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         observation=fan_of("observation", band.draws),
         score=score_of(name, "validate", trace, band.draws, 0),
         derived=held_out_rows(run, name, trace, damper),
-        shares=band.shares,
+        shares=band.explained,
         begun=before.words if before else "",
     )
 

@@ -146,8 +146,8 @@ def _tell(answer: Answer, question: Question, *, quiet: bool) -> None:
     )
     if answer.compared is not None:
         console.say(answer.compared.sentence(answer.system))
-    if band.shares:
-        console.print_shares(band.shares, quiet=quiet)
+    if band.explained:
+        console.print_shares(band.explained, quiet=quiet)
     if answer.design:
         console.print_design(answer.design)
     if not quiet:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.outputs import (
@@ -154,12 +156,32 @@ def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
         raise CampaignError(
             f"--given {question.given!r} needs a column of the force in {question.motion}"
         )
+    window = question.window
     if question.rate:
-        return record.trace(parse_quantity(question.rate, "rate", of="--rate")), ()
-    return _at_most(record)
+        return _thinned(record, parse_quantity(question.rate, "rate", of="--rate"), window), ()
+    return _at_most(record, window)
 
 
-def _at_most(record: Record) -> tuple[Trace, tuple[str, ...]]:
+def _thinned(record: Record, rate: float, window: tuple[float, float] | None) -> Trace:
+    """Record at a rate; what is known of its force in a window does not depend on the rest.
+
+    The filter before the thinning would mix both: inside the window it sees the force at the
+    window's ends instead of that beyond them.
+    """
+    trace = record.trace(rate)
+    if window is None or record.force is None or trace.force is None:
+        return trace
+    begin, end = window
+    inside = (record.time >= begin) & (record.time <= end)
+    if not np.any(inside):  # which the prediction refuses
+        return trace
+    held = np.interp(record.time, record.time[inside], record.force[inside])
+    known = replace(record, force=held).trace(rate)
+    at = (trace.time >= begin) & (trace.time <= end)
+    return replace(trace, force=np.where(at, np.asarray(known.force), trace.force))
+
+
+def _at_most(record: Record, window: tuple[float, float] | None) -> tuple[Trace, tuple[str, ...]]:
     """Every sample of a record, up to `MOST`; else as many as that, with a remark."""
     if record.time.size <= MOST:
         return record.trace(), ()
@@ -168,4 +190,4 @@ def _at_most(record: Record) -> tuple[Trace, tuple[str, ...]]:
         f"the motion has {record.time.size} samples, more than the {MOST} that are predicted at "
         f"once: the band is given at {rate:.4g} Hz; --rate sets another"
     )
-    return record.trace(rate), (remark,)
+    return _thinned(record, rate, window), (remark,)

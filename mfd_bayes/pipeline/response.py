@@ -30,7 +30,7 @@ from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, parse_sweep, sweep_of
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.response import grounds_of
+from mfd_bayes.runs.response import check_kind, grounds_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import SI, SYSTEMS, US, System, named_system
 from mfd_bayes.store.files import write_text
@@ -123,13 +123,16 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
     run = open_run(out)
     system = named_system(query.units, SYSTEMS[run.system.name == "si"])
 
-    def answer(of: Building) -> Response:
+    if levels is not None:
+        check_kind("--sweep: the actuation", levels[1], run.actuation_unit)
+
+    def answer(of: Building, told: str = "") -> Response:
         return run.respond(
             *(of, grounds, query.draws, query.seed),
             kind=query.kind,
             tolerance=query.tolerance,
             jobs=query.jobs,
-            observe=observe,
+            observe=lambda step: observe(replace(step, id=f"{told}{step.id}")),
         )
 
     with reading(run.folder, run.manifest):
@@ -138,7 +141,13 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
         if levels is not None:
             if not building.devices:
                 raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
-            each = [answer(building.at_level(float(level))) for level in levels[0]]
+            each = [
+                answer(
+                    building.at_level(level),
+                    f"{system.words([level], levels[1], actuation=True)}, ",
+                )
+                for level in levels[0].tolist()
+            ]
             sweep = sweep_of(levels, each, query.quantity, query.goal, query.seed)
     view = view_of(run, response, sweep, query, system)
     _write(response, sweep, view, query, system)
@@ -253,15 +262,8 @@ def sweep_sentence(sweep: Sweep, system: System) -> str:
     }
     best = system.words([sweep.best], sweep.unit, 3, actuation=True)
     ends = system.words(sweep.interval, sweep.unit, 3, actuation=True)
-    edge = (
-        " It lies at an end of the range: sweep further."
-        if sweep.best
-        in (
-            sweep.levels[0],
-            sweep.levels[-1],
-        )
-        else ""
-    )
+    at_end = sweep.best in (sweep.levels[0], sweep.levels[-1])
+    edge = " It lies at an end of the range: sweep further." if at_end else ""
     return (
         f"{what[sweep.goal][0].upper()}{what[sweep.goal][1:]} of the largest {sweep.quantity} is "
         f"smallest at {best} (90 % interval of the place: {ends}).{edge}"

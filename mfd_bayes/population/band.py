@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +36,10 @@ class Band(ShownBand):
     remarks : tuple of str
         Reasons to trust it less, and what a recalibrated band promises, in sentences.
     whole_lower, whole_upper : (T,), kip, or None
-        Band that holds the whole history with the probability, where it was asked for.
-    shares : mapping of str to float
-        What makes it wide: share of each source in the variance, where it was asked for.
+        Band that holds the whole history with the probability, where it was asked for; `whole`
+        computes it where it was not.
+    explained : mapping of str to float
+        `shares`, where they were asked for; `shares` computes them where they were not.
     given : Conditioned, or None
         The part of the record that was known, where there is one: its `window` (s), `pareto_k`,
         `method` ("weights" or "sampling") and `effective` draws.
@@ -56,9 +58,30 @@ class Band(ShownBand):
     remarks: tuple[str, ...] = ()
     whole_lower: Array | None = None
     whole_upper: Array | None = None
-    shares: Mapping[str, float] = field(default_factory=dict)
+    explained: Mapping[str, float] = field(default_factory=dict)
+    explain: Callable[[], Mapping[str, float]] | None = field(default=None, repr=False)
     extras: Extras | None = field(default=None, repr=False)
     given: Conditioned | None = None
+
+    @cached_property
+    def whole(self) -> tuple[Array, Array]:
+        """Lower and upper bound, (T,) each, kip, that hold the whole history of most of the draws.
+
+        The share of the draws is the band's probability.
+        """
+        if self.whole_lower is not None and self.whole_upper is not None:
+            return self.whole_lower, self.whole_upper
+        return whole_band(self.draws, self.probability)
+
+    @cached_property
+    def shares(self) -> Mapping[str, float]:
+        """What makes the band wide: share of each source in the variance; their sum is 1.
+
+        They take as long as some 70 predictions, once. Empty for several models at once, and
+        where nothing varies. After a given part the sources depend on each other: what the part
+        ties together is shared out between them.
+        """
+        return self.explained or (self.explain() if self.explain else {})
 
     def widened(self, factor: float) -> Band:
         """The band of single samples, as many times as wide about its median."""

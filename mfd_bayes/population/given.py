@@ -221,16 +221,11 @@ def predict_given(
 
 
 def check_forecast(forecast: Forecast) -> None:
-    """Refuse kinds of which a given part says nothing, and shares."""
+    """Refuse kinds of which a given part says nothing."""
     if forecast.kind not in ALLOWED:
         raise FitError(
             f"given is for the kinds {' and '.join(ALLOWED)}, not for {forecast.kind}: a first "
             "part shows the force of one new test"
-        )
-    if forecast.permutations:
-        raise FitError(
-            "explain cannot be combined with given: after the given part the sources of the width "
-            "depend on each other, and have no shares of their own"
         )
 
 

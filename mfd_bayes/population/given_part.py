@@ -57,8 +57,10 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> GivenP
     """
     begin, end = _checked(trace, window, step)
     inside = (trace.time >= begin) & (trace.time <= end)
-    first, last = np.flatnonzero(inside)[[0, -1]]
     size = block_size(float(np.median(np.diff(trace.time))), step)
+    if not np.any(inside):
+        raise _too_short((begin, end), 0, size)
+    first, last = np.flatnonzero(inside)[[0, -1]]
     end_of_motion = max(int(last), _second_turn(trace))
     edges = np.arange(first % size, end_of_motion + 1, size)
     if edges[0] > 0:
@@ -66,10 +68,7 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> GivenP
     edges = edges[edges + size <= end_of_motion + 1]
     counted = (edges >= first) & (edges + size <= last + 1)
     if np.count_nonzero(counted) < LEAST:
-        raise FitError(
-            f"the given part {_words(window)} holds {np.count_nonzero(inside)} samples, too few: "
-            f"at least {LEAST * size} are expected"
-        )
+        raise _too_short((begin, end), int(np.count_nonzero(inside)), size)
     force = np.asarray(trace.force)[inside]
     if not np.any(force):
         raise FitError(
@@ -87,6 +86,13 @@ def _second_turn(trace: Trace) -> int:
     """
     turns = trace.turning_points
     return int(turns[1]) if turns.size > 1 else trace.samples - 1
+
+
+def _too_short(window: tuple[float, float], samples: int, size: int) -> FitError:
+    return FitError(
+        f"the given part {_words(window)} holds {samples} samples, too few: at least "
+        f"{LEAST * size} are expected"
+    )
 
 
 def _words(window: tuple[float, float]) -> str:

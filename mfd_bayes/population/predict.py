@@ -21,7 +21,7 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
 from mfd_bayes.population.sequel import left_of, told
 from mfd_bayes.population.setting import Setting, setting_of
-from mfd_bayes.population.shares import DRAWS, FEWEST, VALUES, shares_of
+from mfd_bayes.population.shares import DRAWS, FEWEST, PERMUTATIONS, VALUES, shares_of
 from mfd_bayes.population.unshared import scales_of, stays, unknown_of
 from mfd_bayes.records.trace import Trace, check_magnitude
 
@@ -152,15 +152,17 @@ class Predictor:
         force, _ = self.total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
         band = band_of(trace.time, force, forecast, told(source, forecast.before), values)
-        return replace(band, shares=self._shares(trace, drawn, forecast))
-
-    def _shares(self, trace: Trace, drawn: Drawn, forecast: Forecast) -> dict[str, float]:
-        """What makes the band wide, of some of its draws; empty where it is not asked for."""
-        if not forecast.permutations:
-            return {}
+        orders, seed = forecast.permutations, forecast.seed
         some = drawn.first(int(np.clip(VALUES // trace.samples, FEWEST, DRAWS)))
+        explained = self._shares(trace, some, orders, seed) if orders else {}
+        explain = partial(self._shares, trace, some, PERMUTATIONS, seed)
+        return replace(band, explained=explained, explain=explain)
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def _shares(self, trace: Trace, drawn: Drawn, orders: int, seed: int) -> dict[str, float]:
+        """What makes the band of some draws wide."""
         total, names = partial(self.total, trace), self.population.layout.names
-        return shares_of(some, names, total, forecast.permutations, forecast.seed)
+        return shares_of(drawn, names, total, orders, seed)
 
     def total(self, trace: Trace, drawn: Drawn, damper: Array | None = None) -> tuple[Array, Array]:
         """Force, and the damper's part of it where that is not known yet, (n, T) each, kip."""

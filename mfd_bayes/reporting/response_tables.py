@@ -90,13 +90,17 @@ def draws_csv(response: Response, system: System) -> str:
 def sweep_csv(sweep: Sweep, system: System) -> str:
     """Drift and acceleration against the actuation as CSV."""
     unit = sweep.unit
-    head = [f"actuation_{unit}", f"{sweep.quantity}_{sweep.goal}"]
-    for name, of in (("drift", system.length), ("acceleration", "g")):
+    shown = {"drift": (system.length, system.factor("in")), "acceleration": ("g", 1.0)}
+    head, by_score = [f"actuation_{unit}", f"{sweep.quantity}_{sweep.goal}"], 1.0
+    if sweep.goal != "passing":  # a probability
+        of, by_score = shown[sweep.quantity]
+        head[1] += f"_{of}"
+    for name, (of, _) in shown.items():
         head += [f"{name}_{part}_{of}" for part in ("median", "mean", "lower_95", "upper_95")]
     lines: list[Sequence[object]] = [head]
     for i, level in enumerate(sweep.levels):
-        cells = [_number(float(level)), _number(float(sweep.scores[i]))]
-        for name, by in (("drift", system.factor("in")), ("acceleration", 1.0)):
+        cells = [_number(float(level)), _number(by_score * float(sweep.scores[i]))]
+        for name, (_, by) in shown.items():
             flat = by * sweep.values[name][i].ravel()
             low, middle, high = np.quantile(flat, [0.025, 0.5, 0.975])
             cells += [_number(float(v)) for v in (middle, flat.mean(), low, high)]

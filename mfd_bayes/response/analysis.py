@@ -126,7 +126,7 @@ class Analysis:
         for number, ground in enumerate(self.grounds, start=1):
             for part, begin in enumerate(range(0, dampers.draws, size), start=1):
                 some = dampers.chosen(np.arange(begin, min(begin + size, dampers.draws)))
-                name = f"{ground.name} {number}.{part}"
+                name = f"ground motion {number}, {ground.name}, part {part}"
                 yield Block(name, self.building, ground, some, self.accuracy)
 
     def _references(self) -> Iterator[Block]:
@@ -135,10 +135,10 @@ class Analysis:
         slip = np.median(dampers.slip, axis=0) if dampers.count else np.zeros(0)
         once = replace(accuracy, halvings=min(accuracy.halvings, PLAIN_HALVINGS))
         for number, ground in enumerate(self.grounds, start=1):
-            name = f"{ground.name} {number} without dampers"
+            name = f"ground motion {number}, {ground.name}, without dampers"
             yield Block(name, self.building.bare(), ground, no_dampers(), accuracy)
         for number, ground in enumerate(self.grounds, start=1):
-            name = f"{ground.name} {number} with plain friction"
+            name = f"ground motion {number}, {ground.name}, with plain friction"
             yield Block(name, self.building, ground, plain_friction(slip), once)
 
 

@@ -23,6 +23,16 @@ def level_of(device: Device, folder: Path) -> float:
     return float(np.mean(_read(device, folder)[1]))
 
 
+def spans(building: Building) -> dict[str, tuple[float, float]]:
+    """First and last time, s, of each damper's history, by the damper's name."""
+    found = {}
+    for device in building.devices:
+        if device.history is not None:
+            time = _read(device, building.folder)[0]
+            found[device.name] = float(time[0]), float(time[-1])
+    return found
+
+
 def levels_along(building: Building) -> tuple[Array, list[Array]] | None:
     """Times, (T,) s, and the actuation of each damper then, (T,); None where all are constant."""
     histories = {

@@ -17,6 +17,9 @@ from mfd_bayes.units import parse_actuation
 Array = NDArray[np.float64]
 
 LEVELS = 9
+"""Levels of a sweep that says nothing of its steps."""
+
+MOST_STEPS = 100
 RESAMPLES = 400
 
 GOALS: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType(
@@ -79,12 +82,14 @@ def parse_sweep(text: str) -> tuple[Array, str]:
         (low, unit), (high, other) = (parse_actuation(match[i], of="--sweep") for i in (1, 2))
     except UnitError as error:
         raise BuildingError(str(error)) from error
-    count = int(match[3]) + 1 if match[3] else LEVELS
-    if unit != other or not 0 < low < high or not 2 <= count <= 101:
+    steps = int(match[3]) if match[3] else LEVELS - 1
+    if unit != other or not 0 < low < high:
         raise BuildingError(
             f"--sweep {text!r}: expected two levels above 0 of one kind, the lower one first"
         )
-    return np.linspace(low, high, count), unit
+    if not 1 <= steps <= MOST_STEPS:
+        raise BuildingError(f"--sweep {text!r}: expected 1 to {MOST_STEPS} steps, got {steps}")
+    return np.linspace(low, high, steps + 1), unit
 
 
 def sweep_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
+from mfd_bayes.response.history import spans
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.settling import Accuracy
 from mfd_bayes.runs.systems import System
@@ -84,7 +85,8 @@ def respond_of_run(
         raise BuildingError(f"tolerance must lie between 0 and 1, got {tolerance}")
     dampers = draw_dampers(source.population, source.model, built, choice)
     found = Analysis(built, moved, dampers, Accuracy(tolerance=tolerance)).respond(jobs, observe)
-    return replace(found, remarks=(*remarks_of(source, found), *found.faults))
+    remarks = (*remarks_of(source, found), *uncovered(built, moved), *found.faults)
+    return replace(found, remarks=remarks)
 
 
 def grounds_of(grounds: Grounds) -> list[Ground]:
@@ -105,11 +107,28 @@ def _read(text: str) -> Ground:
 def check_actuation(source: Source, building: Building) -> None:
     """Refuse dampers that are actuated by another kind of quantity than the tests were."""
     for device in building.devices:
-        if device.unit != source.actuation_unit:
-            kind = "pressure" if source.actuation_unit == "ksi" else "force"
-            raise BuildingError(
-                f"the actuation of the damper at {device.name} must be a {kind}, as in the campaign"
-            )
+        where = f"the actuation of the damper at {device.name}"
+        check_kind(where, device.unit, source.actuation_unit)
+
+
+def check_kind(where: str, unit: str, wanted: str) -> None:
+    """Refuse an actuation in a unit, "ksi" or "kip", of another kind than the tests had."""
+    if unit != wanted:
+        kind = "pressure" if wanted == "ksi" else "force"
+        raise BuildingError(f"{where} must be a {kind}, as in the campaign")
+
+
+def uncovered(building: Building, grounds: Sequence[Ground]) -> Iterator[str]:
+    """Actuation histories that do not go on for as long as a ground motion, in sentences."""
+    for name, (begin, end) in spans(building).items():
+        for ground in grounds:
+            last = float(ground.time[-1])
+            if begin > MARGIN * last or end < (1 - MARGIN) * last:
+                yield (
+                    f"the actuation of the damper at {name} is known from {begin:.4g} s to "
+                    f"{end:.4g} s, and the ground motion {ground.name} goes on to {last:.4g} s: "
+                    "the first and the last actuation are taken to stay"
+                )
 
 
 def remarks_of(source: Source, response: Response) -> list[str]:

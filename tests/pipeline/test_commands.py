@@ -378,6 +378,8 @@ def test_a_band_of_the_whole_history_is_wider_than_that_of_single_samples(run):
     plain, whole = (predicted(run, 0.7, whole=asked) for asked in (False, True))
     assert plain.whole_lower is None
     np.testing.assert_array_equal(plain.lower, whole.lower)
+    np.testing.assert_array_equal(plain.whole, (whole.whole_lower, whole.whole_upper))
+    np.testing.assert_array_equal(whole.whole, plain.whole)
     assert np.all(whole.whole_lower <= whole.lower)
     assert np.all(whole.whole_upper >= whole.upper)
     inside = (whole.draws >= whole.whole_lower) & (whole.draws <= whole.whole_upper)

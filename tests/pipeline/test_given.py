@@ -64,6 +64,22 @@ def test_the_part_is_marked_and_the_rest_narrower(ask, out, record, tmp_path):
     check_question(Question(record, "1200 psi", "new_test", 0.95, tmp_path / "bands.csv"))
 
 
+@pytest.mark.parametrize("rate", [(), ("--rate", "12 Hz")])
+def test_the_force_outside_the_window_does_not_matter(ask, record, tmp_path, rate):
+    """Also where the motion is thinned behind a low-pass filter."""
+    whole, bands = pd.read_csv(record, comment="#"), []
+    late = whole.time_s > 1.0
+    for factor in (1.0, -3.0):
+        whole.assign(force_kip=whole.force_kip.where(~late, factor * whole.force_kip)).to_csv(
+            tmp_path / "m.csv", index=False
+        )
+        found = ask("--motion", tmp_path / "m.csv", "--given", "0 s to 1 s", *rate)
+        assert found.exit_code == 0, found.output
+        bands.append(table(tmp_path / "bands.csv")[1])
+    assert len(bands[0]) < len(whole) or not rate
+    np.testing.assert_array_equal(bands[0].upper_kip, bands[1].upper_kip)
+
+
 @pytest.mark.slow
 def test_derived_quantities_know_the_part_too(ask, record, tmp_path):
     sds = []
@@ -82,7 +98,7 @@ def test_derived_quantities_know_the_part_too(ask, record, tmp_path):
         (("--given", "2 s to 1 s"), "--given must end after it starts"),
         (("--given", "0 s to 60 s"), "must lie within the record, which goes from 0 s to"),
         (("--given", "0 s to 1 s", "--kind", "device"), "for the kinds new_test and observation"),
-        (("--given", "0 s to 1 s", "--explain"), "explain cannot be combined with given"),
+        (("--given", "1 ms to 2 ms"), "holds 0 samples, too few"),
         (("--given", "0 s to 1 s", "--design"), "--design cannot be combined with --given"),
         (
             ("--given", "0 s to 1 s", "--kind", "observation", "--recalibrate"),

@@ -148,6 +148,7 @@ def test_a_band_of_the_whole_history_holds_with_it(tools, study, few):
         ((0.0, 9.0), "must lie within the record, which goes from 0 s to 3.96875 s"),
         ((-2.0, 1.0), "must lie within the record"),
         ((0.0, 0.04), "holds 2 samples, too few: at least 3"),
+        ((0.001, 0.002), "holds 0 samples, too few: at least 3"),
     ],
 )
 def test_a_window_that_is_none_is_refused(tools, study, window, said):
@@ -170,7 +171,6 @@ def test_a_force_that_is_not_there_is_named(study):
     [
         (Forecast("device"), "given is for the kinds new_test and observation, not for device"),
         (Forecast("this_test"), "not for this_test"),
-        (Forecast(permutations=8), "explain cannot be combined with given"),
     ],
 )
 def test_what_cannot_be_combined_is_refused(tools, study, forecast, said):

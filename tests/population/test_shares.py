@@ -13,7 +13,7 @@ from mfd_bayes.population.drawn import Drawn
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.shares import ADVICE, GROUPS, SOURCES, shapley, shares_of
+from mfd_bayes.population.shares import ADVICE, GROUPS, PERMUTATIONS, SOURCES, shapley, shares_of
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(401) / 100
@@ -156,3 +156,17 @@ def test_nothing_that_varies_has_no_shares():
 def test_a_sentence_counts_in_tenths(share, words):
     rest = {f"other {k}": (1 - share) / 20 for k in range(20)}
     assert words in width_sentence({"noise": share, **rest})
+
+
+def test_a_band_has_its_shares_when_they_are_looked_at(population):
+    predictor = Predictor(population, ThreeStage(), find_noise("ou"))
+    trace = Trace.from_arrays(TIME, MOTION, 1.0)
+    known, later = (
+        predictor.predict(trace, Forecast("observation", draws=200, permutations=n))
+        for n in (PERMUTATIONS, 0)
+    )
+    assert known.explained == known.shares
+    assert later.explained == {}
+    assert later.shares == known.shares
+    assert later.shares is later.shares  # computed once
+    assert sum(later.shares.values()) == pytest.approx(1.0)

@@ -97,6 +97,6 @@ def test_dampers_of_a_building_deviate_from_the_laws_alike(study, tmp_path, monk
     np.testing.assert_allclose(away.std(axis=0), [sd, sd / 2.0], rtol=0.15)
     assert np.corrcoef(away.T)[0, 1] == pytest.approx(0.48, abs=0.1)
     monkeypatch.setattr(Along, "size", 0)  # the control: the laws hold along the history
-    monkeypatch.setattr(Along, "factors", lambda *_: {})
+    monkeypatch.setattr(Along, "log_factors", lambda *_: {})
     away = forward(dampers(study, tmp_path, 2)) - np.log(law)
     assert np.corrcoef(away.T)[0, 1] > 0.95

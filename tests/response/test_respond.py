@@ -145,6 +145,21 @@ def test_dampers_of_another_kind_of_actuation_are_refused(run, path, ground):
         run.respond(path, ground)
 
 
+def test_a_history_that_ends_before_the_earthquake_is_told(run, path, ground, tmp_path):
+    valve = tmp_path / "valve.csv"
+    history = 'actuation = { file = "valve.csv", column = "pressure_ksi", unit = "ksi" }'
+    path.write_text(BUILDING.replace('actuation = "1000 psi"', history))
+    told = []
+    for end in (0.5, 1000.0):
+        valve.write_text(f"time_s,pressure_ksi\n0,1.0\n{end},1.0\n")
+        response = run.respond(path, ground, draws=12, kind="device", tolerance=0.2)
+        told.append([r for r in response.remarks if "valve" in r or "are taken to stay" in r])
+    both, nothing = told
+    assert len(both) == 2  # dampers
+    assert all("is known from 0 s to 0.5 s, and the ground motion" in said for said in both)
+    assert nothing == []
+
+
 @pytest.mark.slow
 def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_path):
     out = tmp_path / "response"
@@ -159,7 +174,10 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
     assert "Which actuation is best?" in page
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert json.loads((out / "response.json").read_text())["peaks"][0]["quantity"] == "drift ratio"
-    assert (out / "sweep.csv").read_text().count("\n") == 4
+    head, *levels = (out / "sweep.csv").read_text().splitlines()
+    assert head.startswith("actuation_ksi,drift_mean_in,drift_median_in,drift_mean_in,")
+    assert len(levels) == 3
+    assert all(row.split(",")[1] == row.split(",")[3] for row in levels)
     assert r"\toprule" in (out / "peaks.tex").read_text()
     again = CliRunner().invoke(app, words)
     assert again.exit_code == 0, again.output
@@ -169,6 +187,8 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
     ("words", "sentence"),
     [
         (["--sweep", "actuation=800 psi"], "expected actuation"),
+        (["--sweep", "actuation=500 N to 1500 N"], "--sweep: the actuation must be a pressure"),
+        (["--sweep", "actuation=1 psi to 2 psi in 300 steps"], "1 to 100 steps, got 300"),
         (["--peak", "3 in"], "expected an acceleration"),
         (["--ground", "nothing.AT2"], "cannot read nothing.AT2"),
         (["--building", "nothing.toml"], "cannot read nothing.toml"),
