@@ -74,6 +74,7 @@ HOMES = {
         *("mfd_bayes.cli.commands", "mfd_bayes.cli.arguments", "mfd_bayes.cli.preparation"),
         *("mfd_bayes.cli.calibration", "mfd_bayes.cli.prediction", "mfd_bayes.cli.planning"),
         *("mfd_bayes.cli.console", "mfd_bayes.cli.exits", "mfd_bayes.cli.response"),
+        "mfd_bayes.cli.usage",
     ),
     "rich": ("mfd_bayes.cli.console", "mfd_bayes.cli.progress"),
 }

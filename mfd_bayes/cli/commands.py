@@ -18,9 +18,11 @@ from mfd_bayes.cli.prediction import compare, crossvalidate, predict
 from mfd_bayes.cli.preparation import init, inspect, prior_check
 from mfd_bayes.cli.response import export, respond
 from mfd_bayes.cli.streams import checked_streams
+from mfd_bayes.cli.usage import OneSentence
 from mfd_bayes.jobs.signals import end_on_signals
 
 app = typer.Typer(
+    cls=OneSentence,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",  # keeps the lines of examples apart

@@ -124,8 +124,9 @@ def prior_check(
     """Draw the prior predictive band of the force beside the data of every test.
 
     Where most of a test's force lies outside the band, the exit code is 1: it
-    names the prior that is most wrong and what would mend it. Writes a PNG of
-    every test: CAMPAIGN_ID_prior.png, here or in the folder of -o.
+    names the test, the prior that is most wrong and what would mend it. A test
+    without actuation is only noted where others have one. Writes a PNG of every
+    test: CAMPAIGN_ID_prior.png, here or in the folder of -o.
 
     Example:
       mfd-bayes prior-check campaign.toml
@@ -137,6 +138,15 @@ def prior_check(
         found = pipeline.prior_check(campaign, folder, force=force, units=units or "")
     for name, share, picture in found.tests:
         say(f"{name}: {share:.0%} of the force inside the 95 % prior band; {picture}")
+    if found.unloaded:
+        say(
+            f"note: most of the force of {', '.join(found.unloaded)} lies outside. It was measured "
+            "without actuation, and the priors are of a device under actuation."
+        )
     if found.wrong:
-        say(f"warning: most of the force lies outside of what the priors allow: {found.wrong}")
+        names = ", ".join(name for name in found.outside if name not in found.unloaded)
+        say(
+            f"warning: most of the force of {names} lies outside of what the priors allow: "
+            f"{found.wrong}"
+        )
         raise typer.Exit(1)

@@ -187,12 +187,19 @@ class PriorCheck:
     Attributes
     ----------
     tests : tuple of (test's id, share of the measured force inside the 95 % prior band, picture)
+    outside : tuple of str
+        Tests of whose force most lies outside.
+    unloaded : tuple of str
+        Those of them without actuation, where others have one: the priors are of a device under
+        actuation, and need not fit them.
     wrong : str
-        Which prior is most wrong and what would mend it, where most of the force of a test lies
-        outside; else empty.
+        Which prior is most wrong and what would mend it, by the other tests outside; empty without
+        any.
     """
 
     tests: tuple[tuple[str, float, Path], ...]
+    outside: tuple[str, ...]
+    unloaded: tuple[str, ...]
     wrong: str
 
 
@@ -213,7 +220,7 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
     places = {test.id: folder / f"{path.stem}_{test.id}_prior.png" for test in campaign.tests}
     outputs = [Output(place, is_picture) for place in places.values()]
     check_outputs(outputs, [path, *(test.path for test in campaign.tests)], force=force)
-    found, traces = [], []
+    found, traces = [], {}
     records = {test.id: test.read() for test in campaign.tests}
     system = system_of_records(records.values(), units)
     for test in campaign.tests:
@@ -226,6 +233,11 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
         write_picture(places[test.id], to_png(figure))
         share = share_inside(fan, trace)
         found.append((test.id, share, places[test.id]))
-        traces += [trace] if share < MOST else []
-    misfit = most_wrong(priors, campaign.model, traces)
-    return PriorCheck(tuple(found), misfit.sentence(system) if misfit else "")
+        traces[test.id] = trace
+    outside = tuple(name for name, share, _ in found if share < MOST)
+    unloaded = tuple(name for name in outside if traces[name].reference_actuation == 0.0)
+    if all(trace.reference_actuation == 0.0 for trace in traces.values()):
+        unloaded = ()
+    told = [traces[name] for name in outside if name not in unloaded]
+    misfit = most_wrong(priors, campaign.model, told)
+    return PriorCheck(tuple(found), outside, unloaded, misfit.sentence(system) if misfit else "")

@@ -80,6 +80,29 @@ def test_an_example_with_an_option_that_is_not_there_would_be_found():
         COMMANDS["check"].make_context("check", ["out", "--loud"])
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("predict", "out", "--kind", "nope"), "--kind: 'nope' is not one of 'device', 'new_test'"),
+        (("respond", "out", "--draws", "-5"), "--draws must be greater than or equal to 10"),
+        (("calibrate", "c.toml", "--jobz", "1"), "No such option: --jobz"),
+        (("predict",), "Missing argument 'out'"),
+        (("predict", "out", "--motion"), "'--motion' requires an argument"),
+        (("nosuch",), "No such command 'nosuch'"),
+    ],
+)
+def test_a_typing_error_is_one_sentence_that_names_the_help(words, said):
+    outcome = here(list(words))
+    assert outcome.exit_code == 2
+    assert outcome.stdout == ""
+    (sentence,) = outcome.stderr.splitlines()
+    assert sentence.startswith("mfd-bayes: ")
+    assert said in sentence
+    command = "" if words[0] == "nosuch" else f" {words[0]}"
+    assert sentence.endswith(f"; see mfd-bayes{command} -h")
+    assert "Value error" not in sentence
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_says_what_it_writes_and_what_to_do_next(command):
     lines = help_of(command)
