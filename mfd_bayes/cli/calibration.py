@@ -51,6 +51,7 @@ def calibrate(
         )
         plan = pipeline.plan_campaign(campaign, options)
         if dry_run:
+            pipeline.check_dry(plan, out)
             console.print_plan(plan)
             return
         if not quiet:

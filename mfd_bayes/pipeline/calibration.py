@@ -37,7 +37,7 @@ from mfd_bayes.runs.folder import (
 )
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Manifest, Status
-from mfd_bayes.runs.resumption import Existing, prepare_folder
+from mfd_bayes.runs.resumption import Existing, check_free, prepare_folder
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.store.netcdf import save_trace
@@ -78,14 +78,28 @@ def working_in(plan: Plan, out: Path) -> Iterator[None]:
         When the options contradict each other, the run would remove its own inputs, or another
         process works in the folder.
     """
+    check_place(plan, out)
+    check_workers(plan.options)
+    with alone_in(out):
+        yield
+
+
+def check_dry(plan: Plan, out: Path) -> None:
+    """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
+    check_place(plan, out)
+    options = plan.options
+    if out.is_dir():
+        existing = Existing.asked(resume=options.resume, force=options.force)
+        check_free(plan.campaign.folder, out, existing)
+
+
+def check_place(plan: Plan, out: Path) -> None:
+    """Refuse options that contradict each other, and a folder that holds the plan's inputs."""
     options, campaign = plan.options, plan.campaign
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
-    check_workers(options)
     inputs = (campaign.path, plan.priors.path, *(test.path for test in campaign.tests))
     check_apart(out, inputs, force=options.force)
-    with alone_in(out):
-        yield
 
 
 def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:

@@ -15,7 +15,7 @@ from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.dispatch import check_workers
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
+from mfd_bayes.pipeline.calibration import calibrate_locked, check_dry, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
 from mfd_bayes.pipeline.draws import write_draws
@@ -46,6 +46,7 @@ __all__ = [
     "calibrate_campaign",
     "calibrate_plan",
     "check",
+    "check_dry",
     "compare",
     "crossvalidate",
     "demo",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def planned_setting(
     FitError
         When the actuation or a covariate is no number above zero.
     """
-    if not 0.0 <= actuation < np.inf:
+    if not (isinstance(actuation, Real) and 0.0 <= actuation < np.inf):
         raise FitError(f"the planned actuation must be 0 or more, in ksi or kip, got {actuation}")
     covariates = {}
     for name, value in planned.items():

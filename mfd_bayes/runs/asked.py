@@ -117,6 +117,16 @@ def sentence_of(manifest: Manifest, system: System) -> str:
     return system.reworded(manifest.verdicts.get("sentence", ""))
 
 
+def new_session(manifest: Manifest, session: str) -> tuple[str, ...]:
+    """A remark where a session is asked for that no test of the run has."""
+    known = dict.fromkeys(test.session for test in manifest.settings.tests.values())
+    if not session or session in known:
+        return ()
+    named = ", ".join(repr(name) for name in known if name)
+    has = f"the run has {named}" if named else "the campaign declares no sessions"
+    return (f"session {session!r} is taken for a new one, whose tests may differ: {has}",)
+
+
 def remarks_of(
     left: Iterable[Departure], manifest: Manifest, system: System, *, widened: bool
 ) -> tuple[str, ...]:

@@ -98,17 +98,15 @@ def prepare_folder(
     check_places(out)
     if _is_free(home, out):
         return manifest, None
-    if existing is Existing.REFUSED:
-        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
+    check_free(home, out, existing)
     if existing is Existing.REPLACED or (out / DISCARDED).exists():
         discard(out)
         return manifest, None
     try:
         before = read_begun(out)
     except StoreError as error:
-        raise StoreError(
-            f"{out} cannot be resumed: {error}; give --force to start again"
-        ) from error
+        again = "--force to start again" if (out / MANIFEST).exists() else "another folder by -o"
+        raise StoreError(f"{out} cannot be resumed: {error}; give {again}") from error
     same = _same_parts(manifest, before, out, priors)
     _refuse_changes(manifest, before, out, () if same is None else _MAY_CHANGE)
     files = _kept_files(manifest.tests, out, before.files or {})
@@ -118,6 +116,12 @@ def prepare_folder(
     if same == POPULATION_TOO and before.crossvalidation is not None:
         before = before.changed(crossvalidation=None)
     return kept, None if same == TESTS else before
+
+
+def check_free(home: Path, out: Path, existing: Existing) -> None:
+    """Refuse a folder that exists and is neither to be resumed nor to be replaced."""
+    if existing is Existing.REFUSED and not _is_free(home, out):
+        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
 
 
 def _refuse_changes(

@@ -209,6 +209,7 @@ class Run:
             band = predictor.predict(trace, forecast)
         left = self.departures(trace, test)
         remarks = asked.remarks_of(left, self.manifest, self.system, widened=not test)
+        remarks += asked.new_session(self.manifest, session)
         remarks += (NO_GAP,) if after and forecast.before is None else ()
         band = replace(band, remarks=remarks + band.remarks, extras=self.extras)
         return asked.recalibrated(band, scores, self.manifest) if recalibrate else band

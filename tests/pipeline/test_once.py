@@ -78,6 +78,29 @@ def test_a_dry_run_reads_each_record_once_and_still_warns(campaign, reads):
     assert reads == dict.fromkeys(TESTS, 1)
 
 
+def test_a_dry_run_refuses_what_the_run_would(campaign):
+    for out, options, said in (
+        (campaign.parent, (), "exists: give --resume to finish it or --force"),
+        ("out", ("--resume", "--force"), "give either --resume or --force"),
+    ):
+        words = ["calibrate", str(campaign), "-o", str(out), "--dry-run", *options]
+        outcome = CliRunner().invoke(app, words)
+        assert outcome.exit_code == 2, outcome.output
+        assert said in outcome.stderr
+
+
+def test_a_folder_that_is_no_run_is_not_said_to_be_replaced_by_force(campaign, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "thesis.tex").write_text("x")
+    for options, said in ((["--resume"], "give another folder by -o"), (["--force"], "exists and")):
+        outcome = CliRunner().invoke(app, ["calibrate", str(campaign), "-o", str(other), *options])
+        assert outcome.exit_code == 2
+        assert said in outcome.stderr
+        assert "--force to start" not in outcome.stderr
+    assert [path.name for path in other.iterdir()] == ["thesis.tex"]
+
+
 def test_a_cross_validation_is_planned_once(campaign, tmp_path, reads, plans):
     options = Options(effort="quick", by="test")
     with pytest.raises(_StopError):
