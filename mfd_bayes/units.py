@@ -27,26 +27,27 @@ GRAVITY = 386.0886
 
 
 class Dimension(NamedTuple):
-    """A dimension: its internal unit, its name in messages, and units to suggest."""
+    """A dimension: its internal unit, and in messages its name, units and a quantity."""
 
     unit: str
     measure: str
     examples: str
+    quantity: str
 
 
 DIMENSIONS: Mapping[str, Dimension] = MappingProxyType(
     {
-        "time": Dimension("s", "time", "'s' or 'ms'"),
-        "displacement": Dimension("in", "length", "'in' or 'mm'"),
-        "velocity": Dimension("in/s", "velocity", "'in/s' or 'mm/s'"),
-        "force": Dimension("kip", "force", "'kip' or 'kN'"),
-        "pressure": Dimension("ksi", "pressure", "'psi' or 'MPa'"),
-        "stiffness": Dimension("kip/in", "stiffness", "'kip/in' or 'kN/mm'"),
-        "damping": Dimension("kip*s/in", "damping", "'kip*s/in' or 'kN*s/mm'"),
-        "area": Dimension("in^2", "area", "'in^2' or 'mm^2'"),
-        "mass": Dimension("kip*s^2/in", "mass", "'kg' or 'slug'"),
-        "rate": Dimension("Hz", "rate", "'Hz' or '1/s'"),
-        "dimensionless": Dimension("1", "ratio", "'1' or '%'"),
+        "time": Dimension("s", "time", "'s' or 'ms'", "10 s"),
+        "displacement": Dimension("in", "length", "'in' or 'mm'", "1 in"),
+        "velocity": Dimension("in/s", "velocity", "'in/s' or 'mm/s'", "2 in/s"),
+        "force": Dimension("kip", "force", "'kip' or 'kN'", "2 kip"),
+        "pressure": Dimension("ksi", "pressure", "'psi' or 'MPa'", "500 psi"),
+        "stiffness": Dimension("kip/in", "stiffness", "'kip/in' or 'kN/mm'", "30 kip/in"),
+        "damping": Dimension("kip*s/in", "damping", "'kip*s/in' or 'kN*s/mm'", "0.1 kip*s/in"),
+        "area": Dimension("in^2", "area", "'in^2' or 'mm^2'", "1.5 in^2"),
+        "mass": Dimension("kip*s^2/in", "mass", "'kg' or 'slug'", "100 kg"),
+        "rate": Dimension("Hz", "rate", "'Hz' or '1/s'", "64 Hz"),
+        "dimensionless": Dimension("1", "ratio", "'1' or '%'", "5 %"),
     }
 )
 """The dimensions that a unit can have, by name."""
@@ -188,7 +189,7 @@ def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
     UnitError
         When it is not a number and a unit of that dimension.
     """
-    value, unit = split_quantity(text, of=of)
+    value, unit = split_quantity(text, of=of, example=DIMENSIONS[dimension].quantity)
     return value * factor(unit, dimension, of=of or f"{text!r}")
 
 
@@ -226,8 +227,8 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     return level, internal
 
 
-def split_quantity(text: str, *, of: str = "") -> tuple[float, str]:
-    """Number and unit of ``"518.7 mm^2"``, whatever the unit measures.
+def split_quantity(text: str, *, of: str = "", example: str = "500 psi") -> tuple[float, str]:
+    """Number and unit of ``"518.7 mm^2"``, whatever the unit measures; `example` is for messages.
 
     Raises
     ------
@@ -237,7 +238,7 @@ def split_quantity(text: str, *, of: str = "") -> tuple[float, str]:
     # The time of matching grows with the square of the number of blanks.
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     text = text if len(text) <= _LONGEST else f"{text[:40]}…"
-    expected = f"{of + ': ' if of else ''}expected a number and a unit such as '500 psi'"
+    expected = f"{of + ': ' if of else ''}expected a number and a unit such as {example!r}"
     if _GROUPED.match(text):
         raise UnitError(f"{expected}, got {text!r}; write the number without thousands separators")
     if match is None:

@@ -134,7 +134,7 @@ def parse_window(text: str, *, of: str = "") -> tuple[float, float]:
     """
     parts = text.split(" to ")
     if len(parts) != 2:
-        raise UnitError(f"{of or 'a window'} reads '0 s to 60 s', got {text!r}")
+        raise UnitError(f"{of or 'a window'} must be two times such as '0 s to 60 s', got {text!r}")
     start, end = (parse_quantity(part, "time", of=of) for part in parts)
     if not start < end:
         raise UnitError(f"{of or 'a window'} must end after it starts, got {text!r}")

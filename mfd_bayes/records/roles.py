@@ -50,9 +50,10 @@ def roles_of(
         if role not in ROLES:
             raise RecordError(f"unknown role {role!r} of a column; expected {', '.join(ROLES)}")
     roles = {role: table.name_of(column) for role, column in columns.items()}
-    if not {"time", "displacement"} & columns.keys():
-        wanted = [r for r in ROLES if r not in roles and (r != "actuation" or actuation is None)]
-        roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
+    chosen = bool({"time", "displacement"} & columns.keys())  # then what is not named is not used
+    used: tuple[str, ...] = ("time", "displacement") if chosen else ROLES
+    wanted = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
+    roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
     missing = [role for role in ("time", "displacement") if role not in roles]
@@ -97,6 +98,10 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
     ours, theirs = header_unit(own_name(name)), table.units.get(name)
     if theirs is None:
         if ours is None:
+            if name not in table.names:
+                raise RecordError(
+                    f"{table.path} has no column {name!r}: it has {', '.join(table.names[:20])}"
+                )
             raise RecordError(
                 f"column {name!r} of {table.path} has no unit in its name; give the unit of {role}"
             )

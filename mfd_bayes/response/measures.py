@@ -37,7 +37,7 @@ def parse_acceleration(text: str) -> float:
     """
     if match := _IN_G.fullmatch(text):
         return float(match[1]) * GRAVITY
-    value, unit = split_quantity(text)
+    value, unit = split_quantity(text, example="0.3 g")
     try:
         return value * convert(unit, ACCELERATION)
     except UnitError as error:

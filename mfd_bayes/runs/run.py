@@ -167,13 +167,12 @@ class Run:
         test : str
             Id of the calibrated test, for the kind `this_test`.
         whole : bool
-            Whether to compute the band of the whole history too.
+            Whether to compute `Band.whole` at once.
         recalibrate : bool
             Whether to widen a band of kind `observation` by what tests showed that were left
             out; its `remarks` say what it promises. Needs a cross-validation in the run.
         explain : bool or int
-            Whether to compute `Band.shares`, what makes the band wide; or the number of
-            permutations for that. It takes as long as some 70 predictions.
+            Whether to compute `Band.shares` at once; or the number of permutations for them.
         given : (float, float), s, optional
             Window of the record in which the trace's force is known: the band of all the record,
             given that part, for the kinds `new_test` and `observation`.
@@ -209,9 +208,9 @@ class Run:
             band = predictor.predict(trace, forecast)
         left = self.departures(trace, test)
         remarks = asked.remarks_of(left, self.manifest, self.system, widened=not test)
-        remarks += asked.new_session(self.manifest, session)
         remarks += (NO_GAP,) if after and forecast.before is None else ()
-        band = replace(band, remarks=remarks + band.remarks, extras=self.extras)
+        remarks += (*asked.new_session(self.manifest, session), *band.remarks)
+        band = replace(band, remarks=remarks, extras=self.extras)
         return asked.recalibrated(band, scores, self.manifest) if recalibrate else band
 
     def respond(

@@ -94,7 +94,8 @@ def test_derived_quantities_know_the_part_too(ask, record, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--given", "soon"), "--given reads '0 s to 60 s', got 'soon'"),
+        (("--given", "soon"), "--given must be two times such as '0 s to 60 s', got 'soon'"),
+        (("--given", "0 to 1"), "expected a number and a unit such as '10 s'; '0' has no unit"),
         (("--given", "2 s to 1 s"), "--given must end after it starts"),
         (("--given", "0 s to 60 s"), "must lie within the record, which goes from 0 s to"),
         (("--given", "0 s to 1 s", "--kind", "device"), "for the kinds new_test and observation"),

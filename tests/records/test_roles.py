@@ -58,3 +58,19 @@ def test_a_column_without_a_unit_says_so(tmp_path):
     assert str(caught.value) == (
         f"column 'force' of {held.path} has no unit in its name; give the unit of force"
     )
+
+
+def test_of_time_and_displacement_one_may_be_named_and_the_other_found(tmp_path):
+    held = table(tmp_path, "time_s", "displacement_in", "lvdt_in", "force_kip")
+    expected = {"time": "time_s", "displacement": "lvdt_in"}
+    assert roles_of(held, {"displacement": "lvdt_in"}, {}) == expected  # and no force
+    assert roles_of(held, {}, {})["force"] == "force_kip"  # the control
+
+
+def test_a_column_that_is_not_there_says_what_is(tmp_path):
+    held = table(tmp_path, "time_s", "displacement_in")
+    with pytest.raises(RecordError) as caught:
+        unit_of(held, "force", "load", {})
+    assert str(caught.value) == (
+        f"{held.path} has no column 'load': it has time_s, displacement_in"
+    )
