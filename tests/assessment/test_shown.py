@@ -32,6 +32,7 @@ def same(one, other):
 
 
 def test_several_processes_make_the_views_that_one_makes(run, monkeypatch):
+    """Prior draws that are sent with each are held once."""
     alone, lost = views_of_tests(run)
     assert lost == {}
     assert [view.id for view in alone] == list(run.manifest.tests)
@@ -39,6 +40,8 @@ def test_several_processes_make_the_views_that_one_makes(run, monkeypatch):
     together, lost = views_of_tests(run, 2)
     assert lost == {}
     assert not multiprocessing.active_children()
+    first, second = (view.marginals for view in together if view.role == "calibrate")
+    assert all(a.prior is b.prior for a, b in zip(first, second, strict=True))
     for one, other in zip(alone, together, strict=True):
         assert one.id == other.id
         if one.role == "calibrate":
@@ -49,12 +52,6 @@ def test_several_processes_make_the_views_that_one_makes(run, monkeypatch):
 def same_after_a_change(one, other):
     """Control of `same`: a check of another verdict."""
     return same(one, replace(other, checks=other.checks[:-1]))
-
-
-def test_prior_draws_that_processes_send_are_held_once(run):
-    views = [view for view in views_of_tests(run, 2)[0] if view.role == "calibrate"]
-    first, second = (view.marginals for view in views)
-    assert all(a.prior is b.prior for a, b in zip(first, second, strict=True))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

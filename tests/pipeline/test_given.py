@@ -64,7 +64,7 @@ def test_the_part_is_marked_and_the_rest_narrower(ask, out, record, tmp_path):
     check_question(Question(record, "1200 psi", "new_test", 0.95, tmp_path / "bands.csv"))
 
 
-@pytest.mark.parametrize("rate", [(), ("--rate", "12 Hz")])
+@pytest.mark.parametrize("rate", [pytest.param((), marks=pytest.mark.slow), ("--rate", "12 Hz")])
 def test_the_force_outside_the_window_does_not_matter(ask, record, tmp_path, rate):
     """Also where the motion is thinned behind a low-pass filter."""
     whole, bands = pd.read_csv(record, comment="#"), []
