@@ -84,9 +84,9 @@ def test_an_example_with_an_option_that_is_not_there_would_be_found():
     ("words", "said"),
     [
         (("predict", "out", "--kind", "nope"), "--kind: 'nope' is not one of 'device', 'new_test'"),
-        (("respond", "out", "--draws", "-5"), "--draws must be greater than or equal to 10"),
-        (("calibrate", "c.toml", "--jobz", "1"), "No such option: --jobz"),
-        (("predict",), "Missing argument 'out'"),
+        (("respond", "out", "--draws", "-5"), r"--draws.* 10\b"),
+        (("calibrate", "c.toml", "--jobz", "1"), "No such option.*--jobz"),
+        (("predict",), "Missing argument '(out|OUT)'"),
         (("predict", "out", "--motion"), "'--motion' requires an argument"),
         (("nosuch",), "No such command 'nosuch'"),
     ],
@@ -97,7 +97,7 @@ def test_a_typing_error_is_one_sentence_that_names_the_help(words, said):
     assert outcome.stdout == ""
     (sentence,) = outcome.stderr.splitlines()
     assert sentence.startswith("mfd-bayes: ")
-    assert said in sentence
+    assert re.search(said, sentence)  # typer's words differ from version to version
     command = "" if words[0] == "nosuch" else f" {words[0]}"
     assert sentence.endswith(f"; see mfd-bayes{command} -h")
     assert "Value error" not in sentence
