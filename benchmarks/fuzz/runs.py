@@ -219,7 +219,7 @@ def _opened(out: Path) -> tuple[Run, CampaignView]:
 def read_posterior(path: Path) -> object:
     """A test's posterior, as a report shows it."""
     run, _ = _opened(path.parents[2])
-    return calibrated_view(run, load_result("a", path, run.priors))
+    return calibrated_view(run.manifest, load_result("a", path, run.priors))
 
 
 def read_held_out(path: Path) -> object:

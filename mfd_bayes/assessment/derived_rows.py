@@ -21,6 +21,7 @@ from mfd_bayes.population.band import Band
 from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.average import ModelAverage
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -33,13 +34,15 @@ def _basis(count: int, which: str) -> str:
     return f"over {count} full cycle{'' if count == 1 else 's'} {which}" if count else NO_CYCLE
 
 
-def calibrated_rows(run: Run, test: TestResult, replicas: Replicas) -> tuple[DerivedRow, ...]:
+def calibrated_rows(
+    manifest: Manifest, test: TestResult, replicas: Replicas
+) -> tuple[DerivedRow, ...]:
     """Derived quantities of a fitted test; the record's are less the posterior median offset."""
     trace, first, values = test.trace, test.posterior.first, replicas.values
     force = replicas.force - values["offset"][:, None]
     drawn = derive_from_force(force, trace, first=first)
     level, model = trace.reference_actuation, test.posterior.model
-    drawn |= derive_from_parameters(model, values, level, _area(run))
+    drawn |= derive_from_parameters(model, values, level, _area(manifest))
     offset = float(np.median(values["offset"]))
     known = _measured(trace, offset, first) | dict.fromkeys(
         ("gap", "crossing"), read_off(trace, offset).gap
@@ -96,13 +99,14 @@ def predicted_rows(
 def _drawn(run: Run, trace: Trace, band: Band) -> dict[str, Array]:
     """Derived quantities of a band's draws."""
     level, model = trace.reference_actuation, next(iter(run.tests.values())).posterior.model
-    of_parameters = derive_from_parameters(model, band.values, level, _area(run))
+    of_parameters = derive_from_parameters(model, band.values, level, _area(run.manifest))
     return derive_from_force(band.draws, trace) | of_parameters
 
 
-def _area(run: Run) -> float | None:
+def _area(manifest: Manifest) -> float | None:
     """The actuator's area, in², where it is given and the actuation is a pressure."""
-    return run.manifest.settings.area if run.actuation_unit == "ksi" else None
+    settings = manifest.settings
+    return settings.area if settings.actuation_unit == "ksi" else None
 
 
 def _measured(trace: Trace, offset: float = 0.0, first: int = 0) -> dict[str, float]:

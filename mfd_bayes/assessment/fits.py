@@ -29,6 +29,7 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import US
 from mfd_bayes.store.netcdf import StoredTest
@@ -55,8 +56,8 @@ _CORNER = (
 )
 
 
-def calibrated_view(run: Run, test: TestResult) -> TestView:
-    """A test that was fitted; of its run the manifest alone is used."""
+def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
+    """A test that was fitted."""
     posterior, stored = test.posterior, test.stored
     values = stored.values()
     replicas = replicate(posterior, values, np.random.default_rng(0))
@@ -64,7 +65,6 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     noises = noise_rows(test.id, posterior, values, stored.facts)
     rows = with_others(_rows(test.id, stored, prior), noises)
     known = _identifiability(posterior, stored, prior)
-    manifest = run.manifest
     tolerances = manifest.settings.tolerances
     readings = reading_rows(test.id, posterior, values, tolerances)
     checked = CheckedTest(
@@ -76,7 +76,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
     return TestView(
         id=test.id,
         role="calibrate",
-        actuation=US.actuation(test.trace, run.actuation_unit),
+        actuation=US.actuation(test.trace, manifest.settings.actuation_unit),
         trace=test.trace,
         first=posterior.first,
         device=fan_of("this_test", replicas.force),
@@ -88,7 +88,7 @@ def calibrated_view(run: Run, test: TestResult) -> TestView:
         checks=checks_of_test(checked),
         score=score_of(test.id, "calibrate", test.trace, replicas.observed, posterior.first),
         identifiability=known,
-        derived=calibrated_rows(run, test, replicas),
+        derived=calibrated_rows(manifest, test, replicas),
         readings=readings,
         noises=noises,
         modes=_modes(stored.facts),

@@ -49,17 +49,14 @@ def _calibrated(run: Run, jobs: int) -> dict[str, TestView | MfdError]:
 
     Each test is sent to a process by itself: the records of all need not be held there.
     """
-    view = partial(calibrated_view, replace(run, tests={}, held_out={}, extras=None))
-    views = [partial(_attempt, view)] * len(run.tests)
+    views = [partial(_attempt, partial(calibrated_view, run.manifest))] * len(run.tests)
     tests = enumerate(replace(test, extras=None) for test in run.tests.values())
     with several_processes(views, jobs) as in_processes:
-        if in_processes is None:
-            return dict(zip(run.tests, in_turn(views)(tests), strict=True))
-        found = [
-            sharing_priors(view) if isinstance(view, TestView) else view
-            for view in in_processes(tests)
-        ]
-    return dict(zip(run.tests, found, strict=True))
+        found = (in_processes or in_turn(views))(tests)
+        return {
+            name: sharing_priors(view) if isinstance(view, TestView) else view
+            for name, view in zip(run.tests, found, strict=True)
+        }
 
 
 def _attempt(make: Callable[[Given], TestView], given: Given) -> TestView | MfdError:

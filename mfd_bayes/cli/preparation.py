@@ -144,9 +144,8 @@ def prior_check(
             "without actuation, and the priors are of a device under actuation."
         )
     if found.wrong:
-        names = ", ".join(name for name in found.outside if name not in found.unloaded)
         say(
-            f"warning: most of the force of {names} lies outside of what the priors allow: "
-            f"{found.wrong}"
+            f"warning: most of the force of {', '.join(found.outside)} lies outside of what the "
+            f"priors allow: {found.wrong}"
         )
         raise typer.Exit(1)

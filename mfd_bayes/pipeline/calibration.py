@@ -87,10 +87,8 @@ def working_in(plan: Plan, out: Path) -> Iterator[None]:
 def check_dry(plan: Plan, out: Path) -> None:
     """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
     check_place(plan, out)
-    options = plan.options
-    if out.is_dir():
-        existing = Existing.asked(resume=options.resume, force=options.force)
-        check_free(plan.campaign.folder, out, existing)
+    existing = Existing.asked(resume=plan.options.resume, force=plan.options.force)
+    check_free(plan.campaign.folder, out, existing)
 
 
 def check_place(plan: Plan, out: Path) -> None:

@@ -187,19 +187,18 @@ class PriorCheck:
     Attributes
     ----------
     tests : tuple of (test's id, share of the measured force inside the 95 % prior band, picture)
-    outside : tuple of str
-        Tests of whose force most lies outside.
     unloaded : tuple of str
-        Those of them without actuation, where others have one: the priors are of a device under
-        actuation, and need not fit them.
+        Tests without actuation of whose force most lies outside, where others have one: the priors
+        are of a device under actuation, and need not fit them.
+    outside : tuple of str
+        The other tests of whose force most lies outside.
     wrong : str
-        Which prior is most wrong and what would mend it, by the other tests outside; empty without
-        any.
+        Which prior is most wrong and what would mend it, by the tests outside; empty without any.
     """
 
     tests: tuple[tuple[str, float, Path], ...]
-    outside: tuple[str, ...]
     unloaded: tuple[str, ...]
+    outside: tuple[str, ...]
     wrong: str
 
 
@@ -234,10 +233,10 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
         share = share_inside(fan, trace)
         found.append((test.id, share, places[test.id]))
         traces[test.id] = trace
-    outside = tuple(name for name, share, _ in found if share < MOST)
-    unloaded = tuple(name for name in outside if traces[name].reference_actuation == 0.0)
-    if all(trace.reference_actuation == 0.0 for trace in traces.values()):
-        unloaded = ()
-    told = [traces[name] for name in outside if name not in unloaded]
-    misfit = most_wrong(priors, campaign.model, told)
-    return PriorCheck(tuple(found), outside, unloaded, misfit.sentence(system) if misfit else "")
+    still = [name for name, trace in traces.items() if trace.reference_actuation == 0.0]
+    noted = still if len(still) < len(traces) else []
+    missed = [name for name, share, _ in found if share < MOST]
+    unloaded = tuple(name for name in missed if name in noted)
+    outside = tuple(name for name in missed if name not in noted)
+    misfit = most_wrong(priors, campaign.model, [traces[name] for name in outside])
+    return PriorCheck(tuple(found), unloaded, outside, misfit.sentence(system) if misfit else "")

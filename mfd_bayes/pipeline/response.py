@@ -125,6 +125,8 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
 
     if levels is not None:
         check_kind("--sweep: the actuation", levels[1], run.actuation_unit)
+        if not building.devices:
+            raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
 
     def answer(of: Building, told: str = "") -> Response:
         return run.respond(
@@ -139,8 +141,6 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
         response = answer(building)
         sweep = None
         if levels is not None:
-            if not building.devices:
-                raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
             each = [
                 answer(
                     building.at_level(level),

@@ -99,9 +99,7 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
     if theirs is None:
         if ours is None:
             if name not in table.names:
-                raise RecordError(
-                    f"{table.path} has no column {name!r}: it has {', '.join(table.names[:20])}"
-                )
+                raise table.no_column(name)
             raise RecordError(
                 f"column {name!r} of {table.path} has no unit in its name; give the unit of {role}"
             )

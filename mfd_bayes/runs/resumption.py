@@ -218,7 +218,7 @@ def _kept_files(tests: Iterable[str], out: Path, digests: Mapping[str, str]) -> 
 
 def _is_free(home: Path, out: Path) -> bool:
     """Whether a folder holds nothing but the campaign, a lock's owner or an unfinished manifest."""
-    return all(
+    return not out.is_dir() or all(
         entry.resolve() == home
         or entry.name == OWNER
         or is_part(entry, MANIFEST)

@@ -72,5 +72,5 @@ def test_a_column_that_is_not_there_says_what_is(tmp_path):
     with pytest.raises(RecordError) as caught:
         unit_of(held, "force", "load", {})
     assert str(caught.value) == (
-        f"{held.path} has no column 'load': it has time_s, displacement_in"
+        f"missing column 'load' in {held.path}; it has time_s, displacement_in"
     )

@@ -39,7 +39,7 @@ class Table:
         """
         for name in names:
             if self.names.count(name) != 1:
-                raise self._no_column(name)
+                raise self.no_column(name)
         columns = self.load(names)
         sizes = {name: column.size for name, column in columns.items()}
         if len(set(sizes.values())) > 1:
@@ -72,7 +72,7 @@ class Table:
             )
         return self.names[numbers.index(column)]
 
-    def _no_column(self, name: str) -> RecordError:
+    def no_column(self, name: str) -> RecordError:
         """Error for a name that no column, or more than one, has."""
         shared = [self.number_of(other) for other in self.names if own_name(other) == name]
         if len(shared) > 1:
