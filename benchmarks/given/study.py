@@ -25,6 +25,7 @@ from mfd_bayes.population.pace import Counting, Pace
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.residual import Residual, slip_force_of
+from mfd_bayes.population.sequel import standing_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.strokes import StrokeLevels
 from mfd_bayes.population.travel import KNOTS, TravelBasis
@@ -160,7 +161,8 @@ def draw_truth(study: Study, rng: np.random.Generator, noisier: float = 1.0) -> 
     setting = setting_of(motion, study.session)
     varying = motion.varying
     values = population.values(population.draw_parts(setting, index, rng, leveled=not varying))
-    values |= {"start": population.draw_starts(rng, 1, setting), "gamma1": np.ones(1)}
+    standing = standing_of(population, predictor.model, values, motion)
+    values |= {"start": population.draw_starts(rng, 1, setting, standing), "gamma1": np.ones(1)}
     scales = {}
     if varying:
         level, scales = _deviation(population, motion, int(index[0]), rng)

@@ -246,6 +246,10 @@ class BacklashLuGre(Model):
         ways = [values[f"Fc_{side}"] / values[f"k_{side}"] for side in SIDES]
         return values["gap"] + ways[0] + ways[1]
 
+    def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """The gap, in which the spring bears no load: see `Model.unloaded`."""
+        return Damper(dict(values)).unloaded
+
     def stages(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
     ) -> NDArray[np.int8]:

@@ -22,6 +22,14 @@ Random walks and real records are then within 0.07 % of steps a tenth as long.
 SURE = 7.0
 """Lengths over which slip sets in, after which it surely has."""
 
+LITTLE = 0.2
+"""Share of the slip force that a device at rest without load bears at most.
+
+The load cell shows less than 0.1 at the start of all 32 records of shared/data/brfd. It is twice as
+much, since the corners of fitted springs are not exact: at the start of tests whose load cell shows
+0.02 some of them bear 0.1.
+"""
+
 POWERS = 5
 """Coefficients of the polynomial by which deflections in slip follow static friction."""
 
@@ -144,6 +152,21 @@ class Damper:
         """Share of the range at a deflection z, (n,), in; what lies beyond is at its end."""
         low, high = self.range
         return np.clip((z - low) / (high - low), 0.0, 1.0)
+
+    @cached_property
+    def unloaded(self) -> tuple[Array, Array, Array]:
+        """Where the spring bears at most `LITTLE` of the slip force, as a part of the range.
+
+        Its lower and upper end, at least a thousandth apart, and the length over which the force
+        doubles there, the mean of both ends, (n,) each.
+        """
+        (low, high), c = self.range, self.columns
+        slip = np.stack([-c["Fc_bwd"], c["Fc_fwd"]])
+        shares = np.array([LITTLE, 2.0 * LITTLE])[:, None, None]
+        at = self.spring.deflection(shares * slip, close=1e-4)
+        lower, upper = np.clip((at[0] - low) / (high - low), 0.0, 1.0)
+        edge = 0.5 * np.abs(at[1] - at[0]).sum(axis=0) / (high - low)
+        return lower, np.maximum(upper, lower + 1e-3), edge
 
     def taken_over(self, z: Array, other: Damper) -> Array:
         """Deflection z, (n,), in, that a deflection of other dampers is in these.

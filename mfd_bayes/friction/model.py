@@ -175,6 +175,21 @@ class Model:
         """Travel from slip to slip, (n,), in: what is read off a loop as its gap."""
         return self.gap(values)
 
+    def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array] | None:
+        """Part of the range of `start` in which a device at rest bears no load; None: all of it.
+
+        Parameters
+        ----------
+        values : mapping of str to (n,)
+            Quantities by name.
+
+        Returns
+        -------
+        lower, upper, edge : (n,), 1, each
+            Its ends, and the length over which the load grows there.
+        """
+        return None
+
     def stages(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
     ) -> NDArray[np.int8] | None:

@@ -169,6 +169,10 @@ class Weakened(Model):
         """Travel from slip to slip, (n,), in."""
         return self.base.crossing(values)
 
+    def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array] | None:
+        """Part of the range of `start` without load; that of the base."""
+        return self.base.unloaded(values)
+
     def stages(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
     ) -> NDArray[np.int8] | None:

@@ -16,6 +16,7 @@ from mfd_bayes.population.effects import Cell, Effect
 from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.predict import Predictor
+from mfd_bayes.population.sequel import standing_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.unshared import unknown_of
 
@@ -122,7 +123,8 @@ class Devices:
     ) -> Drawn:
         """Ingredients of the force under a setting, without noise."""
         parts = self.parts(setting, rng, scattered=scattered)
-        unknown = unknown_of(self.population, self.index.size, rng, setting)
+        standing = standing_of(self.population, self.predictor.model, self.population.values(parts))
+        unknown = unknown_of(self.population, self.index.size, rng, setting, standing)
         return Drawn(parts, unknown, {}, discrepancy=self.discrepancy)
 
     def damper(self, loop: Loop, session: str, *, scattered: bool, seed: Sequence[int]) -> Array:

@@ -8,6 +8,7 @@ long the test has run. Where the weights can no longer be trusted, the draws are
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,7 @@ from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior
 from mfd_bayes.population.residual import slip_force_of
+from mfd_bayes.population.sequel import standing_of
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.population.tempering import systematic
@@ -74,7 +76,8 @@ class Forecaster:
         reached = np.append(self._level * EITHER_WAY, [p for p in tested if p > 0.0])
         around = Along.of(predictor.population, setting, reached)
         self._rng = np.random.default_rng(forecast.seed)
-        self._prior = TestPrior.of(around, self._rng, TRIED)
+        standing = partial(standing_of, predictor.population, model)
+        self._prior = TestPrior.of(around, self._rng, TRIED, standing)
         self._counting = counting_of(predictor, self._prior, pace, setting)
         self._residual, self._may_refresh = self._counting.residual, refresh
         self._likelihood = GivenLikelihood(self._residual)

@@ -20,7 +20,7 @@ from mfd_bayes.population.pace import Counted, Counting, Pace
 from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.prior_of_test import TestPrior
 from mfd_bayes.population.residual import Residual, slip_force_of
-from mfd_bayes.population.sequel import left_of
+from mfd_bayes.population.sequel import standing_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.population.tempering import systematic, temper
@@ -205,9 +205,9 @@ def predict_given(
     setting = setting_of(trace, forecast.session)
     part = given_part(trace, window, pace.step(setting.covariates["velocity"]))
     rng = np.random.default_rng(forecast.seed)
-    left = partial(left_of, predictor.population, predictor.model, trace=trace)
+    standing = partial(standing_of, predictor.population, predictor.model, trace=trace)
     around = predictor.around(trace, setting)
-    prior = TestPrior.of(around, rng, TRIED, left)
+    prior = TestPrior.of(around, rng, TRIED, standing)
     counting = counting_of(predictor, prior, pace, setting)
     problem = GivenProblem(predictor, prior, part, counting)
     known, told = draw_known(problem, forecast.draws, rng)

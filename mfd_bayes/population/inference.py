@@ -38,6 +38,7 @@ from mfd_bayes.population.sequel import left_by
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.sharing import share
 from mfd_bayes.population.test_likelihood import TestLikelihood
+from mfd_bayes.population.unloaded import Unloaded, chance_of
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 
 Array = NDArray[np.float64]
@@ -150,7 +151,8 @@ def _inferred(
         given = some.priors, settings.actuation_unit, pilot.residual
         draws = _sampled(JointProblem(weighed, apart, *given), settings, report)
         begun, left = _starts(working, draws), _left(working, draws)
-        population = replace(draws.population, starts=begun, left=left)
+        free = _unloaded(working, draws)
+        population = replace(draws.population, starts=begun, left=left, unloaded=free)
         draws = replace(draws, population=population)
         found = compared()
     return Inference(draws, found.scores, found.exponents, found.dependence)
@@ -228,6 +230,18 @@ def _left(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | No
         found.append(left_by(posterior.model, theta, posterior.trace))
     known = [place for place in found if place is not None]
     return np.array(known) if len(known) == len(found) else None
+
+
+def _unloaded(working: Sequence[WorkingLikelihood], draws: JointDraws) -> float:
+    """Probability that tests begin without load, from where the calibrated ones began."""
+    found = []
+    for one, x in zip(working, draws.tests, strict=True):
+        values = one.posterior.values(one.points(x.reshape(-1, x.shape[-1])))
+        part = one.posterior.model.unloaded(values)
+        if part is None or "start" not in one.own:
+            return 0.0
+        found.append((values["start"], Unloaded(*part)))
+    return chance_of(found)
 
 
 def usual_dependence(

@@ -16,7 +16,7 @@ from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.starts import learned_density
+from mfd_bayes.population.starts import UNKNOWN, Standing, StartDensity, anywhere, learned_density
 
 Array = NDArray[np.float64]
 
@@ -53,6 +53,8 @@ class Population:
         Places in the gap at which the tests began; none with a model or a run without them.
     left : (J,), optional
         Places at which their own motions leave the device.
+    unloaded : float
+        Probability that tests begin without load, where the model tells load from none.
     """
 
     layout: Layout
@@ -67,6 +69,7 @@ class Population:
     residual: Residual | None = None
     starts: Array | None = None
     left: Array | None = None
+    unloaded: float = 0.0
 
     @property
     def size(self) -> int:
@@ -181,42 +184,43 @@ class Population:
         """Weight of each law that was considered, by quantity."""
         return {name: dict(weights) for name, weights in self.layout.weights.items()}
 
-    def draw_starts(
-        self,
-        rng: np.random.Generator,
-        n: int,
-        setting: Setting | None = None,
-        left: float | None = None,
-    ) -> Array:
-        """Places in the gap at which n tests may begin, (n,); see `start_density`."""
-        return np.asarray(rng.beta(*self.start_density(rng, n, setting, left)))
-
     def start_density(
         self,
         rng: np.random.Generator,
         n: int,
         setting: Setting | None = None,
-        left: float | None = None,
-    ) -> tuple[Array, Array]:
-        """Exponents of the Beta densities of the places where n tests may begin, (n,) each.
+        standing: Standing = UNKNOWN,
+    ) -> StartDensity:
+        """Densities of the places in the gap where n tests may begin.
 
-        The densities are learned from the calibrated tests (`learned_density`). A motion that is
-        shorter than all of theirs, or of which no setting is known, may begin anywhere: its start
-        decides the force for long, and nothing says that such tests begin like the others.
+        They are learned from the calibrated tests (`learned_density`). A motion that is shorter
+        than all of theirs, or of which no setting is known, may begin anywhere, or anywhere without
+        load: its start decides the force for long, and nothing says that such tests begin like the
+        others.
 
         Parameters
         ----------
         rng : numpy.random.Generator
         n : int
         setting : Setting, optional
-        left : float, optional
-            Place at which the motion leaves the device, `left_by`, where the motion is known.
+        standing : Standing, optional
         """
         if self.starts is None or setting is None or self._shorter(setting):
-            return np.ones(n), np.ones(n)
+            return anywhere(rng, n, self.unloaded, standing)
         known = self.starts.reshape(-1, self.starts.shape[-1])[rng.integers(self.size, size=n)]
+        left = standing.left
         both = None if self.left is None or left is None else (self.left, left)
-        return learned_density(known, both, rng)
+        return StartDensity(*learned_density(known, both, rng))
+
+    def draw_starts(
+        self,
+        rng: np.random.Generator,
+        n: int,
+        setting: Setting | None = None,
+        standing: Standing = UNKNOWN,
+    ) -> Array:
+        """Places in the gap at which n tests may begin, (n,); see `start_density`."""
+        return self.start_density(rng, n, setting, standing).draw(rng)
 
     def _shorter(self, setting: Setting) -> bool:
         """Whether a test's stroke is shorter than that of every calibrated test."""

@@ -19,7 +19,7 @@ from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
-from mfd_bayes.population.sequel import left_of, told
+from mfd_bayes.population.sequel import standing_of, told
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.shares import DRAWS, FEWEST, PERMUTATIONS, VALUES, shares_of
 from mfd_bayes.population.unshared import scales_of, stays, unknown_of
@@ -128,8 +128,8 @@ class Predictor:
         deviation: tuple[Along, Array],
     ) -> Drawn:
         """Drawn tests of these parts, with all but their noise; index are their draws of laws."""
-        left = left_of(self.population, self.model, self.population.values(parts), trace)
-        unknown = unknown_of(self.population, len(index), rng, setting_of(trace), left)
+        standing = standing_of(self.population, self.model, self.population.values(parts), trace)
+        unknown = unknown_of(self.population, len(index), rng, setting_of(trace), standing)
         scales = self.scales(trace, index, deviation)
         residual = self.population.residual
         learned = None if residual is None else residual.draw_coefficients(rng, len(index))

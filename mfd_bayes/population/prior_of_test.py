@@ -1,7 +1,7 @@
 """What a population says of one test before its force is known, as a density.
 
 Each draw of the hyperparameters gives a Gaussian density of the test's shared coordinates and a
-Beta density of its start in the gap; the population's prediction is the mixture of them.
+density of its start in the gap; the population's prediction is the mixture of them.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaln, expit, log_expit
+from scipy.special import expit
 
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected, Parts
+from mfd_bayes.population.starts import UNKNOWN, Standing, StartDensity
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -46,8 +47,8 @@ class TestPrior:
     mean : (N, d)
     covariance : (N, d, d)
         Of x. The numbers e are independent, N(0, 1).
-    start : (N,), (N,)
-        Exponents of the start's Beta density.
+    start : StartDensity
+        Of each density.
     """
 
     index: Index
@@ -55,7 +56,7 @@ class TestPrior:
     expected: Expected
     mean: Array
     covariance: Array
-    start: tuple[Array, Array]
+    start: StartDensity
 
     __test__ = False  # pytest is not to collect it
 
@@ -65,7 +66,7 @@ class TestPrior:
         around: Along,
         rng: np.random.Generator,
         n: int,
-        left: Callable[[Mapping[str, Array]], float | None] = lambda _: None,
+        standing: Callable[[Mapping[str, Array]], Standing] = lambda _: UNKNOWN,
     ) -> TestPrior:
         """Prior of a test under a setting, from n draws of the hyperparameters.
 
@@ -75,9 +76,8 @@ class TestPrior:
             With the population, the setting, and how the test deviates from the laws.
         rng : numpy.random.Generator
         n : int
-        left : callable
-            Gives, of quantities (n,) by name, the place where the motion leaves the device, if the
-            motion is known.
+        standing : callable
+            Gives, of quantities (n,) by name, what is known of where such tests begin.
         """
         population, setting = around.population, around.setting
         index = rng.choice(population.size, size=n, replace=n > population.size)
@@ -88,8 +88,8 @@ class TestPrior:
             if name != "level" or not around.size:
                 covariance[:, k, k] += sd**2
         mean = expected.level + expected.law
-        place = left(population.values(Parts(mean, np.zeros_like(mean), np.zeros_like(mean))))
-        start = population.start_density(rng, n, setting, place)
+        values = population.values(Parts(mean, np.zeros_like(mean), np.zeros_like(mean)))
+        start = population.start_density(rng, n, setting, standing(values))
         return cls(index, around, expected, mean, covariance, start)
 
     @property
@@ -138,15 +138,14 @@ class TestPrior:
     @cached_property
     def _log_scale(self) -> Array:
         diagonal = np.diagonal(self.root, axis1=1, axis2=2)
-        return np.asarray(-np.log(diagonal).sum(axis=1) - betaln(*self.start))
+        return np.asarray(-np.log(diagonal).sum(axis=1) - self.start.log_size)
 
     def draw(self, labels: Index, rng: np.random.Generator) -> Array:
         """Points of the densities with these labels (n,), (n, D)."""
         standard = rng.standard_normal((len(labels), self.mean.shape[1]))
         x = self.mean[labels] + np.einsum("nij,nj->ni", self.root[labels], standard)
         numbers = rng.standard_normal((len(labels), self.around.size))
-        drawn = rng.beta(self.start[0][labels], self.start[1][labels])
-        start = np.clip(drawn, 1e-12, 1.0 - 1e-12)
+        start = np.clip(self.start.draw(rng, labels), 1e-12, 1.0 - 1e-12)
         return np.concatenate([x, numbers, np.log(start / (1.0 - start))[:, None]], axis=1)
 
     def log_density(self, labels: Index, points: Array) -> Array:
@@ -154,14 +153,12 @@ class TestPrior:
         d = self.mean.shape[1]
         away = points[..., :d] - self.mean[labels]
         standard = (self._inverse[labels] @ away[..., None])[..., 0]
-        numbers, t, (a, b) = points[..., d:-1], points[..., -1], self.start
-        # with the logit's Jacobian
-        of_start = a[labels] * log_expit(t) + b[labels] * log_expit(-t)
+        numbers = points[..., d:-1]
         return np.asarray(
             -0.5 * np.einsum("...i,...i->...", standard, standard)
             - 0.5 * np.einsum("...i,...i->...", numbers, numbers)
             + self._log_scale[labels]
-            + of_start
+            + self.start.log_shape(points[..., -1], labels)
         )
 
     def relabelled(self, labels: Index, points: Array, rng: np.random.Generator) -> Index:

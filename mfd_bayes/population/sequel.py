@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.starts import Standing
+from mfd_bayes.population.unloaded import Unloaded
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -98,16 +100,23 @@ def left_by(model: Model, theta: Array, trace: Trace) -> float | None:
     return float(np.clip(model.start_at(ended.place, trace)[0], 0.0, 1.0))
 
 
-def left_of(
-    population: Population, model: Model, values: Mapping[str, Array], trace: Trace
-) -> float | None:
-    """`left_by` for the typical one of tests with these quantities, by name, (n,) each."""
-    if population.left is None:
-        return None
+def standing_of(
+    population: Population, model: Model, values: Mapping[str, Array], trace: Trace | None = None
+) -> Standing:
+    """What is known of where tests with these quantities, by name, (n,) each, may begin.
+
+    The trace is their motion, where that is known.
+    """
     others = {name: prior.typical for name, prior in population.priors.items()}
-    middle = {"gamma1": 1.0, **others, **{k: float(np.median(v)) for k, v in values.items()}}
-    theta = model.theta({name: np.array([value]) for name, value in middle.items()})
-    return left_by(model, theta, trace)
+    known = {"gamma1": 1.0, **others}
+    left = None
+    if trace is not None and population.left is not None:
+        middle = {**known, **{k: float(np.median(v)) for k, v in values.items()}}
+        theta = model.theta({name: np.array([value]) for name, value in middle.items()})
+        left = left_by(model, theta, trace)
+    n = len(next(iter(values.values())))
+    part = model.unloaded({**{k: np.full(n, v) for k, v in known.items()}, **values})
+    return Standing(left, None if part is None else Unloaded(*part))
 
 
 def pooled_values(population: Population, j: int, shared: Mapping[str, Array]) -> dict[str, Array]:

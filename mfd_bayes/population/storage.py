@@ -53,6 +53,7 @@ def save_population(path: Path, population: Population) -> None:
     facts = {
         **_facts(population.layout),
         "left": None if population.left is None else population.left.tolist(),
+        "unloaded": population.unloaded,
         "actuation_unit": population.actuation_unit,
         "walkers": population.walkers,
         "r_hat": convergence.r_hat.tolist(),
@@ -125,6 +126,7 @@ def _population(
         residual=_residual_of(facts.get("residual")),
         starts=arrays["starts"].astype(np.float64) if "starts" in arrays else None,
         left=None if facts.get("left") is None else np.array(facts["left"], dtype=np.float64),
+        unloaded=facts.get("unloaded", 0.0),
     )
 
 

@@ -114,6 +114,7 @@ class _Facts(Part):
     common: tuple[bool, ...] = ()
     odd: Annotated[float, Field(ge=0, lt=1)] = 0.0
     residual: _Residual | None = None
+    unloaded: Annotated[float, Field(ge=0, le=1)] = 0.0
     left: list[Annotated[float, Field(ge=0, le=1)]] | None = None
 
     @model_validator(mode="after")

@@ -9,6 +9,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.population.along import SAME, Along
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.starts import UNKNOWN, Standing
 
 Array = NDArray[np.float64]
 
@@ -18,17 +19,16 @@ def unknown_of(
     n: int,
     rng: np.random.Generator,
     setting: Setting | None = None,
-    left: float | None = None,
+    standing: Standing = UNKNOWN,
 ) -> dict[str, Array]:
     """Draws of what tests do not share: the start in the gap, γ1, and fixed quantities.
 
-    The setting is None where the motion is not known; `left` is the place where it leaves the
-    device (`left_by`).
+    The setting is None where the motion is not known.
     """
     shared = set(population.layout.names)
     unknown = {name: p.draw(rng, n) for name, p in population.priors.items() if name not in shared}
     if "start" in unknown:
-        unknown["start"] = population.draw_starts(rng, n, setting, left)
+        unknown["start"] = population.draw_starts(rng, n, setting, standing)
     return {"gamma1": np.ones(n), "start": np.full(n, 0.5)} | unknown
 
 

@@ -12,6 +12,7 @@ from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Parts
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import slip_force_of
+from mfd_bayes.population.sequel import standing_of
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.unshared import scales_of, unknown_of
 from mfd_bayes.response.building import Building
@@ -42,7 +43,7 @@ def draw_dampers(
     times = found[0] if found else None
     histories = found[1] if found else [np.array([level]) for level in levels]
     deviation = _deviation(population, choice, levels, histories)
-    drawn = [_values(choice, index, deviation, j, level) for j, level in enumerate(levels)]
+    drawn = [_values(model, choice, index, deviation, damper) for damper in enumerate(levels)]
     about = [_about(model, values, typical) for values, typical in drawn]
     slip = np.stack([slip_force_of(model, values) for values, _ in drawn], axis=1)
     each = [
@@ -80,10 +81,14 @@ def _deviation(
 
 
 def _values(
-    choice: Choice, index: NDArray[np.intp], deviation: tuple[Along, Array], j: int, level: float
+    model: Model,
+    choice: Choice,
+    index: NDArray[np.intp],
+    deviation: tuple[Along, Array],
+    damper: tuple[int, float],
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Quantities of the damper j at its level, (n,) each, with and without scatter."""
-    scattered, (around, numbers) = choice.kind == "new_test", deviation
+    """Quantities of a damper, by number and level, (n,) each, with and without scatter."""
+    scattered, (around, numbers), (j, level) = choice.kind == "new_test", deviation, damper
     population, leveled = around.population, not around.size
     setting = _setting(population, choice, level)
     shared = np.random.default_rng([choice.seed, 1])
@@ -96,7 +101,8 @@ def _values(
         scatter = choice.scatter * drawn
     values = population.values(Parts(parts.level, parts.law, scatter))
     own = np.random.default_rng([choice.seed, 3, j])
-    values = {**values, **unknown_of(population, choice.draws, own)}
+    standing = standing_of(population, model, values)
+    values = {**values, **unknown_of(population, choice.draws, own, None, standing)}
     typical = population.values(Parts(parts.level, parts.law, np.zeros_like(scatter)))
     return values, {**values, **typical}
 

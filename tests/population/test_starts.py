@@ -13,7 +13,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.sequel import left_by
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.starts import learned_density
+from mfd_bayes.population.starts import Standing, learned_density
 from mfd_bayes.records.trace import Trace
 
 LEFT = np.array([0.2, 0.7, 0.35, 0.6, 0.8, 0.3])
@@ -114,7 +114,7 @@ def test_only_motions_as_long_as_the_tests_begin_like_them(make_population):
     )
     rng = np.random.default_rng(0)
     like, shorter = (Setting(1.0, "", {"amplitude": a, "velocity": 3.0}) for a in (1.0, 0.5))
-    near = population.draw_starts(rng, 4000, like, 0.7)
-    assert near.mean() > population.draw_starts(rng, 4000, like, 0.3).mean() + 0.2
-    anywhere = population.draw_starts(rng, 4000, shorter, 0.7)
+    near = population.draw_starts(rng, 4000, like, Standing(0.7))
+    assert near.mean() > population.draw_starts(rng, 4000, like, Standing(0.3)).mean() + 0.2
+    anywhere = population.draw_starts(rng, 4000, shorter, Standing(0.7))
     assert anywhere.std() == pytest.approx(1.0 / np.sqrt(12.0), rel=0.05)

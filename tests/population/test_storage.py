@@ -77,6 +77,7 @@ def population(priors):
         residual=residual_of(rng),
         starts=rng.random((4, 60, 3)).astype(np.float32).astype(np.float64),
         left=np.array([0.1, 0.5, 0.7]),
+        unloaded=0.9,
     )
 
 
@@ -115,6 +116,7 @@ def test_a_population_comes_back_bit_by_bit(population, back):
 def test_where_tests_begin_and_end_comes_back(tmp_path, priors, population, back):
     np.testing.assert_array_equal(back.starts, population.starts)
     np.testing.assert_array_equal(back.left, population.left)
+    assert back.unloaded == population.unloaded
     save_population(tmp_path / "one.nc", population)
     rewritten(tmp_path / "one.nc", left=[0.1])
     with pytest.raises(StoreError, match="left must be as many as the settings"):
@@ -148,10 +150,11 @@ def rewritten(path, **changes):
 def test_a_file_of_an_earlier_version_has_no_discrepancy(tmp_path, priors, population):
     path = tmp_path / "older.nc"
     save_population(path, population)
-    rewritten(path, residual=None, sparse=None, left=None)
+    rewritten(path, residual=None, sparse=None, left=None, unloaded=None)
     found = load_population(path, priors)
     assert found.residual is None
     assert found.left is None
+    assert found.unloaded == 0.0
     assert found.layout.sparse == ()
     np.testing.assert_array_equal(found.h, population.h)
 

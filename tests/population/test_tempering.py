@@ -8,6 +8,7 @@ from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected
 from mfd_bayes.population.prior_of_test import TestPrior
 from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.starts import StartDensity
 from mfd_bayes.population.tempering import temper
 
 LABELS, POINTS = 40, 2000
@@ -19,7 +20,7 @@ def prior_of(mean):
     unit = np.broadcast_to(np.eye(d), (LABELS, d, d))
     nothing = Expected(mean, 0.0 * mean, (), 0.0 * mean, unit)
     around = Along(None, Setting(1.0), np.zeros(1))
-    return TestPrior(np.arange(LABELS), around, nothing, mean, unit, (ones, ones))
+    return TestPrior(np.arange(LABELS), around, nothing, mean, unit, StartDensity(ones, ones))
 
 
 @pytest.fixture(scope="module")
