@@ -21,6 +21,7 @@ from mfd_bayes.reporting.response_tables import (
     shares_csv,
     sweep_csv,
 )
+from mfd_bayes.reporting.sweep_words import sweep_sentence
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.example import example_building, example_ground
 from mfd_bayes.response.ground import Ground
@@ -205,7 +206,7 @@ def view_of(
         tuple(response.rows()),
         tuple(response.limits()),
         {name: found for name, found in shares.items() if found},
-        "" if sweep is None else sweep_sentence(sweep, system),
+        "" if sweep is None else sweep_sentence(sweep, run.tested, system),
         tuple(ground.name for ground in response.grounds),
         count,
         system is SI,
@@ -251,23 +252,6 @@ def _verdict(response: Response, system: System) -> list[str]:
             f"{100 * one.probability:.3g} % (standard error {100 * one.error:.2g} %)."
         )
     return found
-
-
-def sweep_sentence(sweep: Sweep, system: System) -> str:
-    """The best actuation, with its interval."""
-    what = {
-        "mean": "the mean",
-        "q90": "the 90 % quantile",
-        "passing": "the chance to pass the limit",
-    }
-    best = system.words([sweep.best], sweep.unit, 3, actuation=True)
-    ends = system.words(sweep.interval, sweep.unit, 3, actuation=True)
-    at_end = sweep.best in (sweep.levels[0], sweep.levels[-1])
-    edge = " It lies at an end of the range: sweep further." if at_end else ""
-    return (
-        f"{what[sweep.goal][0].upper()}{what[sweep.goal][1:]} of the largest {sweep.quantity} is "
-        f"smallest at {best} (90 % interval of the place: {ends}).{edge}"
-    )
 
 
 def _write(

@@ -1,0 +1,56 @@
+"""The best actuation of a sweep, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mfd_bayes.population.setting import SAME_LEVEL
+from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.tested import Span
+
+_WHAT = {
+    "mean": "The mean of the largest {}",
+    "q90": "The 90 % quantile of the largest {}",
+    "passing": "The probability that the largest {} exceeds its limit",
+}
+
+
+def sweep_sentence(sweep: Sweep, tested: Sequence[Span], system: System) -> str:
+    """The best actuation with its interval, and what to do where it lies at an end.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    tested : sequence of Span
+        What the calibrated tests cover, with their actuation.
+    system : System
+    """
+
+    def words(*levels: float) -> str:
+        return system.words(levels, sweep.unit, 3, actuation=True)
+
+    what = _WHAT[sweep.goal].format(sweep.quantity)
+    found = f"{what} is smallest at {words(sweep.best)} (90 % interval: {words(*sweep.interval)})."
+    span = next(one for one in tested if one.name == "actuation")
+    low, high = span.lowest * (1.0 - SAME_LEVEL), span.highest * (1.0 + SAME_LEVEL)
+    if not low <= sweep.best <= high:
+        return (
+            f"{found} No test was made there (tests: {span.words(system)}): make one before you "
+            "use this actuation."
+        )
+    if sweep.best == sweep.levels[0]:
+        return found + _on("lower", "below", low < (1.0 - SAME_LEVEL) * sweep.best)
+    if sweep.best == sweep.levels[-1]:
+        return found + _on("upper", "above", high > (1.0 + SAME_LEVEL) * sweep.best)
+    return found
+
+
+def _on(end: str, side: str, covered: bool) -> str:
+    """What to do where the best level is this end of the sweep."""
+    if covered:
+        return f" This is the {end} end of the sweep: sweep further."
+    return (
+        f" This is the {end} end of the sweep and of the tests: make a test {side} it before you "
+        "sweep further."
+    )
