@@ -3,6 +3,8 @@ r"""Ranks and coverage of bands given a first part, on 100 synthetic tests.
     python -m benchmarks.given.coverage > benchmarks/given/coverage.txt
     python -m benchmarks.given.coverage --level-sd 0.3 --out out_given_varying \
         > benchmarks/given/coverage_varying.txt
+    python -m benchmarks.given.coverage --model backlash --out out_given_backlash \
+        > benchmarks/given/coverage_backlash.txt
 
 draws tests from a population with given values (`study`), predicts each from none, a quarter, half
 and all of its record, and ranks the true force and quantities among the draws: ranks are uniform if
@@ -22,7 +24,16 @@ import numpy as np
 
 from benchmarks.common.machine import processor, versions
 from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
-from benchmarks.given.study import DRAWS, LAWFUL, SHARES, ask, draw_truth, make_study, ranks_of
+from benchmarks.given.study import (
+    DRAWS,
+    LAWFUL,
+    MEDIANS,
+    SHARES,
+    ask,
+    draw_truth,
+    make_study,
+    ranks_of,
+)
 
 TESTS = 100
 
@@ -38,8 +49,8 @@ def one_test(study, index: int) -> dict:
         inside = (band.lower <= truth.damper) & (truth.damper <= band.upper)
         told = band.given
         found[str(share)] = {
-            "ranks": ranks_of(truth, band),
-            "control": ranks_of(other, band),
+            "ranks": ranks_of(study, truth, band),
+            "control": ranks_of(study, other, band),
             "coverage": float(np.mean(inside[rest])),
             "width": float(np.mean((band.upper - band.lower)[rest])),
             "method": told.method if told else "",
@@ -79,11 +90,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tests", type=int, default=TESTS)
     parser.add_argument("--first", type=int, default=0, help="number of the first test")
+    parser.add_argument("--model", choices=MEDIANS, default="three_stage")
     parser.add_argument("--level-sd", type=float, default=LAWFUL, help="sd of levels off the laws")
     parser.add_argument("--out", type=Path, default=Path("out_given"))
     options = parser.parse_args()
     options.out.mkdir(exist_ok=True)
-    study, results = make_study(level_sd=options.level_sd), []
+    study, results = make_study(options.model, options.level_sd), []
     for index in range(options.first, options.first + options.tests):
         path = options.out / f"{index}.json"
         if not path.is_file():
@@ -94,6 +106,8 @@ def main() -> int:
     command = f"python -m benchmarks.given.coverage --tests {len(results)}"
     if options.first:
         command += f" --first {options.first}"
+    if options.model != "three_stage":
+        command += f" --model {options.model}"
     if options.level_sd > LAWFUL:
         command += f" --level-sd {options.level_sd:g}"
         print("The actuation doubles during a test, and levels of actuation deviate from the laws.")

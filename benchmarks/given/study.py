@@ -1,8 +1,8 @@
 """Synthetic tests drawn from a population with given values, and ranks of what is to be predicted.
 
 Truth and prediction share every assumption, so that ranks are uniform if the first part is taken in
-rightly: parameters with scatter, a start anywhere in the gap, offset, discrepancy, and independent
-noise.
+rightly: parameters with scatter, a start anywhere in the gap (with `backlash`, four of five tests
+begin without load), offset, discrepancy, and independent noise.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-MEDIANS = {
+THREE_STAGE = {
     "sigma0": 25.0,  # kip/in
     "sigma1": 0.02,  # kip·s/in
     "sigma2": 0.01,
@@ -50,6 +50,26 @@ MEDIANS = {
     "offset": 0.0,  # kip
     "noise_sd": 0.05,
 }
+BACKLASH = {
+    "k_fwd": 20.0,  # kip/in
+    "k_bwd": 25.0,
+    "gap": 0.15,  # in
+    "k_0": 0.5,  # kip/in
+    "n": 2.0,
+}
+MEDIANS = {
+    "three_stage": THREE_STAGE,
+    "backlash": BACKLASH
+    | {
+        name: value
+        for name, value in THREE_STAGE.items()
+        if name not in ("sigma0", "sigma1", "k2", "k3", "d2", "d3")
+    },
+}
+STIFFNESS = {"three_stage": "k2", "backlash": "k_fwd"}
+UNLOADED = 0.8
+"""Probability that a test begins without load, where the model tells load from none."""
+
 RATE = 32.0  # Hz
 SMALL, LARGE = 0.04, 0.5  # in: inside the gap, then full strokes
 BEGUN = 1.0  # s, when these begin
@@ -79,7 +99,7 @@ LAWFUL = 1e-6
 
 
 def make_study(model: str = "three_stage", level_sd: float = LAWFUL) -> Study:
-    """The study of a model with the paper's quantities.
+    """The study of a model with a gap.
 
     Where levels of actuation deviate from the laws, with this sd, the actuation doubles during the
     test, which belongs to a session without other tests.
@@ -93,21 +113,23 @@ def make_study(model: str = "three_stage", level_sd: float = LAWFUL) -> Study:
     one = Pace.of([motion])
     # samples count fully, as the noise of the truth is independent
     pace = Pace(one.steps, one.speeds, 1e-6 * one.travels)
-    population = make_population(motion, level_sd=level_sd)
+    population = make_population(motion, model, level_sd=level_sd)
     predictor = Predictor(population, find_model(model), find_noise("iid"))
     return Study(predictor, motion, pace, "another" if level_sd > LAWFUL else "")
 
 
-def make_population(motion: Trace, scatter: float = 0.15, level_sd: float = LAWFUL) -> Population:
+def make_population(
+    motion: Trace, model: str, scatter: float = 0.15, level_sd: float = LAWFUL
+) -> Population:
     """A population with levels known to 3 % and scatter of 15 %."""
-    priors = load_priors("mfd")
+    priors, medians = load_priors("mfd"), MEDIANS[model]
     settings = [Setting(p, "", setting_of(motion).covariates) for p in (0.5, 1.0, 2.0)]
     lawful = level_sd <= LAWFUL
     laws = None if lawful else {"Fc_fwd": "power", "Fc_bwd": "power"}
-    layout = replace(lay_out(priors, tuple(MEDIANS), settings, laws), reference=1.0)
-    d, shape = len(MEDIANS), (4, 500)
+    layout = replace(lay_out(priors, tuple(medians), settings, laws), reference=1.0)
+    d, shape = len(medians), (4, 500)
     rng = np.random.default_rng(1)
-    middle = layout.coordinates.of({n: np.array([v]) for n, v in MEDIANS.items()})[0]
+    middle = layout.coordinates.of({n: np.array([v]) for n, v in medians.items()})[0]
     latent = np.zeros((*shape, 1 + sum(len(e.cells) for e in layout.effects), d))
     latent[:, :, 0] = middle + 0.03 * rng.normal(size=(*shape, d)) - layout.centre
     latent[:, :, 0] /= layout.spread
@@ -118,7 +140,7 @@ def make_population(motion: Trace, scatter: float = 0.15, level_sd: float = LAWF
         h[..., d : d + len(layout.effects)] += 0.4 * rng.normal(size=(*shape, 1))
         shapes = 0.8 + 0.2 * rng.normal(size=(*shape, len(layout.shapes)))
         h[..., d + len(layout.effects) :] = shapes
-    kept = {name: priors.parameters[name] for name in (*MEDIANS, "start", "gamma1")}
+    kept = {name: priors.parameters[name] for name in (*medians, "start", "gamma1")}
     return Population(
         layout=layout,
         h=h,
@@ -130,6 +152,7 @@ def make_population(motion: Trace, scatter: float = 0.15, level_sd: float = LAWF
         walkers=10,
         convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
         residual=make_residual(motion),
+        unloaded=UNLOADED,
     )
 
 
@@ -231,16 +254,18 @@ def ask(study: Study, truth: Truth, share: float, seed: int = 0, draws: int = DR
     return predict_given(study.predictor, truth.trace, forecast, (0.0, end), study.pace)
 
 
-def ranks_of(truth: Truth, band: Band) -> dict[str, int]:
+def ranks_of(study: Study, truth: Truth, band: Band) -> dict[str, int]:
     """Ranks of the true forces and quantities among a band's draws."""
     found = {}
     for time in SAMPLES:
         at = int(np.searchsorted(band.time, time))
         found[f"force at {time:g} s"] = int(np.sum(band.draws[:, at] < truth.damper[at]))
-    known, drawn = _quantities(truth.values), _quantities(band.values)
+    known, drawn = (_quantities(study, one.values) for one in (truth, band))
     return found | {name: int(np.sum(drawn[name] < known[name])) for name in known}
 
 
-def _quantities(values: Mapping[str, Array]) -> dict[str, Array]:
-    names = ("Fc_fwd", "Fc_bwd", "k2", "offset", "noise_sd", "start")
-    return {name: values[name] for name in names} | {"gap": values["d2"] + values["d3"]}
+def _quantities(study: Study, values: Mapping[str, Array]) -> dict[str, Array]:
+    model = study.predictor.model
+    names = ("Fc_fwd", "Fc_bwd", STIFFNESS[model.name], "offset", "noise_sd", "start")
+    gap = model.gap(values)
+    return {name: values[name] for name in names} | ({} if gap is None else {"gap": gap})
