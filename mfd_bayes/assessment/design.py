@@ -144,6 +144,18 @@ def bounds_of(
     return tuple(rows)
 
 
+def draws_of(run: Run) -> int:
+    """Draws of the bands behind the bounds, for each session.
+
+    A band with as many, without sessions, has the same draws as the bounds.
+    """
+    return DRAWS // len(_sessions(run)) + 10
+
+
+def _sessions(run: Run) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(run.session(name) for name in run.tests))
+
+
 def _unit(name: str) -> str:
     return _SLIP.get(name) or UNITS[name]
 
@@ -154,9 +166,8 @@ def _bands(run: Run, trace: Trace, probability: float) -> dict[str, tuple[Band, 
     "This device tested again" is a test in one of the declared sessions, "another device" one in
     a session that was not. Without sessions the latter is not known.
     """
-    sessions = tuple(dict.fromkeys(run.session(name) for name in run.tests))
+    sessions, size = _sessions(run), draws_of(run)
     told = len(sessions) > 1
-    size = DRAWS // len(sessions) + 10
     found = {
         kind: tuple(
             run.predict(trace, kind, probability, session=session, draws=size)

@@ -9,12 +9,13 @@ import numpy as np
 
 from mfd_bayes.assessment.bands import Compared, compare
 from mfd_bayes.assessment.derived_rows import predicted_rows
-from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings
+from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings, draws_of
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import write_picture
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
 from mfd_bayes.population.band import Band
+from mfd_bayes.population.forecast import DRAWS
 from mfd_bayes.population.kinds import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
@@ -117,6 +118,7 @@ def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
         return source.predict(*asked, whole=whole, given=given, after=after)
     return source.predict(
         *asked,
+        draws=draws_of(source) if question.design else DRAWS,  # so that both tables agree
         test=question.test,
         whole=whole,
         recalibrate=question.recalibrate,

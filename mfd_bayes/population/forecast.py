@@ -9,6 +9,9 @@ from mfd_bayes.population.kinds import KINDS
 from mfd_bayes.population.sequel import Ending
 from mfd_bayes.records.numbers import whole_number
 
+DRAWS = 500
+"""Draws of a band where no other number is asked for."""
+
 
 @dataclass(frozen=True)
 class Forecast:
@@ -36,7 +39,7 @@ class Forecast:
 
     kind: str = "new_test"
     probability: float = 0.95
-    draws: int = 500
+    draws: int = DRAWS
     seed: int = 0
     session: str = ""
     whole: bool = False

@@ -202,6 +202,10 @@ def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
         assert again["lambda_max"] > mean["lambda_max"]
         assert again["upper"] == pytest.approx(again["lambda_max"] * again["nominal"], rel=1e-4)
         assert "not known" in rows.loc[(what, "another_device"), "note"]
+    derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
+    for what in ("energy_per_cycle", "peak_fwd", "peak_bwd"):  # of the same draws
+        bounds = rows.loc[(what, "new_test"), ["lower", "upper"]].to_numpy(float)
+        assert derived.loc[what, ["lower", "upper"]].to_numpy(float) == pytest.approx(bounds)
 
 
 def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_path, monkeypatch):
