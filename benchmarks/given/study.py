@@ -67,8 +67,8 @@ MEDIANS = {
     },
 }
 STIFFNESS = {"three_stage": "k2", "backlash": "k_fwd"}
-UNLOADED = 0.8
-"""Probability that a test begins without load, where the model tells load from none."""
+UNLOADED = {"three_stage": 0.0, "backlash": 0.8}
+"""Probability that a test begins without load; the three stages do not tell load from none."""
 
 RATE = 32.0  # Hz
 SMALL, LARGE = 0.04, 0.5  # in: inside the gap, then full strokes
@@ -152,7 +152,7 @@ def make_population(
         walkers=10,
         convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
         residual=make_residual(motion),
-        unloaded=UNLOADED,
+        unloaded=UNLOADED[model],
     )
 
 

@@ -247,7 +247,7 @@ class BacklashLuGre(Model):
         return values["gap"] + ways[0] + ways[1]
 
     def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """The gap, in which the spring bears no load: see `Model.unloaded`."""
+        """Where the spring bears at most `LITTLE` of the slip force: see `Model.unloaded`."""
         return Damper(dict(values)).unloaded
 
     def stages(

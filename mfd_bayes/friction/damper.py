@@ -157,8 +157,9 @@ class Damper:
     def unloaded(self) -> tuple[Array, Array, Array]:
         """Where the spring bears at most `LITTLE` of the slip force, as a part of the range.
 
-        Its lower and upper end, at least a thousandth apart, and the length over which the force
-        doubles there, the mean of both ends, (n,) each.
+        Its lower and upper end, and the length over which the force doubles there, the mean of both
+        ends, (n,) each. The upper end is at least a thousandth above the lower one, also where it
+        is then beyond the range.
         """
         (low, high), c = self.range, self.columns
         slip = np.stack([-c["Fc_bwd"], c["Fc_fwd"]])

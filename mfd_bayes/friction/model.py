@@ -176,7 +176,7 @@ class Model:
         return self.gap(values)
 
     def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array] | None:
-        """Part of the range of `start` in which a device at rest bears no load; None: all of it.
+        """Part of the range of `start` in which a device bears little load; None: all of it.
 
         Parameters
         ----------

@@ -118,7 +118,8 @@ def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
         return source.predict(*asked, whole=whole, given=given, after=after)
     return source.predict(
         *asked,
-        draws=draws_of(source) if question.design else DRAWS,  # so that both tables agree
+        # without sessions the tables of --design are then of the same draws
+        draws=max(draws_of(source), DRAWS) if question.design else DRAWS,
         test=question.test,
         whole=whole,
         recalibrate=question.recalibrate,

@@ -233,14 +233,19 @@ def _left(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | No
 
 
 def _unloaded(working: Sequence[WorkingLikelihood], draws: JointDraws) -> float:
-    """Probability that tests begin without load, from where the calibrated ones began."""
+    """Probability that tests begin without load, from where the calibrated ones began.
+
+    It is 0 where the model does not tell load from none, and where the prior of the start is not
+    even: then that prior says where tests begin.
+    """
     found = []
     for one, x in zip(working, draws.tests, strict=True):
         values = one.posterior.values(one.points(x.reshape(-1, x.shape[-1])))
         part = one.posterior.model.unloaded(values)
-        if part is None or "start" not in one.own:
+        prior = one.posterior.priors["start"]
+        if part is None or prior.family != "uniform":
             return 0.0
-        found.append((values["start"], Unloaded(*part)))
+        found.append((values["start"], Unloaded.checked(*part)))
     return chance_of(found)
 
 

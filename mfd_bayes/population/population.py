@@ -16,7 +16,7 @@ from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.starts import UNKNOWN, Standing, StartDensity, anywhere, learned_density
+from mfd_bayes.population.starts import UNKNOWN, Standing, StartDensity, anywhere, fixed, learned
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class Population:
     left : (J,), optional
         Places at which their own motions leave the device.
     unloaded : float
-        Probability that tests begin without load, where the model tells load from none.
+        Probability that tests begin without load (`chance_of`); 0 where nothing is known of it.
     """
 
     layout: Layout
@@ -191,26 +191,22 @@ class Population:
         setting: Setting | None = None,
         standing: Standing = UNKNOWN,
     ) -> StartDensity:
-        """Densities of the places in the gap where n tests may begin.
+        """Densities of the places in the gap where n tests begin.
 
         They are learned from the calibrated tests (`learned_density`). A motion that is shorter
-        than all of theirs, or of which no setting is known, may begin anywhere, or anywhere without
+        than all of theirs, or of which no setting is known, begins anywhere, or anywhere without
         load: its start decides the force for long, and nothing says that such tests begin like the
-        others.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-        n : int
-        setting : Setting, optional
-        standing : Standing, optional
+        others. A start that the prior file fixes is kept.
         """
+        prior = self.priors.get("start")
+        if prior is not None and prior.fixed:
+            return fixed(n, prior.typical)
         if self.starts is None or setting is None or self._shorter(setting):
-            return anywhere(rng, n, self.unloaded, standing)
+            return anywhere(rng, n, self.unloaded)
         known = self.starts.reshape(-1, self.starts.shape[-1])[rng.integers(self.size, size=n)]
-        left = standing.left
+        left = None if self.left is None else standing.left()
         both = None if self.left is None or left is None else (self.left, left)
-        return StartDensity(*learned_density(known, both, rng))
+        return learned(known, both, rng)
 
     def draw_starts(
         self,
@@ -219,8 +215,8 @@ class Population:
         setting: Setting | None = None,
         standing: Standing = UNKNOWN,
     ) -> Array:
-        """Places in the gap at which n tests may begin, (n,); see `start_density`."""
-        return self.start_density(rng, n, setting, standing).draw(rng)
+        """Places in the gap at which n tests begin, (n,); see `start_density`."""
+        return self.start_density(rng, n, setting, standing).draw(rng, standing.unloaded)
 
     def _shorter(self, setting: Setting) -> bool:
         """Whether a test's stroke is shorter than that of every calibrated test."""

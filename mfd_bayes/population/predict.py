@@ -66,7 +66,7 @@ class Predictor:
         return self.finish(trace, forecast, drawn, rng, f"population laws{scatter}")
 
     def draw(self, trace: Trace, forecast: Forecast, rng: np.random.Generator) -> Drawn:
-        """Drawn tests under a motion, with all but their noise, which begin anywhere."""
+        """Drawn tests under a motion, with all but their noise, which follow no other test."""
         index = rng.choice(self.population.size, size=forecast.draws)
         setting, scattered = setting_of(trace, forecast.session), forecast.kind != "device"
         around = self.around(trace, setting)

@@ -12,11 +12,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import expit, log_expit
 
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.starts import UNKNOWN, Standing, StartDensity
+from mfd_bayes.population.unloaded import Unloaded
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -49,6 +50,8 @@ class TestPrior:
         Of x. The numbers e are independent, N(0, 1).
     start : StartDensity
         Of each density.
+    standing : callable
+        Gives, of quantities (n,) by name, what is known of where tests with them begin.
     """
 
     index: Index
@@ -57,6 +60,7 @@ class TestPrior:
     mean: Array
     covariance: Array
     start: StartDensity
+    standing: Callable[[Mapping[str, Array]], Standing] = lambda _: UNKNOWN
 
     __test__ = False  # pytest is not to collect it
 
@@ -77,7 +81,7 @@ class TestPrior:
         rng : numpy.random.Generator
         n : int
         standing : callable
-            Gives, of quantities (n,) by name, what is known of where such tests begin.
+            See above.
         """
         population, setting = around.population, around.setting
         index = rng.choice(population.size, size=n, replace=n > population.size)
@@ -90,7 +94,7 @@ class TestPrior:
         mean = expected.level + expected.law
         values = population.values(Parts(mean, np.zeros_like(mean), np.zeros_like(mean)))
         start = population.start_density(rng, n, setting, standing(values))
-        return cls(index, around, expected, mean, covariance, start)
+        return cls(index, around, expected, mean, covariance, start, standing)
 
     @property
     def size(self) -> int:
@@ -145,8 +149,11 @@ class TestPrior:
         standard = rng.standard_normal((len(labels), self.mean.shape[1]))
         x = self.mean[labels] + np.einsum("nij,nj->ni", self.root[labels], standard)
         numbers = rng.standard_normal((len(labels), self.around.size))
-        start = np.clip(self.start.draw(rng, labels), 1e-12, 1.0 - 1e-12)
-        return np.concatenate([x, numbers, np.log(start / (1.0 - start))[:, None]], axis=1)
+        points = np.concatenate([x, numbers, np.zeros((len(labels), 1))], axis=1)
+        drawn = self.start.of(labels).draw(rng, lambda: self._unloaded(labels, points))
+        start = np.clip(drawn, 1e-12, 1.0 - 1e-12)
+        points[:, -1] = np.log(start / (1.0 - start))
+        return points
 
     def log_density(self, labels: Index, points: Array) -> Array:
         """Log density of points (..., D) under their labels' (...), without constants."""
@@ -158,8 +165,21 @@ class TestPrior:
             -0.5 * np.einsum("...i,...i->...", standard, standard)
             - 0.5 * np.einsum("...i,...i->...", numbers, numbers)
             + self._log_scale[labels]
-            + self.start.log_shape(points[..., -1], labels)
+            + self._log_start(labels, points)
         )
+
+    def _log_start(self, labels: Index, points: Array) -> Array:
+        """Log density of the starts of points, (...), without what `_log_scale` has."""
+        found, those = self.start.log_beta(points[..., -1], labels), self.start.without_load[labels]
+        part = self._unloaded(labels[those], points[those]) if np.any(those) else None
+        if part is not None:
+            t = points[those][:, -1]
+            found[those] = part.log_density(expit(t)) + log_expit(t) + log_expit(-t)
+        return found
+
+    def _unloaded(self, labels: Index, points: Array) -> Unloaded | None:
+        """Where points (n, D) bear no load; their own starts do not matter."""
+        return self.standing(self.around.population.values(self.parts(labels, points))).unloaded()
 
     def relabelled(self, labels: Index, points: Array, rng: np.random.Generator) -> Index:
         """Labels of points (n, D), drawn anew among `SOME` by their densities, (n,).

@@ -103,20 +103,26 @@ def left_by(model: Model, theta: Array, trace: Trace) -> float | None:
 def standing_of(
     population: Population, model: Model, values: Mapping[str, Array], trace: Trace | None = None
 ) -> Standing:
-    """What is known of where tests with these quantities, by name, (n,) each, may begin.
+    """What is known of where tests with these quantities, by name, (n,) each, begin.
 
     The trace is their motion, where that is known.
     """
     others = {name: prior.typical for name, prior in population.priors.items()}
     known = {"gamma1": 1.0, **others}
-    left = None
-    if trace is not None and population.left is not None:
+
+    def left() -> float | None:
+        if trace is None:
+            return None
         middle = {**known, **{k: float(np.median(v)) for k, v in values.items()}}
         theta = model.theta({name: np.array([value]) for name, value in middle.items()})
-        left = left_by(model, theta, trace)
-    n = len(next(iter(values.values())))
-    part = model.unloaded({**{k: np.full(n, v) for k, v in known.items()}, **values})
-    return Standing(left, None if part is None else Unloaded(*part))
+        return left_by(model, theta, trace)
+
+    def unloaded() -> Unloaded | None:
+        n = len(next(iter(values.values())))
+        part = model.unloaded({**{k: np.full(n, v) for k, v in known.items()}, **values})
+        return None if part is None else Unloaded.checked(*part)
+
+    return Standing(left, unloaded)
 
 
 def pooled_values(population: Population, j: int, shared: Mapping[str, Array]) -> dict[str, Array]:

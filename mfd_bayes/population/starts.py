@@ -8,12 +8,13 @@ how near, is learned.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaln, expit, log_expit, softmax
+from scipy.special import betaln, log_expit, softmax
 
 from mfd_bayes.population.unloaded import Unloaded
 
@@ -23,21 +24,28 @@ Index = NDArray[np.intp]
 SHAPES = np.geomspace(1.0, 100.0, 41)
 """Equally probable shapes a of the starts' density: from anywhere (1) to one place."""
 
+SHARP = 1e6
+"""Shape a of a start that is known: it is then within a thousandth of one place."""
+
+
+def _nothing() -> None:
+    return None
+
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What is known of where tests may begin before they are made.
+    """What is known of where n tests begin, before they are made; computed when it is needed.
 
     Attributes
     ----------
-    left : float, optional
-        Place at which the motion leaves the device, `left_by`, where the motion is known.
-    unloaded : Unloaded, optional
-        Where each test bears no load; None with a model in which that is everywhere.
+    left : callable
+        Gives the place at which the motion leaves the device, `left_by`; None if not known.
+    unloaded : callable
+        Gives where each test bears no load; None with a model in which that is everywhere.
     """
 
-    left: float | None = None
-    unloaded: Unloaded | None = None
+    left: Callable[[], float | None] = _nothing
+    unloaded: Callable[[], Unloaded | None] = _nothing
 
 
 UNKNOWN = Standing()
@@ -51,42 +59,34 @@ class StartDensity:
     ----------
     a, b : (n,)
         Exponents of Beta densities.
-    unloaded : Unloaded, optional
-        Other densities of the same tests,
-    instead : (n,) bool, optional
-        and which of the tests have these instead.
+    without_load : (n,) bool
+        Which tests have the density of `Standing.unloaded` instead.
     """
 
     a: Array
     b: Array
-    unloaded: Unloaded | None = None
-    instead: NDArray[np.bool_] | None = None
+    without_load: NDArray[np.bool_]
 
-    def draw(self, rng: np.random.Generator, chosen: Index | slice = slice(None)) -> Array:
-        """Places of chosen tests, as many as these."""
-        found = rng.beta(self.a[chosen], self.b[chosen])
-        if self.unloaded is None or self.instead is None:
-            return np.asarray(found)
-        part = self.unloaded
-        some = Unloaded(part.lower[chosen], part.upper[chosen], part.edge[chosen])
-        return np.where(self.instead[chosen], some.draw(rng), found)
+    def draw(self, rng: np.random.Generator, unloaded: Callable[[], Unloaded | None]) -> Array:
+        """A place of each test, (n,)."""
+        found = rng.beta(self.a, self.b)
+        part = unloaded() if np.any(self.without_load) else None
+        if part is not None:
+            found[self.without_load] = part.of(self.without_load).draw(rng)
+        return np.asarray(found)
+
+    def of(self, chosen: Index) -> StartDensity:
+        """Those of some of the tests."""
+        return StartDensity(self.a[chosen], self.b[chosen], self.without_load[chosen])
 
     @cached_property
     def log_size(self) -> Array:
-        """Logarithm of what `log_shape` has too much, (n,)."""
-        size = betaln(self.a, self.b)
-        if self.unloaded is None or self.instead is None:
-            return np.asarray(size)
-        return np.where(self.instead, self.unloaded.log_size, size)
+        """Logarithms of the Beta functions that normalise the densities; 0 without load, (n,)."""
+        return np.where(self.without_load, 0.0, betaln(self.a, self.b))
 
-    def log_shape(self, t: Array, chosen: Index) -> Array:
-        """Log density of logits t of places of chosen tests, without `log_size`; of one shape."""
-        log, other = log_expit(t), log_expit(-t)
-        found = self.a[chosen] * log + self.b[chosen] * other
-        if self.unloaded is None or self.instead is None:
-            return np.asarray(found)
-        without = self.unloaded.log_shape(expit(t), chosen) + log + other
-        return np.where(self.instead[chosen], without, found)
+    def log_beta(self, t: Array, chosen: Index) -> Array:
+        """Log Beta densities of logits t of places of chosen tests, without `log_size`."""
+        return np.asarray(self.a[chosen] * log_expit(t) + self.b[chosen] * log_expit(-t))
 
 
 def start_density(a: Array, mode: Array) -> tuple[Array, Array]:
@@ -118,11 +118,26 @@ def learned_density(
     return start_density(SHAPES[shape], np.array([mode for _, mode in modes])[which])
 
 
-def anywhere(rng: np.random.Generator, n: int, chance: float, standing: Standing) -> StartDensity:
-    """Densities of n tests that may begin anywhere, but with this chance all without load."""
-    part = standing.unloaded
-    instead = None if part is None else rng.random(n) < chance
-    return StartDensity(np.ones(n), np.ones(n), part, instead)
+def learned(
+    begun: Array, left: tuple[Array, float] | None, rng: np.random.Generator
+) -> StartDensity:
+    """Densities of n new tests that begin as `learned_density` has it."""
+    return _with_load(*learned_density(begun, left, rng))
+
+
+def fixed(n: int, place: float) -> StartDensity:
+    """Densities of n tests that begin at one place."""
+    return _with_load(*start_density(np.full(n, SHARP), np.full(n, place)))
+
+
+def _with_load(a: Array, b: Array) -> StartDensity:
+    return StartDensity(a, b, np.zeros(a.shape, dtype=bool))
+
+
+def anywhere(rng: np.random.Generator, n: int, chance: float) -> StartDensity:
+    """Densities of n tests that begin anywhere, or with this chance without load."""
+    without = rng.random(n) < chance if chance > 0.0 else np.zeros(n, dtype=bool)
+    return StartDensity(np.ones(n), np.ones(n), without)
 
 
 def _log_likelihood(begun: Array, places: Array) -> Array:

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from scipy.special import expit, log_expit, logsumexp
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 LEAST, MOST = 1e-3, 0.25
-"""Shares of the range between which the length of the ends is kept."""
+"""Shares of the range between which the length of the soft ends is kept."""
 
 BEFORE = 5.0 / 6.0
-"""Probability before the tests that those of a session all begin without load.
+"""Probability, before the tests of a run, that all of them begin without load.
 
-All 32 records of the five sessions in shared/data/brfd rest at less than a tenth of the slip force.
-It is Laplace's rule for four of them, so that a fifth is not counted twice when it is calibrated.
+All 32 records of the five sessions in shared/data/brfd begin with less than a tenth of the slip
+force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one. Here k is 4, so
+that none of the five is counted twice when it is calibrated itself.
 """
 
 
@@ -28,17 +28,29 @@ It is Laplace's rule for four of them, so that a fifth is not counted twice when
 class Unloaded:
     """Densities of the place w, between 0 and 1, where n tests begin without load.
 
-    Each is even between its ends. Beyond them it falls off, to an eighth within an edge.
+    Each is even between its ends, and falls off beyond them as a logistic curve whose length is
+    half of the edge. What is not finite counts as the whole range.
 
     Attributes
     ----------
     lower, upper, edge : (n,)
-        As `Model.unloaded` has them; an edge counts as at least `LEAST` and at most `MOST`.
+        As `Model.unloaded` has them.
     """
 
     lower: Array
     upper: Array
     edge: Array
+
+    @classmethod
+    def checked(cls, lower: Array, upper: Array, edge: Array) -> Unloaded:
+        """One in which the whole range takes the place of what is not finite."""
+        fine = np.isfinite(lower) & np.isfinite(upper) & np.isfinite(edge)
+        ends = np.where(fine, lower, 0.0), np.where(fine, upper, 1.0)
+        return cls(*ends, np.where(fine, edge, 0.0))
+
+    def of(self, chosen: NDArray[np.bool_]) -> Unloaded:
+        """Those of some of the tests."""
+        return Unloaded(self.lower[chosen], self.upper[chosen], self.edge[chosen])
 
     def draw(self, rng: np.random.Generator) -> Array:
         """A place of each test, (n,)."""
@@ -48,23 +60,23 @@ class Unloaded:
             found[left] = even + self._length[left] * rng.logistic(size=left.size)
         return found
 
-    def log_shape(self, w: Array, chosen: Index | slice = slice(None)) -> Array:
-        """Log density at places w of chosen tests, without `log_size`; both of one shape."""
-        length = self._length[chosen]
-        above, below = (w - self.lower[chosen]) / length, (self.upper[chosen] - w) / length
-        return np.asarray(log_expit(above) + log_expit(below))
-
     @cached_property
     def _length(self) -> Array:
-        """Length of the logistic curve at the ends, (n,)."""
+        """Length of the logistic curves at the ends, (n,)."""
         return np.clip(0.5 * self.edge, LEAST, MOST)
 
-    @cached_property
-    def log_size(self) -> Array:
-        """Log integral of the shape over 0 to 1, (n,).
+    def log_density(self, w: Array) -> Array:
+        """Log density at a place w of each test, (n,).
 
-        The difference of two logistic curves is the product in `log_shape` times a constant.
+        The difference of the logistic curves at both ends is their product times a constant.
         """
+        length = self._length
+        above, below = (w - self.lower) / length, (self.upper - w) / length
+        return np.asarray(log_expit(above) + log_expit(below) - self._log_size)
+
+    @cached_property
+    def _log_size(self) -> Array:
+        """Log integral of that product over 0 to 1, (n,)."""
         ends = [
             np.logaddexp(0.0, (w - end) / self._length)
             for w in (1.0, 0.0)
@@ -74,10 +86,6 @@ class Unloaded:
         both = -np.expm1((self.lower - self.upper) / self._length)
         return np.asarray(np.log(inside / both))
 
-    def log_density(self, w: Array) -> Array:
-        """Log density at a place w of each test, (n,)."""
-        return self.log_shape(w) - self.log_size
-
 
 def chance_of(tests: Sequence[tuple[Array, Unloaded]]) -> float:
     """Probability that tests begin without load, as opposed to anywhere; `BEFORE` without tests.
@@ -85,8 +93,8 @@ def chance_of(tests: Sequence[tuple[Array, Unloaded]]) -> float:
     Parameters
     ----------
     tests : sequence of (n,) and Unloaded
-        Draws of each calibrated test: where it began, if it may have begun anywhere, and the
-        density without load.
+        Draws of each calibrated test: where it began, with all places equally probable before,
+        and its density without load.
     """
     log = [logsumexp(part.log_density(w)) - np.log(w.size) for w, part in tests]
     return float(expit(np.sum(log) + np.log(BEFORE / (1.0 - BEFORE))))

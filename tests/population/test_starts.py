@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
@@ -114,7 +115,16 @@ def test_only_motions_as_long_as_the_tests_begin_like_them(make_population):
     )
     rng = np.random.default_rng(0)
     like, shorter = (Setting(1.0, "", {"amplitude": a, "velocity": 3.0}) for a in (1.0, 0.5))
-    near = population.draw_starts(rng, 4000, like, Standing(0.7))
-    assert near.mean() > population.draw_starts(rng, 4000, like, Standing(0.3)).mean() + 0.2
-    anywhere = population.draw_starts(rng, 4000, shorter, Standing(0.7))
+    near = population.draw_starts(rng, 4000, like, Standing(lambda: 0.7))
+    assert near.mean() > population.draw_starts(rng, 4000, like, Standing(lambda: 0.3)).mean() + 0.2
+    anywhere = population.draw_starts(rng, 4000, shorter, Standing(lambda: 0.7))
     assert anywhere.std() == pytest.approx(1.0 / np.sqrt(12.0), rel=0.05)
+
+
+def test_a_start_that_is_fixed_is_kept(make_population):
+    known = make_population()
+    fixed = {**known.priors, "start": Prior("fixed", {"value": 0.9})}
+    rng = np.random.default_rng(0)
+    found = replace(known, priors=fixed).draw_starts(rng, 1000)
+    np.testing.assert_allclose(found, 0.9, atol=2e-3)
+    assert known.draw_starts(rng, 1000).std() > 0.25

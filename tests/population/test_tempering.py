@@ -20,7 +20,9 @@ def prior_of(mean):
     unit = np.broadcast_to(np.eye(d), (LABELS, d, d))
     nothing = Expected(mean, 0.0 * mean, (), 0.0 * mean, unit)
     around = Along(None, Setting(1.0), np.zeros(1))
-    return TestPrior(np.arange(LABELS), around, nothing, mean, unit, StartDensity(ones, ones))
+    return TestPrior(
+        np.arange(LABELS), around, nothing, mean, unit, StartDensity(ones, ones, ones < 0)
+    )
 
 
 @pytest.fixture(scope="module")

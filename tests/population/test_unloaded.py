@@ -3,20 +3,53 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.friction.weakened import Weakened
-from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.starts import Standing, StartDensity, anywhere
+from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.given import values_of
+from mfd_bayes.population.inference import _unloaded
+from mfd_bayes.population.prior_of_test import TestPrior
+from mfd_bayes.population.sequel import standing_of
+from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.starts import Standing, anywhere
 from mfd_bayes.population.unloaded import BEFORE, Unloaded, chance_of
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.response.building import read_building
+from mfd_bayes.response.choice import Choice
+from mfd_bayes.response.draws import draw_dampers
 
 N = 4000
+
+BUILDING = """
+[building]
+title = "Two storeys"
+[[storey]]
+weight = "20 kip"
+height = "144 in"
+stiffness = "8 kip/in"
+[[storey]]
+weight = "20 kip"
+height = "144 in"
+stiffness = "8 kip/in"
+[[damper]]
+storey = 1
+actuation = "1000 psi"
+[[damper]]
+storey = 2
+actuation = "1000 psi"
+"""
 
 THETA = {
     "k_fwd": 45.0,
@@ -104,27 +137,19 @@ def test_tests_that_begin_without_load_say_that_others_do():
     assert chance_of(loaded) < 0.1
 
 
-def test_a_logit_has_the_density_of_its_place():
-    rng = np.random.default_rng(4)
-    density = anywhere(rng, N, 0.5, Standing(unloaded=part()))
-    assert 0.4 < density.instead.mean() < 0.6
-    one = np.array([np.flatnonzero(density.instead)[0], np.flatnonzero(~density.instead)[0]])
-    for label in one:
-        chosen = np.full(4001, label)
-        t = np.linspace(-20.0, 20.0, chosen.size)
-        log = density.log_shape(t, chosen) - density.log_size[label]
-        assert np.trapezoid(np.exp(log), t) == pytest.approx(1.0, abs=1e-3)
-    drawn = density.draw(rng)
-    assert stats.kstest(drawn[~density.instead], "uniform").pvalue > 1e-3
-    assert np.mean((drawn > 0.25) & (drawn < 0.75), where=density.instead) > 0.95
+def test_what_is_not_finite_counts_as_the_whole_range():
+    bad = [np.array([0.3, np.nan, 0.3, 0.3]), np.array([0.7, 0.7, np.inf, 0.7])]
+    one = Unloaded.checked(*bad, np.array([0.01, 0.01, 0.01, np.nan]))
+    np.testing.assert_array_equal(one.lower, [0.3, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(one.upper, [0.7, 1.0, 1.0, 1.0])
+    assert np.all(np.abs(one.draw(np.random.default_rng(0)) - 0.5) <= 0.5)
 
 
-def test_without_such_a_part_nothing_is_drawn_for_it():
+def test_without_a_chance_nothing_is_drawn_for_it():
     before, after = np.random.default_rng(5), np.random.default_rng(5)
-    found = anywhere(after, N, 0.9, Standing())
-    np.testing.assert_array_equal(found.draw(after), before.beta(np.ones(N), np.ones(N)))
-    plain = StartDensity(np.ones(2), np.ones(2))
-    assert np.all(plain.log_size == 0.0)
+    found = anywhere(after, N, 0.0).draw(after, lambda: part())
+    np.testing.assert_array_equal(found, before.beta(np.ones(N), np.ones(N)))
+    assert anywhere(after, N, 0.5).without_load.mean() == pytest.approx(0.5, abs=0.05)
 
 
 def test_short_motions_begin_without_load_where_the_tests_did(make_population):
@@ -135,14 +160,114 @@ def test_short_motions_begin_without_load_where_the_tests_did(make_population):
     population = replace(known, layout=layout, starts=begun, unloaded=1.0)
     rng = np.random.default_rng(6)
     like, shorter = (Setting(1.0, "", {"amplitude": a}) for a in (1.0, 0.5))
-    standing = Standing(unloaded=part())
+    standing = Standing(unloaded=part)
     within = [
         np.mean(np.abs(population.draw_starts(rng, N, setting, standing) - 0.5) < 0.25)
         for setting in (shorter, None, like)
     ]
     assert min(within[:2]) > 0.95
-    anywhere = replace(population, unloaded=0.0).draw_starts(rng, N, shorter, standing)
-    assert stats.kstest(anywhere, "uniform").pvalue > 1e-3
+    free = replace(population, unloaded=0.0).draw_starts(rng, N, shorter, standing)
+    assert stats.kstest(free, "uniform").pvalue > 1e-3
     # those like the tests begin where these show it, whatever load that is
-    same = Standing(unloaded=part(0.0, 0.1))
+    same = Standing(unloaded=lambda: part(0.0, 0.1))
     assert abs(population.draw_starts(rng, N, like, same).mean() - 0.5) < 0.05
+
+
+@pytest.fixture(scope="module")
+def study(benchmark_module):
+    """A population of the backlash model, whose tests begin without load in four of five."""
+    return benchmark_module("given.study").make_study("backlash")
+
+
+def loads(model, found):
+    """Share of the slip force that dampers bear at their start, (n,)."""
+    spring = model.start(model.theta(found), found["start"]).bent[1]
+    return spring / np.where(spring > 0.0, found["Fc_fwd"], found["Fc_bwd"])
+
+
+def prior_of(predictor, motion):
+    """What is known of a test under a motion."""
+    setting = setting_of(motion)
+    standing = partial(standing_of, predictor.population, predictor.model, trace=motion)
+    around, rng = predictor.around(motion, setting), np.random.default_rng(8)
+    return TestPrior.of(around, rng, N, standing)
+
+
+def both(study):
+    """Quantities of tests that are predicted alone, and of those before a part is given."""
+    predictor, motion = study.predictor, study.motion
+    forecast = Forecast(draws=N)
+    alone = predictor.values(predictor.draw(motion, forecast, np.random.default_rng(7)))
+    prior, labels = prior_of(predictor, motion), np.arange(N)
+    points = prior.draw(labels, np.random.default_rng(9))
+    return alone, values_of(predictor, prior, labels, points)
+
+
+def test_alone_and_given_begin_alike(study):
+    found = [loads(study.predictor.model, one) for one in both(study)]
+    for load in found:
+        assert np.mean(np.abs(load) < 0.25) > 0.8
+        assert np.mean(np.abs(load) > 0.5) > 0.05  # those that begin anywhere
+    assert stats.ks_2samp(*found).pvalue > 1e-3
+    # control: where nothing is known of it
+    loaded = replace(study.predictor, population=replace(study.predictor.population, unloaded=0.0))
+    free = loads(study.predictor.model, both(replace(study, predictor=loaded))[1])
+    assert stats.ks_2samp(found[1], free).pvalue < 1e-6
+
+
+def test_the_prior_of_a_test_is_normalised_whether_it_begins_with_load_or_not(study):
+    prior = prior_of(study.predictor, study.motion)
+    kinds = [np.flatnonzero(prior.start.without_load == kind)[:3] for kind in (False, True)]
+    labels = np.concatenate(kinds)
+    points = prior.draw(labels, np.random.default_rng(1))
+    t = np.linspace(-25.0, 25.0, 6001)
+    along = np.repeat(points[:, None], t.size, axis=1)
+    along[..., -1] = t
+    log = prior.log_density(np.repeat(labels[:, None], t.size, axis=1), along)
+    # what is left is the Gaussian density of the other coordinates
+    away = (prior.mean[labels] - points[:, :-1])[:, :, None]
+    standard = np.linalg.solve(prior.root[labels], away)[..., 0]
+    sizes = np.log(np.diagonal(prior.root[labels], axis1=1, axis2=2)).sum(axis=1)
+    expected = -0.5 * (standard**2).sum(axis=1) - sizes
+    found = np.log(np.trapezoid(np.exp(log - expected[:, None]), t, axis=1))
+    np.testing.assert_allclose(found, 0.0, atol=2e-3)
+
+
+def test_dampers_of_a_building_begin_without_load(study, tmp_path):
+    path = tmp_path / "building.toml"
+    path.write_text(BUILDING)
+    predictor = study.predictor
+    choice = Choice(draws=1000)
+    found = draw_dampers(predictor.population, predictor.model, read_building(path), choice)
+    names = predictor.model.parameters
+    for damper in range(2):
+        own = dict(zip(names, found.theta[:, damper].T, strict=True))
+        load = loads(predictor.model, own | {"start": found.start[:, damper]})
+        assert 0.8 < np.mean(np.abs(load) < 0.25) < 0.99
+
+
+def test_inference_learns_it_from_the_tests(motion_of_a_test):
+    def chance(start, model="backlash", prior=None):
+        priors = load_priors("mfd")
+        if prior is not None:
+            priors = replace(priors, parameters={**priors.parameters, "start": prior})
+        posterior = Posterior(motion_of_a_test, priors, "iid", model)
+        drawn = posterior.draw_prior(np.random.default_rng(0), 400)
+        drawn["start"] = np.random.default_rng(1).uniform(*start, 400)
+        q = posterior.coordinates(drawn).reshape(4, 100, -1)
+        one = SimpleNamespace(own=("start",), posterior=posterior, points=lambda x: x)
+        return _unloaded([one] * 6, SimpleNamespace(tests=[q] * 6))
+
+    assert chance((0.45, 0.55)) > 0.95
+    assert chance((0.0, 0.02)) < BEFORE
+    assert chance((0.45, 0.55), "three_stage") == 0.0
+    beta = Prior("truncated_normal", {"mean": 0.5, "sd": 0.1, "lower": 0.0, "upper": 1.0})
+    assert chance((0.45, 0.55), prior=beta) == 0.0
+
+
+@pytest.fixture
+def motion_of_a_test():
+    """Two cycles with a force."""
+    time = np.arange(200) / 50.0
+    x = np.sin(np.pi * time)
+    return Trace.from_arrays(time, x, 1.0, np.sign(np.cos(np.pi * time)))
