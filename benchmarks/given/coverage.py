@@ -49,8 +49,8 @@ def one_test(study, index: int) -> dict:
         inside = (band.lower <= truth.damper) & (truth.damper <= band.upper)
         told = band.given
         found[str(share)] = {
-            "ranks": ranks_of(study, truth, band),
-            "control": ranks_of(study, other, band),
+            "ranks": ranks_of(truth, band),
+            "control": ranks_of(other, band),
             "coverage": float(np.mean(inside[rest])),
             "width": float(np.mean((band.upper - band.lower)[rest])),
             "method": told.method if told else "",

@@ -66,7 +66,7 @@ MEDIANS = {
         if name not in ("sigma0", "sigma1", "k2", "k3", "d2", "d3")
     },
 }
-STIFFNESS = {"three_stage": "k2", "backlash": "k_fwd"}
+STIFFNESS = ("k2", "k_fwd")
 UNLOADED = {"three_stage": 0.0, "backlash": 0.8}
 """Probability that a test begins without load; the three stages do not tell load from none."""
 
@@ -254,18 +254,18 @@ def ask(study: Study, truth: Truth, share: float, seed: int = 0, draws: int = DR
     return predict_given(study.predictor, truth.trace, forecast, (0.0, end), study.pace)
 
 
-def ranks_of(study: Study, truth: Truth, band: Band) -> dict[str, int]:
+def ranks_of(truth: Truth, band: Band) -> dict[str, int]:
     """Ranks of the true forces and quantities among a band's draws."""
     found = {}
     for time in SAMPLES:
         at = int(np.searchsorted(band.time, time))
         found[f"force at {time:g} s"] = int(np.sum(band.draws[:, at] < truth.damper[at]))
-    known, drawn = (_quantities(study, one.values) for one in (truth, band))
+    known, drawn = _quantities(truth.values), _quantities(band.values)
     return found | {name: int(np.sum(drawn[name] < known[name])) for name in known}
 
 
-def _quantities(study: Study, values: Mapping[str, Array]) -> dict[str, Array]:
-    model = study.predictor.model
-    names = ("Fc_fwd", "Fc_bwd", STIFFNESS[model.name], "offset", "noise_sd", "start")
-    gap = model.gap(values)
-    return {name: values[name] for name in names} | ({} if gap is None else {"gap": gap})
+def _quantities(values: Mapping[str, Array]) -> dict[str, Array]:
+    stiffness = next(name for name in STIFFNESS if name in values)
+    names = ("Fc_fwd", "Fc_bwd", stiffness, "offset", "noise_sd", "start")
+    gap = values["gap"] if "gap" in values else values["d2"] + values["d3"]
+    return {name: values[name] for name in names} | {"gap": gap}

@@ -242,8 +242,7 @@ def _unloaded(working: Sequence[WorkingLikelihood], draws: JointDraws) -> float:
     for one, x in zip(working, draws.tests, strict=True):
         values = one.posterior.values(one.points(x.reshape(-1, x.shape[-1])))
         part = one.posterior.model.unloaded(values)
-        prior = one.posterior.priors["start"]
-        if part is None or prior.family != "uniform":
+        if part is None or one.posterior.priors["start"].family != "uniform":
             return 0.0
         found.append((values["start"], Unloaded.checked(*part)))
     return chance_of(found)

@@ -261,6 +261,7 @@ def test_inference_learns_it_from_the_tests(motion_of_a_test):
     assert chance((0.45, 0.55)) > 0.95
     assert chance((0.0, 0.02)) < BEFORE
     assert chance((0.45, 0.55), "three_stage") == 0.0
+    assert chance((0.45, 0.55), "lugre") == 0.0  # it has no start
     beta = Prior("truncated_normal", {"mean": 0.5, "sd": 0.1, "lower": 0.0, "upper": 1.0})
     assert chance((0.45, 0.55), prior=beta) == 0.0
 
