@@ -25,9 +25,9 @@ SURE = 7.0
 LITTLE = 0.2
 """Share of the slip force that a device at rest without load bears at most.
 
-The load cell shows less than 0.1 at the start of all 32 records of shared/data/brfd. It is twice as
-much, since the corners of fitted springs are not exact: at the start of tests whose load cell shows
-0.02 some of them bear 0.1.
+The load cell shows less than 0.1 at the start of all 32 records of shared/data/brfd. The limit is
+twice as much, since the corners of fitted springs are not exact: at the start of tests whose load
+cell shows 0.02, some of these springs bear 0.1.
 """
 
 POWERS = 5

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
@@ -236,16 +237,21 @@ def _unloaded(working: Sequence[WorkingLikelihood], draws: JointDraws) -> float:
     """Probability that tests begin without load, from where the calibrated ones began.
 
     It is 0 where the model does not tell load from none, and where the prior of the start is not
-    even: then that prior says where tests begin.
+    even from 0 to 1: then that prior says where tests begin.
     """
     found = []
     for one, x in zip(working, draws.tests, strict=True):
         values = one.posterior.values(one.points(x.reshape(-1, x.shape[-1])))
         part = one.posterior.model.unloaded(values)
-        if part is None or one.posterior.priors["start"].family != "uniform":
+        if part is None or not _even(one.posterior.priors["start"]):
             return 0.0
         found.append((values["start"], Unloaded.checked(*part)))
     return chance_of(found)
+
+
+def _even(prior: Prior) -> bool:
+    """Whether a prior of the start is uniform from 0 to 1."""
+    return (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
 
 
 def usual_dependence(

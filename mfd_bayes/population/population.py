@@ -193,7 +193,7 @@ class Population:
     ) -> StartDensity:
         """Densities of the places in the gap where n tests begin.
 
-        They are learned from the calibrated tests (`learned_density`). A motion that is shorter
+        They are learned from the calibrated tests (`learned`). A motion that is shorter
         than all of theirs, or of which no setting is known, begins anywhere, or anywhere without
         load: its start decides the force for long, and nothing says that such tests begin like the
         others. A start that the prior file fixes is kept.

@@ -81,7 +81,7 @@ class TestPrior:
         rng : numpy.random.Generator
         n : int
         standing : callable
-            See above.
+            Gives, of quantities (n,) by name, what is known of where tests with them begin.
         """
         population, setting = around.population, around.setting
         index = rng.choice(population.size, size=n, replace=n > population.size)

@@ -89,15 +89,10 @@ class StartDensity:
         return np.asarray(self.a[chosen] * log_expit(t) + self.b[chosen] * log_expit(-t))
 
 
-def start_density(a: Array, mode: Array) -> tuple[Array, Array]:
-    """Exponents of the Beta densities of shapes a with these modes, and sum 2a, (n,) each."""
-    return 1.0 + 2.0 * (a - 1.0) * mode, 1.0 + 2.0 * (a - 1.0) * (1.0 - mode)
-
-
-def learned_density(
+def learned(
     begun: Array, left: tuple[Array, float] | None, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Exponents of the Beta densities of the place where n new tests begin, (n,) each.
+) -> StartDensity:
+    """Beta densities of the place where n new tests begin.
 
     Parameters
     ----------
@@ -115,23 +110,12 @@ def learned_density(
     edges = np.cumsum(softmax(log, axis=1), axis=1)
     chosen = np.argmax(rng.random((len(begun), 1)) * edges[:, -1:] < edges, axis=1)
     which, shape = np.divmod(chosen, SHAPES.size)
-    return start_density(SHAPES[shape], np.array([mode for _, mode in modes])[which])
-
-
-def learned(
-    begun: Array, left: tuple[Array, float] | None, rng: np.random.Generator
-) -> StartDensity:
-    """Densities of n new tests that begin as `learned_density` has it."""
-    return _with_load(*learned_density(begun, left, rng))
+    return _beta_densities(SHAPES[shape], np.array([mode for _, mode in modes])[which])
 
 
 def fixed(n: int, place: float) -> StartDensity:
     """Densities of n tests that begin at one place."""
-    return _with_load(*start_density(np.full(n, SHARP), np.full(n, place)))
-
-
-def _with_load(a: Array, b: Array) -> StartDensity:
-    return StartDensity(a, b, np.zeros(a.shape, dtype=bool))
+    return _beta_densities(np.full(n, SHARP), np.full(n, place))
 
 
 def anywhere(rng: np.random.Generator, n: int, chance: float) -> StartDensity:
@@ -140,8 +124,18 @@ def anywhere(rng: np.random.Generator, n: int, chance: float) -> StartDensity:
     return StartDensity(np.ones(n), np.ones(n), without)
 
 
+def _beta_densities(a: Array, mode: Array) -> StartDensity:
+    """Beta densities of shapes a with these modes, (n,) each."""
+    return StartDensity(*_exponents(a, mode), np.zeros(a.shape, dtype=bool))
+
+
+def _exponents(a: Array, mode: Array) -> tuple[Array, Array]:
+    """Exponents of the Beta densities of shapes a with these modes, and sum 2a, (n,) each."""
+    return 1.0 + 2.0 * (a - 1.0) * mode, 1.0 + 2.0 * (a - 1.0) * (1.0 - mode)
+
+
 def _log_likelihood(begun: Array, places: Array) -> Array:
     """Log likelihood of every shape a for starts (n, J) about these places (J,), (n, A)."""
-    alpha, beta = start_density(SHAPES[:, None], places)
+    alpha, beta = _exponents(SHAPES[:, None], places)
     log = np.log(begun) @ (alpha - 1.0).T + np.log1p(-begun) @ (beta - 1.0).T
     return np.asarray(log - betaln(alpha, beta).sum(axis=1))

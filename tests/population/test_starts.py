@@ -14,7 +14,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.sequel import left_by
 from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.starts import Standing, learned_density
+from mfd_bayes.population.starts import Standing, learned
 from mfd_bayes.records.trace import Trace
 
 LEFT = np.array([0.2, 0.7, 0.35, 0.6, 0.8, 0.3])
@@ -27,7 +27,7 @@ def draws_of(begun, left, seed=0):
     """Places of new tests, whose motion leaves the device at 0.75."""
     rng = np.random.default_rng(seed)
     asked = None if left is None else (left, 0.75)
-    return rng.beta(*learned_density(np.tile(begun, (4000, 1)), asked, rng))
+    return learned(np.tile(begun, (4000, 1)), asked, rng).draw(rng, lambda: None)
 
 
 def motion(last):

@@ -26,30 +26,8 @@ from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.starts import Standing, anywhere
 from mfd_bayes.population.unloaded import BEFORE, Unloaded, chance_of
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.building import read_building
-from mfd_bayes.response.choice import Choice
-from mfd_bayes.response.draws import draw_dampers
 
 N = 4000
-
-BUILDING = """
-[building]
-title = "Two storeys"
-[[storey]]
-weight = "20 kip"
-height = "144 in"
-stiffness = "8 kip/in"
-[[storey]]
-weight = "20 kip"
-height = "144 in"
-stiffness = "8 kip/in"
-[[damper]]
-storey = 1
-actuation = "1000 psi"
-[[damper]]
-storey = 2
-actuation = "1000 psi"
-"""
 
 THETA = {
     "k_fwd": 45.0,
@@ -233,19 +211,6 @@ def test_the_prior_of_a_test_is_normalised_whether_it_begins_with_load_or_not(st
     np.testing.assert_allclose(found, 0.0, atol=2e-3)
 
 
-def test_dampers_of_a_building_begin_without_load(study, tmp_path):
-    path = tmp_path / "building.toml"
-    path.write_text(BUILDING)
-    predictor = study.predictor
-    choice = Choice(draws=1000)
-    found = draw_dampers(predictor.population, predictor.model, read_building(path), choice)
-    names = predictor.model.parameters
-    for damper in range(2):
-        own = dict(zip(names, found.theta[:, damper].T, strict=True))
-        load = loads(predictor.model, own | {"start": found.start[:, damper]})
-        assert 0.8 < np.mean(np.abs(load) < 0.25) < 0.99
-
-
 def test_inference_learns_it_from_the_tests(motion_of_a_test):
     def chance(start, model="backlash", prior=None):
         priors = load_priors("mfd")
@@ -264,6 +229,8 @@ def test_inference_learns_it_from_the_tests(motion_of_a_test):
     assert chance((0.45, 0.55), "lugre") == 0.0  # it has no start
     beta = Prior("truncated_normal", {"mean": 0.5, "sd": 0.1, "lower": 0.0, "upper": 1.0})
     assert chance((0.45, 0.55), prior=beta) == 0.0
+    narrow = Prior("uniform", {"lower": 0.4, "upper": 0.6})
+    assert chance((0.45, 0.55), prior=narrow) == 0.0
 
 
 @pytest.fixture

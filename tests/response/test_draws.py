@@ -100,3 +100,14 @@ def test_dampers_of_a_building_deviate_from_the_laws_alike(study, tmp_path, monk
     monkeypatch.setattr(Along, "log_factors", lambda *_: {})
     away = forward(dampers(study, tmp_path, 2)) - np.log(law)
     assert np.corrcoef(away.T)[0, 1] > 0.95
+
+
+def test_dampers_begin_without_load_where_the_tests_did(benchmark_module, tmp_path):
+    backlash = benchmark_module("given.study").make_study("backlash")
+    model, found = backlash.predictor.model, dampers(backlash, tmp_path, 1, CONSTANT)
+    for damper in range(2):
+        theta = found.theta[:, damper]
+        spring = model.start(theta, found.start[:, damper]).bent[1]
+        slip = dict(zip(model.parameters, theta.T, strict=True))
+        load = spring / np.where(spring > 0.0, slip["Fc_fwd"], slip["Fc_bwd"])
+        assert 0.8 < np.mean(np.abs(load) < 0.25) < 0.99  # four of five, and some of the others
