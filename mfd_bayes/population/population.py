@@ -202,7 +202,7 @@ class Population:
         if prior is not None and prior.fixed:
             return fixed(n, prior.typical)
         if self.starts is None or setting is None or self._shorter(setting):
-            return anywhere(rng, n, self.unloaded)
+            return anywhere(rng, n, self.unloaded, standing.luck)
         known = self.starts.reshape(-1, self.starts.shape[-1])[rng.integers(self.size, size=n)]
         left = None if self.left is None else standing.left()
         both = None if self.left is None or left is None else (self.left, left)

@@ -42,10 +42,14 @@ class Standing:
         Gives the place at which the motion leaves the device, `left_by`; None if not known.
     unloaded : callable
         Gives where each test bears no load; None with a model in which that is everywhere.
+    luck : (n,), optional
+        Uniform numbers from 0 to 1 that decide which tests begin without load. Dampers of one
+        building have the same. By default each test has its own.
     """
 
     left: Callable[[], float | None] = _nothing
     unloaded: Callable[[], Unloaded | None] = _nothing
+    luck: Array | None = None
 
 
 UNKNOWN = Standing()
@@ -118,9 +122,17 @@ def fixed(n: int, place: float) -> StartDensity:
     return _beta_densities(np.full(n, SHARP), np.full(n, place))
 
 
-def anywhere(rng: np.random.Generator, n: int, chance: float) -> StartDensity:
-    """Densities of n tests that begin anywhere, or with this chance without load."""
-    without = rng.random(n) < chance if chance > 0.0 else np.zeros(n, dtype=bool)
+def anywhere(
+    rng: np.random.Generator, n: int, chance: float, luck: Array | None = None
+) -> StartDensity:
+    """Densities of n tests that begin anywhere, or with this chance without load.
+
+    For `luck` see `Standing`.
+    """
+    if chance == 0.0:
+        without = np.zeros(n, dtype=bool)
+    else:
+        without = (rng.random(n) if luck is None else luck) < chance
     return StartDensity(np.ones(n), np.ones(n), without)
 
 

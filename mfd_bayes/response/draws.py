@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +30,10 @@ def draw_dampers(
 ) -> Dampers:
     """Dampers of n draws of a building, from the run's population.
 
-    What tests share (laws, levels, effects of level and session, the discrepancy) is one draw for
-    all dampers of a building; each has its own scatter from test to test and its own place in its
-    gap. The noise of measurements is left out: it belongs to load cells. The same seed gives the
-    same random numbers at any actuation.
+    What tests share (laws, levels, effects of level and session, the discrepancy, whether they
+    begin without load) is one draw for all dampers of a building; each has its own scatter from
+    test to test and its own place in its gap. The noise of measurements is left out: it belongs to
+    load cells. The same seed gives the same random numbers at any actuation.
     """
     levels = [level_of(device, building.folder) for device in building.devices]
     if not levels:
@@ -101,7 +102,8 @@ def _values(
         scatter = choice.scatter * drawn
     values = population.values(Parts(parts.level, parts.law, scatter))
     own = np.random.default_rng([choice.seed, 3, j])
-    standing = standing_of(population, model, values)
+    luck = np.random.default_rng([choice.seed, 6]).random(choice.draws)
+    standing = replace(standing_of(population, model, values), luck=luck)
     values = {**values, **unknown_of(population, choice.draws, own, None, standing)}
     typical = population.values(Parts(parts.level, parts.law, np.zeros_like(scatter)))
     return values, {**values, **typical}
