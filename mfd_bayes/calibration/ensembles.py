@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.chains import Chains, Watch
 from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.map_fit import Density, Mode
+from mfd_bayes.calibration.map_fit import Mode
 from mfd_bayes.calibration.mixture import Either, Proposal, learn
 from mfd_bayes.calibration.moves import Independent, evolution
 from mfd_bayes.calibration.starts import around_modes, disperse
 from mfd_bayes.jobs.job import Progress
 
 Array = NDArray[np.float64]
+Density = Callable[[Array, float], Array]
+"""Log density of points (n, dim), (n,). What is surely below the number may be −inf instead."""
 
 STORED = 3000
 """Largest number of steps stored for each walker; beyond it, every second one is dropped."""
@@ -52,6 +54,9 @@ PARTS = 6
 REQUIRED = 200
 """Correlated draws per dimension that each component needs."""
 
+NEVER = 1000.0
+"""A proposal whose log density is this far below that of every walker is never accepted."""
+
 JUMPS = 0.7
 """Share of independence proposals among the steps; the others are differential evolution."""
 
@@ -63,7 +68,7 @@ def sample_density(
     rng: np.random.Generator,
     watch: Watch | None = None,
 ) -> Chains:
-    """Draws of a log density (n, dim) -> (n,), from ensembles started around its modes.
+    """Draws of a density, from ensembles started around its modes.
 
     In the warm-up, walkers sample a power of the density, raised in rounds to 1, and a mixture
     of Student-t densities is learned from their positions. The mixture is then frozen, and
@@ -108,9 +113,10 @@ class _Walk:
         self._effort, self._rng, self._began = effort, rng, time.perf_counter()
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
         self._power = HEAT[0]
+        self._state = emcee.State(np.empty((0, dim)))
 
         def powered(q: Array) -> Array:
-            return self._power * density(q)
+            return self._power * density(q, self._least)
 
         self._anchors: Proposal = around_modes(modes, self._power)
         self._independent = Independent(self._anchors)
@@ -154,6 +160,12 @@ class _Walk:
                 break
             best = accepted
         self._freeze()
+
+    @property
+    def _least(self) -> float:
+        """Log density, of power 1, below which no proposal is accepted."""
+        known = self._state.log_prob
+        return -math.inf if known is None else float(np.min(known) - NEVER) / self._power
 
     def _raise(self, power: float) -> None:
         """Continue at a new power of the density, without the steps stored before."""

@@ -75,6 +75,13 @@ class Noise:
         total: Array = self._density(first, values) + self._density(standard, values) - log_scale
         return total
 
+    def largest(self, time: Array, values: Values) -> Array:
+        """Largest log density that any residuals have, (n,); ∞ where it depends on the travel."""
+        n = values["noise_sd"].size
+        if self.needs_travel:
+            return np.full(n, np.inf)
+        return self.log_density(np.zeros((n, time.size)), time, values)
+
     def draw(
         self,
         rng: np.random.Generator,

@@ -14,14 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.pivot import Pivot, find_pivots
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors, priors_of
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.quantities import OF_RECORDS
+from mfd_bayes.calibration.quantities import quantities_of_fit
 from mfd_bayes.calibration.shown import ShownPosterior
-from mfd_bayes.errors import FitError, PriorError
+from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.numbers import real_numbers, whole_number
 from mfd_bayes.records.trace import Trace
 
@@ -93,8 +92,8 @@ class Posterior(ShownPosterior):
             raise FitError(f"unknown start {start!r}: expected 'sample' or 'mask'")
         file = load_priors(priors) if isinstance(priors, str) else priors
         found = find_noise(noise)
-        wanted = _quantities(chosen, found, sampled_start=start == "sample")
-        chosen_priors = _check_priors(file, wanted)
+        wanted = quantities_of_fit(chosen, found, sampled_start=start == "sample")
+        chosen_priors = priors_of(file, wanted)
         names = tuple(
             name
             for name, prior in chosen_priors.items()
@@ -122,8 +121,11 @@ class Posterior(ShownPosterior):
         """Values of what is not part of q."""
         return _UNSAMPLED | {k: p.figures["value"] for k, p in self.priors.items() if p.fixed}
 
-    def log_prob(self, q: ArrayLike) -> Array:
+    def log_prob(self, q: ArrayLike, least: float = -np.inf) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,).
+
+        No force is computed where prior and noise alone keep the density below `least`: it is −inf
+        there.
 
         Raises
         ------
@@ -132,12 +134,22 @@ class Posterior(ShownPosterior):
         """
         points = self._check(q)
         density = self.log_prior(points)
+        density[self._surely_below(points, density, least)] = -np.inf
         inside = np.isfinite(density)
         if np.any(inside):
             density[inside] += self.log_likelihood(points[inside])
         if np.any(np.isnan(density)):
             raise FitError("the log posterior is not a number: please report this as a bug")
         return density
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def _surely_below(self, points: Array, log_prior: Array, least: float) -> NDArray[np.bool_]:
+        """Which densities would be below `least` even if the model left nothing over, (n,) bool."""
+        below = np.isfinite(log_prior) & (log_prior < least)
+        if np.any(below):
+            values, time = self.values(points[below]), self.trace.time[self.first :]
+            below[below] = log_prior[below] + self.noise.largest(time, values) < least
+        return below
 
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
@@ -257,32 +269,6 @@ class Posterior(ShownPosterior):
         if np.any(np.isnan(points)):
             raise FitError("q holds NaN")
         return points
-
-
-def _quantities(model: Model, noise: Noise, *, sampled_start: bool) -> list[Quantity]:
-    """Quantities of a fit that have priors, in the order in which they are sampled."""
-    has_start = model.has_gap and sampled_start
-    record = [quantity for quantity in OF_RECORDS if quantity.name != "start" or has_start]
-    return [q for q in (*model.quantities, *record, *noise.quantities) if q.sampled]
-
-
-def _check_priors(file: PriorFile, wanted: list[Quantity]) -> dict[str, Prior]:
-    """Priors of quantities by name; none may be missing or allow what no damper has."""
-    missing = [q.name for q in wanted if q.name not in file.parameters]
-    if missing:
-        raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
-    priors = {q.name: file.parameters[q.name] for q in wanted}
-    for q, prior in zip(wanted, priors.values(), strict=True):
-        value = prior.figures.get("value", np.nan)
-        lowest, highest = (value, value) if prior.fixed else (prior.lower, prior.upper)
-        if q.least <= lowest <= highest <= q.most:
-            continue
-        beyond = f"values above {q.most:g}" if lowest >= q.least else f"values below {q.least:g}"
-        raise PriorError(
-            f"prior of {q.name} in {file.path.name}: {prior.family} allows "
-            f"{'negative values' if lowest < 0 <= q.least else beyond}, which {q.name} cannot have"
-        )
-    return priors
 
 
 def _first_slip(trace: Trace, gap: float | None) -> int:

@@ -14,6 +14,7 @@ from mfd_bayes.calibration.prior_scales import in_units
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import PriorError, UnitError
+from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
@@ -216,3 +217,22 @@ def _figure(where: str, value: object, kind: str | None) -> float:
     if not np.isfinite(number):
         raise PriorError(f"{where}: must be finite, got {reprlib.repr(value)}")
     return number
+
+
+def priors_of(file: PriorFile, wanted: list[Quantity]) -> dict[str, Prior]:
+    """Priors of quantities by name; none may be missing or allow what no damper has."""
+    missing = [q.name for q in wanted if q.name not in file.parameters]
+    if missing:
+        raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
+    priors = {q.name: file.parameters[q.name] for q in wanted}
+    for q, prior in zip(wanted, priors.values(), strict=True):
+        value = prior.figures.get("value", np.nan)
+        lowest, highest = (value, value) if prior.fixed else (prior.lower, prior.upper)
+        if q.least <= lowest <= highest <= q.most:
+            continue
+        beyond = f"values above {q.most:g}" if lowest >= q.least else f"values below {q.least:g}"
+        raise PriorError(
+            f"prior of {q.name} in {file.path.name}: {prior.family} allows "
+            f"{'negative values' if lowest < 0 <= q.least else beyond}, which {q.name} cannot have"
+        )
+    return priors

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mfd_bayes.calibration import noises
+from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.friction import models, weakening
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 
 OF_RECORDS = (
@@ -25,6 +27,13 @@ def known_quantities() -> dict[str, Quantity]:
     parts += [tuple(weakening.QUANTITIES.values())]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
     return {quantity.name: quantity for part in parts for quantity in part}
+
+
+def quantities_of_fit(model: Model, noise: Noise, *, sampled_start: bool) -> list[Quantity]:
+    """Quantities of a fit that have priors, in the order in which they are sampled."""
+    has_start = model.has_gap and sampled_start
+    record = [quantity for quantity in OF_RECORDS if quantity.name != "start" or has_start]
+    return [q for q in (*model.quantities, *record, *noise.quantities) if q.sampled]
 
 
 def sampled_quantities() -> dict[str, Quantity]:

@@ -18,6 +18,11 @@ FAR = 2.0
 MOST_FAR = 8
 """Most steps into which a sample's way is cut in slip: in slip more of them change nothing."""
 
+MOST = 128
+"""A sample's way that would be cut into more steps is not cut: slip then sets in at once, within a
+small part of it.
+"""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -78,8 +83,9 @@ def cut(moves: Array, plan: Plan, place: Place) -> Course:
     since = _travelled(length, sign, place)
     near = np.clip(plan.window - since, 0.0, length)
     far = length - near
-    close = np.ceil(near / plan.step).astype(np.intp)
-    loose = np.ceil(np.minimum(far / (FAR * plan.step), MOST_FAR)).astype(np.intp)
+    wanted, later = near / plan.step, far / (FAR * plan.step)
+    close = np.ceil(np.where(wanted > MOST, 1.0, wanted)).astype(np.intp)
+    loose = np.ceil(np.where(later > MOST, 1.0, np.minimum(later, MOST_FAR))).astype(np.intp)
     close[(close == 0) & (loose == 0)] = 1
     count = close + loose
     ends = np.cumsum(count)
@@ -161,8 +167,9 @@ def cut_few(moves: list[float], plans: list[Plan], which: Index, place: Place) -
 def _lengths(length: float, since: float, plan: Plan) -> list[float]:
     near = min(max(plan.window - since, 0.0), length)
     far = length - near
-    close = math.ceil(near / plan.step)
-    loose = math.ceil(min(far / (FAR * plan.step), MOST_FAR))
+    wanted, later = near / plan.step, far / (FAR * plan.step)
+    close = math.ceil(1.0 if wanted > MOST else wanted)
+    loose = math.ceil(1.0 if later > MOST else min(later, MOST_FAR))
     if close + loose == 0:
         return [near]
     return [near / max(close, 1)] * close + [far / max(loose, 1)] * loose

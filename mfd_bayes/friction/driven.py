@@ -63,14 +63,20 @@ class Drive:
 
 
 def follow(damper: Damper, course: Course, drive: Drive, first: Array) -> tuple[Array, Array]:
-    """Spring force after each step of the uncut motion, (M, n), kip, and the last z, (n,), in."""
-    force = np.empty((course.ends.size, damper.size))
+    """Spring force after each step of the uncut motion, (M, n), kip, and the last z, (n,), in.
+
+    Both are NaN for vectors that cannot be solved.
+    """
+    force, lost = np.empty((course.ends.size, damper.size)), np.zeros(damper.size, dtype=bool)
     z = first
     for begin, end, rows in _pieces(damper, course, drive):
-        part, z = advance(damper.material, rows, z)
+        part, z, unsolved = advance(damper.material, rows, z)
+        lost |= unsolved
+        z[lost] = 0.0
         low, high = np.searchsorted(course.ends, [begin + 1, end + 1])
         force[low:high] = part[course.ends[low:high] - begin - 1]
-    return force, z
+    force[:, lost] = np.nan
+    return force, np.where(lost, np.nan, z)
 
 
 def _pieces(damper: Damper, course: Course, drive: Drive) -> Iterator[tuple[int, int, Rows]]:

@@ -35,7 +35,8 @@ def advance_few(material: Material, rows: Rows, bent: Bent) -> Bent:
             bent = found
         else:
             return bent
-    _, z = advance(material, rows, first)
+    _, z, unsolved = advance(material, rows, first)
+    z = np.where(unsolved, np.nan, z)
     return z, *material.spring.evaluate(z)
 
 

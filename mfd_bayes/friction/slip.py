@@ -22,8 +22,8 @@ from mfd_bayes.friction.spring import Spring
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 40
-"""Most of Newton's steps; three are the rule."""
+ITERATIONS = 100
+"""Most of Newton's steps; three are the rule, and later ones are of few steps of the motion."""
 
 FEWER = 0.8
 """Newton goes on with the unsolved steps alone when they are fewer than this share."""
@@ -38,6 +38,11 @@ FEW = 16
 
 CUTS = 6
 """Most times that this is done."""
+
+ONWARD = 32
+"""Steps after an unsolved one that are solved again with it where slip may set in at once: what
+they do next depends on how it ends.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +72,14 @@ class Rows:
     uneven: bool = False
     onset: Array | None = None
 
+    @property
+    def sudden(self) -> bool:
+        """Whether slip may set in at once, or a slip force may fall below the spring's force.
+
+        What Newton's method leaves then says nothing of the steps that follow.
+        """
+        return self.uneven or self.slip is not None
+
     def steps(self, spring: Spring, first: Array) -> Steps:
         """All of them, from a deflection (n,), in."""
         start, before = np.zeros(1, dtype=np.intp), first[None]
@@ -84,47 +97,67 @@ class Rows:
         return Steps(*parts, slip, breaks, before, spring.evaluate(before))
 
 
-def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array]:
+def advance(material: Material, rows: Rows, first: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Spring force after each step, (R, n), kip, and the last deflection, (n,), in.
+
+    Which vectors Newton's method could not solve comes third, (n,): their numbers mean nothing.
 
     Parameters
     ----------
     first : (n,), in
         Deflection before the first step.
     """
-    steps = rows.steps(material.spring, first)
+    steps = every = rows.steps(material.spring, first)
     z = _guess(material, rows, steps.starts, first)
     kept: Index | slice = slice(None)
     force, now = np.empty(z.shape), np.concatenate([first[None], z])
+    error, lost = material.error, np.zeros(first.size, dtype=bool)
     for done in range(ITERATIONS):
         found, step, decay = newton(material, steps, now)
         now[1:] += step
         step *= step
-        left = step @ material.error
+        left = step @ error
+        if not math.isfinite(left.max()):
+            lost |= _give_up(step, now)
+            error = np.where(lost, 0.0, error)
+            left = step @ error
         cut = left.max() > FAR_OFF * first.size and done < CUTS
         if cut:
             _bring_back(rows, kept, now[1:])
         z[kept], force[kept] = now[1:], found
         if cut:
             continue
-        moving = _unsolved(rows, steps, left, decay)
+        moving = _unsolved(rows, left, decay)
         if not moving.size:
-            break
-        if moving.size < FEWER * left.size:
+            if isinstance(kept, slice) or not rows.sudden:
+                break
+            kept, steps = slice(None), every  # the others may have moved on
+            now = np.concatenate([first[None], z])
+        elif moving.size < FEWER * left.size:
             kept = moving if isinstance(kept, slice) else kept[moving]
             steps = rows.some(material.spring, kept, z, first)
             now = np.concatenate([first[None], z[kept]])
-    return force, z[-1]
+    else:
+        lost |= np.any(step * error > CLOSE**2, axis=0)
+    return force, z[-1], lost
 
 
-def _unsolved(rows: Rows, steps: Steps, left: Array, decay: Array) -> Index:
+def _give_up(step: Array, z: Array) -> NDArray[np.bool_]:
+    """Which vectors have gone beyond all numbers, (n,); they are set to 0, beside the others."""
+    beyond: NDArray[np.bool_] = ~np.all(np.isfinite(step), axis=0)
+    step[:, beyond] = z[:, beyond] = 0.0
+    return beyond
+
+
+def _unsolved(rows: Rows, left: Array, decay: Array) -> Index:
     """Steps that Newton's method would still move, by the errors that it leaves in each, (R,).
 
-    An error goes on to the steps that follow, as far as it does not decay. Where slip sets in at
-    once, none may be left.
+    An error goes on to the steps that follow, as far as it does not decay. Where slip may set in at
+    once, `ONWARD` steps follow each that Newton's method has just moved.
     """
-    if rows.uneven or steps.slip is not None:
-        return np.arange(left.size if left.max() > CLOSE**2 else 0)
+    if rows.sudden:
+        moved = (left > CLOSE**2).astype(np.float64)
+        return np.flatnonzero(np.convolve(moved, np.ones(ONWARD + 1))[: left.size] > 0.5)
     few = decay.shape[1] < FEW
     passed = np.ascontiguousarray(decay.T).max(axis=0) if few else decay.max(axis=1)
     np.clip(passed, 1e-20, 1.0, out=passed)

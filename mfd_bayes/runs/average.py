@@ -11,7 +11,7 @@ import numpy as np
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.conditioned import Conditioned
-from mfd_bayes.population.forecast import DRAWS, Forecast
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
@@ -69,7 +69,7 @@ class ModelAverage:
         kind: str = "new_test",
         probability: float = 0.95,
         *,
-        draws: int = DRAWS,
+        draws: int = 500,
         seed: int = 0,
         session: str = "",
         whole: bool = False,

@@ -19,7 +19,7 @@ from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Effort
 from mfd_bayes.population.band import Band
 from mfd_bayes.population.follow import Forecaster
-from mfd_bayes.population.forecast import DRAWS, Forecast
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.pace import Pace
@@ -137,7 +137,7 @@ class Run:
         kind: str = "new_test",
         probability: float = 0.95,
         *,
-        draws: int = DRAWS,
+        draws: int = 500,
         seed: int = 0,
         session: str = "",
         test: str = "",

@@ -25,7 +25,7 @@ class Normal:
         plain = SimpleNamespace(coordinate=lambda values: values)
         self.priors = dict.fromkeys(NAMES, plain)
 
-    def log_prob(self, q):
+    def log_prob(self, q, _=-np.inf):
         away = q - self.mean
         return -0.5 * np.einsum("ni,ij,nj->n", away, np.linalg.inv(self.covariance), away)
 
@@ -101,7 +101,7 @@ def test_walkers_start_at_better_modes_than_those_near_the_first_fit(weights_fai
     near, far = Normal(0.0, 0.2), Normal(-6.0, 0.2)
 
     class Both(Normal):
-        def log_prob(self, q):
+        def log_prob(self, q, _=-np.inf):
             return np.logaddexp(near.log_prob(q) - 12.0, far.log_prob(q))
 
     if searched:
@@ -120,7 +120,7 @@ def test_walkers_are_sent_where_the_weights_fail(weights_fail):
 
 def test_no_density_at_any_start_is_said():
     class Nothing(Normal):
-        def log_prob(self, q):
+        def log_prob(self, q, _=-np.inf):
             return np.full(len(q), -np.inf)
 
     rng = np.random.default_rng(1)

@@ -6,6 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction import slip
+from mfd_bayes.friction.course import Place, Plan, cut
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.trace import Trace
 from tests.friction.backlash_cases import MODEL, VALUES, sine, stepped, theta, vectors, walk
@@ -19,6 +21,53 @@ def test_batch_equals_single_vectors():
         together = MODEL.force(batch, trace)
         for row, force in zip(batch, together, strict=True):
             np.testing.assert_allclose(MODEL.force(row[None], trace)[0], force, atol=CLOSE)
+
+
+STUBBORN = [6.54, 1300.0, 0.0323, 0.0808, 0.002, 15.6, 0.00112, 1.0, 0.038, 0.336, 0.109, 1.39]
+"""A damper that takes Newton's method almost a hundred steps."""
+
+UNSOLVED = [34.24, 34.7, 0.2952, 0.03248, 0.8656, 0.04164, 8.323, 2.034, 0.049, 0.172, 0.061, 2.59]
+"""A damper that slips at a two hundredth of the force in one direction: Newton's method fails."""
+
+SUDDEN = {"k_fwd": 4.7e4, "ell": 4e-5, "Fc_fwd": 0.1, "n": 1.02}
+"""A damper that slips at once at every turn, in a ten thousandth of an inch."""
+
+
+def test_dampers_that_are_hard_to_solve_leave_the_others_of_their_batch_alone(monkeypatch):
+    batch = np.concatenate([theta(), [STUBBORN], theta(**SUDDEN), theta(n=400.0)])
+    for trace in (sine(), walk(3)):
+        alone = np.concatenate([MODEL.force(row[None], trace) for row in batch])
+        np.testing.assert_allclose(MODEL.force(batch, trace), alone, atol=1e-5)
+    with_one = np.concatenate([batch, [UNSOLVED]])
+    with np.errstate(all="ignore"):
+        found = MODEL.force_unbounded(with_one, sine())
+    assert np.all(np.isnan(found[-1, 1:]))  # and not some number
+    np.testing.assert_allclose(found[:-1], MODEL.force(batch, sine()), atol=1e-5)
+    with pytest.raises(FitError, match="vector 4 is no finite number"):
+        MODEL.force(with_one, sine())
+    monkeypatch.setattr(slip, "ITERATIONS", 20)  # the control
+    assert not np.all(np.isfinite(MODEL.force_unbounded([STUBBORN], sine())))
+
+
+@pytest.mark.parametrize("actuation", [None, 1.5 + np.sin(np.arange(1000) / 40)])
+def test_steps_that_are_solved_are_left_alone_also_where_slip_sets_in_at_once(
+    monkeypatch, actuation
+):
+    taken, counted = [], slip.newton
+    monkeypatch.setattr(slip, "newton", lambda *a: taken.append(a[2].shape[0]) or counted(*a))
+    batch, trace = theta(**SUDDEN), sine(actuation=actuation)
+    some, few = MODEL.force(batch, trace), sum(taken)
+    taken.clear()
+    monkeypatch.setattr(slip, "FEWER", 0.0)  # all steps each time
+    np.testing.assert_allclose(some, MODEL.force(batch, trace), atol=1e-9)
+    assert few <= sum(taken)
+
+
+def test_a_way_on_which_slip_surely_sets_in_is_not_cut():
+    moves, plan = np.array([0.1, 0.1, -0.1, -0.1]), Plan(step=1e-5, window=2e-5)
+    assert cut(moves, plan, Place()).sign.size < 12
+    monkeyed = Plan(step=1e-3, window=2e-3)  # the control: a hundred steps are made
+    assert cut(moves, monkeyed, Place()).sign.size > 12
 
 
 def test_a_long_record_is_worked_on_in_pieces():

@@ -22,8 +22,9 @@ def most_steps(monkeypatch):
     trace, found = sine(1.0, seconds=3.0, rate=50.0), []
     for row in SUDDEN * np.random.default_rng(0).lognormal(0.0, 0.01, (60, SUDDEN.size)):
         taken.clear()
-        assert np.all(np.isfinite(MODEL.force(row[None], trace)))
+        force = MODEL.force_unbounded(row[None], trace)
         found.append(len(taken))
+        assert np.all(np.isfinite(force)) or found[-1] == slip.ITERATIONS
     return max(found)
 
 
