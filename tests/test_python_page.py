@@ -12,7 +12,7 @@ import mfd_bayes as mb
 griffe = pytest.importorskip("griffe", reason='needs the extra "docs": pip install ".[docs]"')
 
 PACKAGE = Path(mb.__file__).parent
-PAGE = PACKAGE.parent / "docs/pages/python.md"
+PAGE = Path(__file__).parent.parent / "docs/pages/python.md"
 NAMES = re.findall(r"^::: (\S+)", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 
 
