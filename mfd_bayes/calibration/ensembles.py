@@ -20,7 +20,7 @@ from mfd_bayes.calibration.starts import around_modes, disperse
 from mfd_bayes.jobs.job import Progress
 
 Array = NDArray[np.float64]
-Density = Callable[[Array, float], Array]
+BoundedDensity = Callable[[Array, float], Array]
 """Log density of points (n, dim), (n,). What is surely below the number may be −inf instead."""
 
 STORED = 3000
@@ -62,7 +62,7 @@ JUMPS = 0.7
 
 
 def sample_density(
-    density: Density,
+    density: BoundedDensity,
     modes: Sequence[Mode],
     effort: Effort,
     rng: np.random.Generator,
@@ -102,7 +102,7 @@ class _Walk:
 
     def __init__(
         self,
-        density: Density,
+        density: BoundedDensity,
         modes: Sequence[Mode],
         effort: Effort,
         rng: np.random.Generator,

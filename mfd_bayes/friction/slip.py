@@ -156,8 +156,9 @@ def _unsolved(rows: Rows, left: Array, decay: Array) -> Index:
     once, `ONWARD` steps follow each that Newton's method has just moved.
     """
     if rows.sudden:
-        moved = (left > CLOSE**2).astype(np.float64)
-        return np.flatnonzero(np.convolve(moved, np.ones(ONWARD + 1))[: left.size] > 0.5)
+        moved = np.cumsum(left > CLOSE**2, dtype=np.intp)
+        moved[ONWARD + 1 :] -= moved[: -ONWARD - 1].copy()
+        return np.flatnonzero(moved)
     few = decay.shape[1] < FEW
     passed = np.ascontiguousarray(decay.T).max(axis=0) if few else decay.max(axis=1)
     np.clip(passed, 1e-20, 1.0, out=passed)

@@ -38,6 +38,13 @@ def vectors(n, seed=0, spread=0.4):
     return batch
 
 
+def loads(batch, start):
+    """Share of the slip force that dampers (n, 12) bear at their start, (n,)."""
+    spring = MODEL.start(batch, start).bent[1]
+    forward, backward = (batch[:, MODEL.parameters.index(name)] for name in ("Fc_fwd", "Fc_bwd"))
+    return spring / np.where(spring > 0.0, forward, backward)
+
+
 def sine(amplitude=1.0, seconds=5.0, rate=200.0, **options):
     time = np.arange(0, seconds, 1 / rate)
     velocity = amplitude * OMEGA * np.cos(OMEGA * time)

@@ -55,19 +55,19 @@ def test_steps_that_are_solved_are_left_alone_also_where_slip_sets_in_at_once(
 ):
     taken, counted = [], slip.newton
     monkeypatch.setattr(slip, "newton", lambda *a: taken.append(a[2].shape[0]) or counted(*a))
-    batch, trace = theta(**SUDDEN), sine(actuation=actuation)
+    batch, trace = theta(**SUDDEN), sine(0.2, actuation=actuation)
     some, few = MODEL.force(batch, trace), sum(taken)
     taken.clear()
     monkeypatch.setattr(slip, "FEWER", 0.0)  # all steps each time
     np.testing.assert_allclose(some, MODEL.force(batch, trace), atol=1e-9)
-    assert few <= sum(taken)
+    assert few < sum(taken)
 
 
 def test_a_way_on_which_slip_surely_sets_in_is_not_cut():
     moves, plan = np.array([0.1, 0.1, -0.1, -0.1]), Plan(step=1e-5, window=2e-5)
     assert cut(moves, plan, Place()).sign.size < 12
-    monkeyed = Plan(step=1e-3, window=2e-3)  # the control: a hundred steps are made
-    assert cut(moves, monkeyed, Place()).sign.size > 12
+    longer = Plan(step=1e-3, window=2e-3)  # the control: fewer steps would do, and are made
+    assert cut(moves, longer, Place()).sign.size > 12
 
 
 def test_a_long_record_is_worked_on_in_pieces():

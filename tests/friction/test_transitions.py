@@ -5,12 +5,10 @@ from mfd_bayes.friction.gap import follow
 from mfd_bayes.friction.transitions import FARTHEST, Gap, Transitions, blend
 from mfd_bayes.records.trace import Trace
 
-RNG = np.random.default_rng(7)
-
 
 def gaps(lengths):
     """Gaps that differ, of transition lengths in in."""
-    around = RNG.lognormal(0.0, 0.2, (4, len(lengths)))
+    around = np.random.default_rng(7).lognormal(0.0, 0.2, (4, len(lengths)))
     return Gap(*(np.array([2.3, 37.0, 0.28, 0.044])[:, None] * around), np.asarray(lengths))
 
 
@@ -43,10 +41,11 @@ def test_prepared_transitions_equal_the_plain_formulas(kind, lengths):
     # in parts, in stretches that have lines of their own, and before the gap as well as after it
     trace, gap = motion(kind), gaps(LENGTHS[lengths])
     path, n = trace.path, gap.k2.size
-    slip = RNG.normal(2.0, 0.5, (path.turning_points.size, n))
+    rng = np.random.default_rng(8)
+    slip = rng.normal(2.0, 0.5, (path.turning_points.size, n))
     crossing = follow(gap, path, np.linspace(0.0, 1.0, n), slip)
-    force = RNG.normal(2.0, 0.5, (trace.samples, n))
-    rows = np.flatnonzero(RNG.uniform(size=trace.samples) < 0.8)
+    force = rng.normal(2.0, 0.5, (trace.samples, n))
+    rows = np.flatnonzero(rng.uniform(size=trace.samples) < 0.8)
     expected = force.copy()
     some = force[rows]
     blend(gap, crossing, path.stretch[rows], trace.displacement[rows], some)

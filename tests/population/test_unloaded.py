@@ -26,6 +26,7 @@ from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.starts import Standing, anywhere
 from mfd_bayes.population.unloaded import BEFORE, Unloaded, chance_of
 from mfd_bayes.records.trace import Trace
+from tests.friction.backlash_cases import loads
 
 N = 4000
 
@@ -157,12 +158,6 @@ def study(benchmark_module):
     return benchmark_module("given.study").make_study("backlash")
 
 
-def loads(model, found):
-    """Share of the slip force that dampers bear at their start, (n,)."""
-    spring = model.start(model.theta(found), found["start"]).bent[1]
-    return spring / np.where(spring > 0.0, found["Fc_fwd"], found["Fc_bwd"])
-
-
 def prior_of(predictor, motion):
     """What is known of a test under a motion."""
     setting = setting_of(motion)
@@ -182,14 +177,16 @@ def both(study):
 
 
 def test_alone_and_given_begin_alike(study):
-    found = [loads(study.predictor.model, one) for one in both(study)]
+    theta = study.predictor.model.theta
+    found = [loads(theta(one), one["start"]) for one in both(study)]
     for load in found:
         assert np.mean(np.abs(load) < 0.25) > 0.8
         assert np.mean(np.abs(load) > 0.5) > 0.05  # those that begin anywhere
     assert stats.ks_2samp(*found).pvalue > 1e-3
     # control: where nothing is known of it
     loaded = replace(study.predictor, population=replace(study.predictor.population, unloaded=0.0))
-    free = loads(study.predictor.model, both(replace(study, predictor=loaded))[1])
+    given = both(replace(study, predictor=loaded))[1]
+    free = loads(theta(given), given["start"])
     assert stats.ks_2samp(found[1], free).pvalue < 1e-6
 
 

@@ -8,6 +8,7 @@ from mfd_bayes.response import draws
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
+from tests.friction.backlash_cases import loads
 
 BUILDING = """
 [building]
@@ -105,17 +106,12 @@ def test_dampers_of_a_building_deviate_from_the_laws_alike(study, tmp_path, monk
 
 def test_dampers_begin_without_load_where_the_tests_did(benchmark_module, tmp_path, monkeypatch):
     backlash = benchmark_module("given.study").make_study("backlash")
-    model = backlash.predictor.model
 
     def loaded():
         """Which dampers bear more than a quarter of the slip force before the motion, (n, 2)."""
         found = dampers(backlash, tmp_path, 1, CONSTANT)
-        shares = []
-        for theta, start in zip(found.theta.swapaxes(0, 1), found.start.T, strict=True):
-            spring = model.start(theta, start).bent[1]
-            slip = dict(zip(model.parameters, theta.T, strict=True))
-            shares.append(spring / np.where(spring > 0.0, slip["Fc_fwd"], slip["Fc_bwd"]))
-        return np.abs(shares).T > 0.25
+        each = zip(found.theta.swapaxes(0, 1), found.start.T, strict=True)
+        return np.abs([loads(*damper) for damper in each]).T > 0.25
 
     found = loaded()
     # four of five do, and some of the others
