@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -72,7 +73,8 @@ def runnable(page):
 class Reader:
     """Someone who types in the blocks of a page one after the other, in one folder."""
 
-    def __init__(self):
+    def __init__(self, commands=Path(sys.executable).parent):
+        self.commands = commands  # folder of the commands that are found first
         self.names = {"__name__": "__main__"}
         self.said = ""
 
@@ -99,7 +101,9 @@ class Reader:
     def run_bash(self, block):
         told = f"trap 'echo at line $((LINENO + {block.line - 1})) >&2' ERR; "
         environment = os.environ | {
-            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            "PATH": os.pathsep.join(
+                [str(self.commands), str(Path(sys.executable).parent), os.environ["PATH"]]
+            ),
             "OPENBLAS_NUM_THREADS": "1",
         }
         done = subprocess.run(
@@ -120,8 +124,16 @@ class Reader:
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path / "matplotlib"))
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def commands(without_figures, tmp_path_factory):
+    """Folder with the command as installed, but for the figures of its reports."""
+    command = tmp_path_factory.mktemp("commands") / "mfd-bayes"
+    command.write_text(f'#!/bin/sh\nexec {shlex.join(without_figures)} "$@"\n')
+    command.chmod(0o755)
+    return command.parent
 
 
 # ArviZ 0.23 calls Matplotlib in a way that 3.11 deprecates.
@@ -131,8 +143,8 @@ def folder(tmp_path, monkeypatch):
     [*(pytest.param(pages, marks=pytest.mark.slow) for pages in SERIES[:3]), *SERIES[3:]],
     ids=lambda pages: pages[0],
 )
-def test_the_blocks_of_a_page_run_in_order(pages, folder, request):
-    reader = Reader()
+def test_the_blocks_of_a_page_run_in_order(pages, folder, commands, request):
+    reader = Reader(commands)
     if "demo.md" in pages:  # a run of three tests, where the pages have one with eight
         shutil.copytree(request.getfixturevalue("finished_run").out, "out")
     for page in pages:

@@ -718,6 +718,8 @@ def crossed(campaign, out, without_figures, tmp_path_factory):
 def test_every_level_is_predicted_from_the_others_and_nothing_sampled_twice(out, crossed):
     copy, outcome, _ = crossed
     assert outcome.returncode == 0, outcome.stderr
+    assert list((out / "tests").rglob("*.png"))
+    assert not list((copy / "tests").rglob("*.png"))  # `without_figures` keeps what it promises
     for level in ("500 psi", "1000 psi", "1500 psi"):
         assert f"without {level}: done" in outcome.stdout
     assert "finding modes" not in outcome.stdout

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.population import sampling
 
 HEAD = '[campaign]\nmodel = "lugre"\nnoise = "iid"\nrate = "32 Hz"\n'
 
@@ -86,7 +88,10 @@ def test_tolerances_of_a_campaign_are_kept_and_checked(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path):
+@pytest.mark.usefixtures("no_figures")
+def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path, monkeypatch):
+    # the laws of tests that contradict each other converge late, and are no matter here
+    monkeypatch.setitem(sampling.SWEEPS, EFFORTS["quick"].ess, 20)
     path, out = write_campaign(tmp_path, (1, -1)), tmp_path / "out"
     outcome = here("calibrate", path, "-o", out, "--effort", "quick", "--jobs", "1", "--strict")
     assert outcome.exit_code == 1, outcome.output

@@ -21,7 +21,6 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline import prediction, report
 from mfd_bayes.population import storage
-from mfd_bayes.reporting import publication
 from mfd_bayes.runs import lock, opening
 from mfd_bayes.runs.lock import OWNER, Owner, alone_in
 
@@ -285,9 +284,8 @@ def is_locked(out):
     return False
 
 
-def test_a_report_keeps_its_lock_to_the_end(run_folder, monkeypatch):
-    for name in ("draw_shared", "draw_test"):  # figures are of no matter here
-        monkeypatch.setattr(publication, name, lambda *_: iter(()))
+@pytest.mark.usefixtures("no_figures")
+def test_a_report_keeps_its_lock_to_the_end(run_folder):
     locked = []
     assert not is_locked(run_folder)
     report.report(run_folder, lambda _: locked.append(is_locked(run_folder)), jobs=1)

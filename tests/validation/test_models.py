@@ -169,9 +169,8 @@ def test_the_table_has_a_line_for_each_test_and_model(compared):
 
 
 @pytest.mark.slow
-def test_the_command_compares_and_samples_nothing_twice(tmp_path, monkeypatch):
-    for name in ("draw_shared", "draw_test"):  # figures are no matter here
-        monkeypatch.setattr(f"mfd_bayes.reporting.publication.{name}", lambda *_: iter(()))
+@pytest.mark.usefixtures("no_figures")
+def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     # Bouc-Wen's force with white noise, which LuGre cannot follow in its spring behind the knee
     time = np.arange(0, 4, 1 / 40)
     motion = np.sin(2 * np.pi * time)
