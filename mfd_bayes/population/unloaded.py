@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 LEAST, MOST = 1e-3, 0.25
 """Shares of the range between which the length of the soft ends is kept."""
 
-BEFORE = 5.0 / 6.0
+BEFORE = 3.0 / 4.0
 """Probability, before the tests of a run, that all of them begin without load.
 
-All 32 records of the five sessions in shared/data/brfd begin with less than a tenth of the slip
-force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one. Here k is 4, so
-that none of the five is counted twice when it is calibrated itself.
+All 32 records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
+force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one. Here k is 2, so
+that none of the three is counted twice when it is calibrated itself.
 """
 
 
