@@ -26,6 +26,9 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
+LEAST_AFTER = 20
+"""Fewest samples that are fitted after a start that is masked."""
+
 AT_ONCE = 1 << 24
 """Points times samples whose forces are computed at once: some 400 MB."""
 
@@ -190,6 +193,8 @@ class Posterior(ShownPosterior):
     def residual(self, q: ArrayLike) -> Array:
         """What the model leaves over, F_obs − F0 − F, (n, T), kip."""
         values = self.values(q)
+        if not len(values["offset"]):
+            return np.empty((0, self.trace.samples))
         by_time = self.force(values).T  # as the models lay it out
         np.subtract(np.asarray(self.trace.force)[:, None], by_time, out=by_time)
         by_time -= values["offset"]
@@ -275,8 +280,12 @@ def _first_slip(trace: Trace, gap: float | None) -> int:
     """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
     if gap is None:
         return 0
-    ends = [0, *trace.turning_points.tolist(), trace.samples - 1]
-    for begin, end in itertools.pairwise(ends):
+    for begin, end in itertools.pairwise([0, *trace.turning_points.tolist()]):
         if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
+            if trace.samples - end < LEAST_AFTER:
+                break
             return int(end)
-    raise FitError("start = 'mask' needs a record that slips: no stroke is twice the prior's gap")
+    raise FitError(
+        "start = 'mask' needs a record that goes on after a stroke of twice the prior's gap, "
+        f"for {LEAST_AFTER} samples or more: what comes before is not fitted"
+    )

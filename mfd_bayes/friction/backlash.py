@@ -22,8 +22,9 @@ from mfd_bayes.friction.single import Bent, advance_few
 from mfd_bayes.friction.three_stage import check_start
 from mfd_bayes.friction.yield_shares import (
     Shares,
-    check_number,
+    check_reference,
     check_step,
+    reference_of,
     step_shares,
     trace_shares,
 )
@@ -192,8 +193,7 @@ class BacklashLuGre(Model):
         """
         damper = _damper(self, theta)
         z = damper.begin(check_start(start, damper.size))
-        if reference_actuation is not None:
-            check_number("reference_actuation", reference_actuation, least=0.0)
+        check_reference(reference_actuation)
         return State(damper, reference_actuation, (z, *damper.spring.evaluate(z)))
 
     def step(
@@ -228,8 +228,7 @@ class BacklashLuGre(Model):
         """
         first = bool(np.isnan(state.displacement))
         check_step(displacement, velocity, dt, first=first)
-        if state.reference is None and actuation is not None:
-            state = replace(state, reference=actuation)
+        state = replace(state, reference=reference_of(state.reference, actuation))
         size = state.damper.size
         shares = step_shares(size, state.reference, actuation, scales, ACTUATED)
         after = replace(state, displacement=displacement, velocity=velocity, shares=shares)

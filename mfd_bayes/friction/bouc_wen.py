@@ -21,8 +21,9 @@ from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.yield_shares import (
     ACTUATED,
     Shares,
-    check_number,
+    check_reference,
     check_step,
+    reference_of,
     step_shares,
     trace_shares,
 )
@@ -175,8 +176,7 @@ class BoucWen(Model):
             When a shape or a value does not fit.
         """
         columns = _check_theta(self, theta)
-        if reference_actuation is not None:
-            check_number("reference_actuation", reference_actuation, least=0.0)
+        check_reference(reference_actuation)
         curve = Curve.of(columns["exponent"], columns["beta"], _ratio(columns), wide=True)
         return State(columns, curve, reference_actuation, np.zeros(columns["k"].size))
 
@@ -212,8 +212,7 @@ class BoucWen(Model):
         """
         first = state.origin is None
         check_step(displacement, velocity, dt, first=first)
-        if state.reference is None and actuation is not None:
-            state = replace(state, reference=actuation)
+        state = replace(state, reference=reference_of(state.reference, actuation))
         shares = step_shares(state.z.size, state.reference, actuation, scales)
         after = replace(
             state,

@@ -15,6 +15,7 @@ from mfd_bayes.friction.gap import begin, turn
 from mfd_bayes.friction.paper import ACTUATED, FRICTION_FORCES, PaperModel
 from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.friction.transitions import Crossing, Gap, blend
+from mfd_bayes.friction.yield_shares import check_reference
 from mfd_bayes.records.motion import vertices
 
 Array = NDArray[np.float64]
@@ -45,8 +46,7 @@ class Damper:
     def __post_init__(self) -> None:
         if self.direction not in (None, 1, -1):
             raise FitError(f"direction must be 1 or -1, got {self.direction}")
-        if self.reference is not None and not (isfinite(self.reference) and self.reference > 0):
-            raise FitError(f"reference_actuation must be finite and positive, got {self.reference}")
+        check_reference(self.reference)
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,17 @@ def trace_shares(
     return dict.fromkeys(names, share)
 
 
+def reference_of(known: float | None, actuation: float | None) -> float | None:
+    """Actuation that theta belongs to: the known one, else that of the first sample with any."""
+    return known or actuation or None
+
+
+def check_reference(actuation: float | None) -> None:
+    """Refuse a reference actuation that nothing can be in proportion to."""
+    if actuation is not None and not (np.isfinite(actuation) and actuation > 0):
+        raise FitError(f"reference_actuation must be finite and positive, got {actuation}")
+
+
 def step_shares(
     n: int,
     reference: float | None,

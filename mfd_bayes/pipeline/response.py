@@ -28,7 +28,7 @@ from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.influence import influence
 from mfd_bayes.response.measures import parse_acceleration
 from mfd_bayes.response.result import Response
-from mfd_bayes.response.sweep import Sweep, parse_sweep, sweep_of
+from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.response import check_kind, grounds_of
@@ -128,6 +128,7 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
         check_kind("--sweep: the actuation", levels[1], run.actuation_unit)
         if not building.devices:
             raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
+        check_goal(query.quantity, query.goal, building.limits)
 
     def answer(of: Building, told: str = "") -> Response:
         return run.respond(
@@ -196,6 +197,7 @@ def view_of(
         f"motion{'s' if several else ''}, fundamental period "
         f"{response.building.modes.periods[0]:.3g} s."
     )
+    imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
     shares = {name: influence(response, name) for name in ("drift", "acceleration")}
     return ResponseView(
         title,
@@ -216,7 +218,7 @@ def view_of(
             "ground motions": ", ".join(query.grounds),
             "kind, draws, seed": f"{query.kind}, {query.draws}, {query.seed}",
             "tolerance of peaks": f"{query.tolerance:g}",
-            "largest energy not accounted for": f"{response.imbalance.max():.1e} of the input",
+            "largest energy not accounted for": f"{imbalance:.1e} of the input",
             "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
         },
     )

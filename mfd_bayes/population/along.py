@@ -90,7 +90,8 @@ class Along:
     def of(cls, population: Population, setting: Setting, history: Array | None) -> Along:
         """Deviations at a setting's actuation and along a history (T,), or without one."""
         level = setting.actuation
-        if history is None or np.max(np.abs(history - level)) <= SAME * level:
+        # without any actuation slip forces stay at their level
+        if history is None or level <= 0 or np.max(np.abs(history - level)) <= SAME * level:
             return cls(population, setting, np.zeros(1))
         octaves = _knots(population, level, history)
         found, begin = [], 0

@@ -71,7 +71,7 @@ class Band(ShownBand):
         """
         if self.whole_lower is not None and self.whole_upper is not None:
             return self.whole_lower, self.whole_upper
-        return whole_band(self.draws, self.probability)
+        return self._around(*whole_band(self.draws, self.probability))
 
     @cached_property
     def shares(self) -> Mapping[str, float]:
@@ -84,9 +84,21 @@ class Band(ShownBand):
         return self.explained or (self.explain() if self.explain else {})
 
     def widened(self, factor: float) -> Band:
-        """The band of single samples, as many times as wide about its median."""
+        """The band of single samples, as many times as wide about its median.
+
+        The band of the whole history is never inside it.
+        """
         lower = self.median - factor * (self.median - self.lower)
-        return replace(self, lower=lower, upper=self.median + factor * (self.upper - self.median))
+        upper = self.median + factor * (self.upper - self.median)
+        wide = replace(self, lower=lower, upper=upper)
+        if wide.whole_lower is None or wide.whole_upper is None:
+            return wide
+        whole_lower, whole_upper = wide._around(wide.whole_lower, wide.whole_upper)
+        return replace(wide, whole_lower=whole_lower, whole_upper=whole_upper)
+
+    def _around(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Bounds that are nowhere inside the band of single samples."""
+        return np.minimum(lower, self.lower), np.maximum(upper, self.upper)
 
 
 def band_of(

@@ -84,7 +84,7 @@ class Forecaster:
         self._steps = Steps(predictor, self._prior, self._counting)
         stroke = 2.0 * setting.covariates["amplitude"]
         self._incoming = Incoming(self._counting.usual, stroke)
-        self._method = "weights", 0, 1.0
+        self._sampled: tuple[float, int, float] | None = None
         psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
         labels = np.arange(forecast.draws) % self._prior.size
         self._walk = self._steps.begin(labels, self._prior.draw(labels, self._rng))
@@ -123,9 +123,11 @@ class Forecaster:
         Raises
         ------
         RecordError
-            When shapes do not fit, a value is not finite, or time does not increase.
+            When shapes do not fit, a value is not finite, time does not increase, or a test that
+            was planned without actuation has one.
         """
         level = self._level if actuation is None else actuation
+        self._check_actuation(level)
         new = self._incoming.take(time, displacement, level, force)
         if new.size and self._incoming.direction:
             self._walk = self._steps.along(
@@ -153,6 +155,8 @@ class Forecaster:
         ------
         FitError
             When the trace begins before the last sample, or too few have come in.
+        RecordError
+            When a test that was planned without actuation shall have one.
         """
         if not self._incoming.count:
             raise FitError(
@@ -164,6 +168,7 @@ class Forecaster:
                 f"the trace must begin after the last sample, at {self.time:g} s, got "
                 f"{trace.time[0]:g} s"
             )
+        self._check_actuation(trace.actuation)
         joined, new = self._incoming.joined(trace)
         walk = self._walk
         if walk.state is None:  # at rest: the motion that follows tells on which side
@@ -182,16 +187,23 @@ class Forecaster:
         """
         if not self._incoming.direction:
             return
-        trace = self._incoming.trace()
-        window = float(trace.time[0]), float(trace.time[-1])
+        trace, k = self._incoming.trace(), self.pareto_k
         counted = np.arange(trace.samples) >= AHEAD
-        part = GivenPart(trace, counted, strokes_of(trace), window)
+        part = GivenPart(trace, counted, strokes_of(trace), self._incoming.window)
         problem = GivenProblem(self._predictor, self._prior, part, self._counting)
         known, powers, accepted = sample_known(problem, self._forecast.draws, self._rng)
         begun = self._steps.begin(known.labels, known.points)
         walk = self._steps.along(begun, trace, np.flatnonzero(counted))
         self._walk = replace(walk, begun=self._steps.log_likelihood(walk))
-        self._method = "sampling", powers, accepted
+        self._sampled = k, powers, accepted
+
+    def _check_actuation(self, actuation: ArrayLike) -> None:
+        """Refuse an actuation where the laws say nothing of it."""
+        if self._level == 0.0 and np.any(np.asarray(actuation) > 0.0):
+            raise RecordError(
+                "the test was planned without actuation, and now has one: give run.follow the "
+                "actuation of the test"
+            )
 
     def _still_to_go(self, new: Index) -> Index:
         """Of new samples, and of those at rest, the ones that the draws have not stepped to."""
@@ -224,10 +236,12 @@ class Forecaster:
 
     def _told(self, weights: Array, k: float) -> Conditioned:
         """What was given so far, and how it was taken in."""
-        method, powers, accepted = self._method
-        effective = float(1.0 / np.sum(weights**2))
-        window = float(self._incoming.trace().time[0]), self.time
-        return Conditioned(window, self._incoming.count, k, method, effective, powers, accepted)
+        effective, samples = float(1.0 / np.sum(weights**2)), self._incoming.count - AHEAD
+        window = self._incoming.window
+        if self._sampled is None:
+            return Conditioned(window, samples, k, "weights", effective)
+        before, powers, accepted = self._sampled
+        return Conditioned(window, samples, before, "sampling", effective, powers, accepted)
 
     def _leftover(self, walk: Walk, joined: Trace, chosen: Index) -> tuple[Array, Array]:
         """Discrepancy of chosen draws along a joined motion, (n, T), kip, and strokes' levels."""

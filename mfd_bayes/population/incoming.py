@@ -37,7 +37,7 @@ class Incoming:
     def __init__(self, wanted: float, stroke: float) -> None:
         self.wanted, self._play = wanted, 0.5 * HYSTERESIS * stroke
         self._size = self._resting = 0
-        self._last_time = np.nan
+        self._first_time = self._last_time = np.nan
         self._waiting = np.empty((len(ROWS), 0))
         self._means = np.empty((len(ROWS), 0))
 
@@ -45,6 +45,11 @@ class Incoming:
     def time(self) -> float:
         """Time of the last sample, s; NaN before the first."""
         return self._last_time
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """Times of the first and the last sample, s."""
+        return self._first_time, self._last_time
 
     @property
     def count(self) -> int:
@@ -74,6 +79,8 @@ class Incoming:
                 f"time must increase; it does not at sample {at} of the update "
                 f"(t = {rows[0, at]:g} s)"
             )
+        if np.isnan(self._last_time) and rows.size:
+            self._first_time = float(rows[0, 0])
         self._last_time = float(times[-1])
         self._waiting = np.concatenate([self._waiting, rows], axis=1)
         if not self._size and self._waiting.shape[1] > 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,3 +57,30 @@ class Expected:
     open: tuple[tuple[str, int, Array], ...]
     scatter: Array
     together: Array
+
+    def parts(
+        self,
+        rng_of: Callable[[str, int], np.random.Generator],
+        *,
+        scattered: bool = True,
+        leveled: bool = True,
+    ) -> Parts:
+        """What tests are made of; see `Population.draw_parts`.
+
+        Parameters
+        ----------
+        rng_of : callable
+            Generator for an open effect, by its name and the number of its quantity, and for the
+            scatter, by "scatter" and 0.
+        """
+        law, n = self.law.copy(), len(self.law)
+        for name, k, sd in self.open:
+            if scattered or name != "session":
+                drawn = rng_of(name, k).standard_normal(n)
+                if leveled or name != "level":
+                    law[:, k] += sd * drawn
+        scatter = np.zeros_like(law)
+        if scattered:
+            drawn = rng_of("scatter", 0).standard_normal(law.shape)
+            scatter = self.scatter * np.einsum("nij,nj->ni", self.together, drawn)
+        return Parts(self.level, law, scatter)

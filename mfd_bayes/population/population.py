@@ -265,16 +265,7 @@ class Population:
             Whether to add what is unknown of a new level.
         """
         expected = self.expected(setting, index)
-        law = expected.law.copy()
-        for name, k, sd in expected.open:
-            drawn = rng.standard_normal(len(law)) if scattered or name != "session" else 0.0
-            if leveled or name != "level":
-                law[:, k] += sd * drawn
-        scatter = np.zeros_like(law)
-        if scattered:
-            deviation = np.einsum("nij,nj->ni", expected.together, rng.standard_normal(law.shape))
-            scatter = expected.scatter * deviation
-        return Parts(expected.level, law, scatter)
+        return expected.parts(lambda *_: rng, scattered=scattered, leveled=leveled)
 
     def expected(self, setting: Setting, index: NDArray[np.intp]) -> Expected:
         """What draws of the hyperparameters, (n,) by number, say of a test under a setting."""

@@ -79,10 +79,10 @@ def planned_setting(
     for name, value in planned.items():
         known = [s.covariates[name] for s in tested if s.covariates.get(name, 0.0) > 0.0]
         usual = float(np.exp(np.mean(np.log(known)))) if known else 1.0
-        covariates[name] = usual if value is None else float(value)
-        if not 0.0 < covariates[name] < np.inf:
+        covariates[name] = usual if value is None else value
+        if not (isinstance(covariates[name], Real) and 0.0 < covariates[name] < np.inf):
             raise FitError(f"the planned {name} must be above zero, in in or in/s, got {value}")
-    return Setting(float(actuation), session, covariates)
+    return Setting(float(actuation), session, {k: float(v) for k, v in covariates.items()})
 
 
 def same_level(actuation: float, other: float) -> bool:

@@ -33,7 +33,7 @@ def draw_dampers(
     What tests share (laws, levels, effects of level and session, the discrepancy, whether they
     begin without load) is one draw for all dampers of a building; each has its own scatter from
     test to test and its own place in its gap. The noise of measurements is left out: it belongs to
-    load cells. The same seed gives the same random numbers at any actuation.
+    load cells. The same seed gives the same random numbers at any actuation, tested or not.
     """
     levels = [level_of(device, building.folder) for device in building.devices]
     if not levels:
@@ -89,17 +89,14 @@ def _values(
     damper: tuple[int, float],
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Quantities of a damper, by number and level, (n,) each, with and without scatter."""
-    scattered, (around, numbers), (j, level) = choice.kind == "new_test", deviation, damper
-    population, leveled = around.population, not around.size
-    setting = _setting(population, choice, level)
-    shared = np.random.default_rng([choice.seed, 1])
-    parts = population.draw_parts(setting, index, shared, scattered=scattered, leveled=leveled)
+    (around, numbers), (j, level), population = deviation, damper, deviation[0].population
+    parts = population.expected(_setting(population, choice, level), index).parts(
+        lambda name, k: _generator(choice.seed, name, k, j),
+        scattered=choice.kind == "new_test",
+        leveled=not around.size,
+    )
     parts = around.added(parts, index, numbers, level)
-    scatter = parts.scatter
-    if scattered:
-        own = np.random.default_rng([choice.seed, 2, j])
-        drawn = population.draw_parts(setting, index, own, scattered=True).scatter
-        scatter = choice.scatter * drawn
+    scatter = choice.scatter * parts.scatter
     values = population.values(Parts(parts.level, parts.law, scatter))
     own = np.random.default_rng([choice.seed, 3, j])
     luck = np.random.default_rng([choice.seed, 6]).random(choice.draws)
@@ -107,6 +104,16 @@ def _values(
     values = {**values, **unknown_of(population, choice.draws, own, None, standing)}
     typical = population.values(Parts(parts.level, parts.law, np.zeros_like(scatter)))
     return values, {**values, **typical}
+
+
+def _generator(seed: int, source: str, k: int, damper: int) -> np.random.Generator:
+    """Generator for one source of difference in quantity k, whichever other sources there are.
+
+    An untested level has sources that a tested one has not. Each damper has its own scatter.
+    """
+    if source == "scatter":
+        return np.random.default_rng([seed, 2, damper])
+    return np.random.default_rng([seed, 1, ("level", "session", "beyond").index(source), k])
 
 
 def _about(model: Model, values: dict[str, Array], typical: dict[str, Array]) -> dict[str, Array]:

@@ -26,7 +26,7 @@ MOST = 200_000
 """Most samples of a ground motion."""
 
 _HEAD = 50  # lines in which a header may say the step
-_STEP = re.compile(r"\bDT\s*=\s*([0-9.eE+-]+)", re.IGNORECASE)
+_STEP = re.compile(r"\bDT\s*=\s*((\d+\.?\d*|\.\d+)(e[+-]?\d+)?)", re.IGNORECASE)
 _POINTS = re.compile(r"\bNPTS\s*=\s*(\d+)", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 

@@ -23,32 +23,25 @@ def level_of(device: Device, folder: Path) -> float:
     return float(np.mean(_read(device, folder)[1]))
 
 
-def spans(building: Building) -> dict[str, tuple[float, float]]:
-    """First and last time, s, of each damper's history, by the damper's name."""
-    found = {}
-    for device in building.devices:
-        if device.history is not None:
-            time = _read(device, building.folder)[0]
-            found[device.name] = float(time[0]), float(time[-1])
-    return found
+def histories_of(building: Building) -> list[tuple[Device, Array, Array]]:
+    """Dampers with a history, each with its times, s, and its actuations then, (T,) each."""
+    changing = [device for device in building.devices if device.history is not None]
+    return [(device, *_read(device, building.folder)) for device in changing]
 
 
 def levels_along(building: Building) -> tuple[Array, list[Array]] | None:
     """Times, (T,) s, and the actuation of each damper then, (T,); None where all are constant."""
-    histories = {
-        device.name: _read(device, building.folder)
-        for device in building.devices
-        if device.history is not None
-    }
-    if not histories:
+    found = histories_of(building)
+    if not found:
         return None
-    times = np.unique(np.concatenate([time for time, _ in histories.values()]))
+    times, rest = np.unique(np.concatenate([time for _, time, _ in found])), iter(found)
     levels = []
     for device in building.devices:
-        if device.name in histories:
-            levels.append(np.interp(times, *histories[device.name]))
-        else:
+        if device.history is None:
             levels.append(np.full(times.size, device.actuation))
+        else:
+            _, time, level = next(rest)
+            levels.append(np.interp(times, time, level))
     return times, levels
 
 

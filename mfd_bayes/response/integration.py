@@ -93,7 +93,8 @@ def integrate(
     counts = np.broadcast_to(parts, ground.acceleration.size - 1)
     steps = {count: Step.of(frame, ground.step / count) for count in np.unique(counts).tolist()}
     way = -np.sign(ground.acceleration[np.flatnonzero(ground.acceleration)[0]])
-    begin = dampers.towards(way * (building.travels @ building.influence))
+    sway = np.linalg.solve(building.stiffness, building.mass @ building.influence)
+    begin = dampers.towards(way * (building.travels @ sway))
     devices = Devices.at_rest(begin, building.storeys[strong], building.yields[strong])
     mover = _Mover.of(building, frame, devices, ground.step / int(counts.max()))
     ledger = Ledger.of(frame, ground, devices, kept)

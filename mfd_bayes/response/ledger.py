@@ -88,6 +88,7 @@ class Ledger:
         self._devices, self._lost = np.zeros((n, m)), np.zeros(n)
         self._sum, self._time = np.zeros(self.peaks.drift.shape), 0.0
         self._moments, self._step = [moment], np.nan
+        self.forces[:, 0] = moment.force[: len(self.forces), : self.dampers]
         self._samples: list[int | None] = []
 
     def pace(self, step: float) -> None:

@@ -103,12 +103,12 @@ def _matrix(path: Path, key: str) -> Array:
         if reason := why_no_file(path):
             raise BuildingError(f"{key}: {path} {reason}")
         if path.suffix == ".npy":
-            matrix = np.load(path)
+            with path.open("rb") as file:
+                matrix = np.asarray(np.load(file), dtype=np.float64)
         else:
             matrix = np.loadtxt(path, delimiter=",", ndmin=2)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError, EOFError) as error:
         raise BuildingError(f"{key}: cannot read {path} as numbers: {error}") from error
-    matrix = np.asarray(matrix, dtype=np.float64)
     square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] and 0 < len(matrix) <= LARGEST
     if not square or not np.all(np.isfinite(matrix)):
         raise BuildingError(

@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.response.result import Response
+from mfd_bayes.response.schema import Limits
 from mfd_bayes.units import parse_actuation
 
 Array = NDArray[np.float64]
 
 LEVELS = 9
 """Levels of a sweep that says nothing of its steps."""
+
+QUANTITIES = ("drift", "acceleration")
+"""What may be made small: the largest of these over the building."""
 
 MOST_STEPS = 100
 RESAMPLES = 400
@@ -41,7 +45,8 @@ class Sweep:
     levels : (L,), ksi or kip
     unit : {"ksi", "kip"}
     values : mapping of str to (L, n, g)
-        The largest over the building of "drift", in, and "acceleration", g.
+        The largest over the building of "drift", in, and "acceleration", g, of the draws that ran
+        away at no level.
     quantity, goal : str
     scores : (L,)
         What is made small, over all ground motions.
@@ -103,21 +108,18 @@ def sweep_of(
     Raises
     ------
     BuildingError
-        When the quantity or the goal is unknown, or a limit is missing.
+        When the quantity or the goal is unknown, a limit is missing, or every draw ran away.
     """
     levels, unit = swept
-    limit = responses[0].building.limits
-    known = {"drift": np.nan, "acceleration": np.nan}
-    if quantity not in known:
-        raise BuildingError(f"unknown quantity {quantity!r}: expected {' or '.join(known)}")
-    if goal not in GOALS:
-        raise BuildingError(f"unknown goal {goal!r}: expected one of {', '.join(GOALS)}")
-    values = {name: np.stack([r.measure(name) for r in responses]) for name in known}
-    shown, bound = values[quantity], np.nan
+    bound = check_goal(quantity, goal, responses[0].building.limits)
+    # a draw that ran away at one level is left out at all: the others are of the same dampers
+    usable = ~np.any([r.unstable.any(axis=1) for r in responses], axis=0)
+    if not usable.any():
+        raise BuildingError("the sweep says nothing: every draw ran away at one of its levels")
+    values = {name: np.stack([r.measure(name)[usable] for r in responses]) for name in QUANTITIES}
+    shown = values[quantity]
     if goal == "passing":
-        shown, bound = _against_limit(responses, quantity)
-        if limit is None or not np.isfinite(bound):
-            raise BuildingError(f"the goal 'passing' needs limits.{quantity} in the building file")
+        shown = np.stack([_against_limit(r, quantity)[usable] for r in responses])
     n = shown.shape[1]
     score = GOALS[goal]
     flat = shown.reshape(len(levels), -1)
@@ -132,14 +134,28 @@ def sweep_of(
     return Sweep(levels, unit, values, quantity, goal, scores, best, (float(low), float(high)))
 
 
-def _against_limit(responses: list[Response], quantity: str) -> tuple[Array, float]:
-    """The quantity that has a limit, (L, n, g), and the limit."""
-    limits = responses[0].building.limits
-    if quantity == "drift":
-        ratios = np.stack([r.drift_ratio.max(axis=-1) for r in responses])
-        return ratios, np.nan if limits.drift is None else limits.drift
-    found = np.stack([r.acceleration.max(axis=-1) for r in responses])
-    return found, np.nan if limits.acceleration is None else limits.acceleration
+def check_goal(quantity: str, goal: str, limits: Limits) -> float:
+    """The limit that a quantity may not pass; NaN where the goal needs none.
+
+    Raises
+    ------
+    BuildingError
+        When the quantity or the goal is unknown, or a limit is missing.
+    """
+    if quantity not in QUANTITIES:
+        raise BuildingError(f"unknown quantity {quantity!r}: expected {' or '.join(QUANTITIES)}")
+    if goal not in GOALS:
+        raise BuildingError(f"unknown goal {goal!r}: expected one of {', '.join(GOALS)}")
+    limit = limits.drift if quantity == "drift" else limits.acceleration
+    if goal == "passing" and limit is None:
+        raise BuildingError(f"the goal 'passing' needs limits.{quantity} in the building file")
+    return np.nan if limit is None else limit
+
+
+def _against_limit(response: Response, quantity: str) -> Array:
+    """What a limit is compared with, (n, g): ratios of drifts, or accelerations, in/s²."""
+    found = response.drift_ratio if quantity == "drift" else response.acceleration
+    return np.asarray(found.max(axis=-1))
 
 
 def _lowest(levels: Array, scores: Array) -> float:

@@ -17,7 +17,7 @@ from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
-from mfd_bayes.response.history import spans
+from mfd_bayes.response.history import histories_of
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.settling import Accuracy
 from mfd_bayes.runs.systems import System
@@ -120,12 +120,13 @@ def check_kind(where: str, unit: str, wanted: str) -> None:
 
 def uncovered(building: Building, grounds: Sequence[Ground]) -> Iterator[str]:
     """Actuation histories that do not go on for as long as a ground motion, in sentences."""
-    for name, (begin, end) in spans(building).items():
+    for device, time, _ in histories_of(building):
+        begin, end = float(time[0]), float(time[-1])
         for ground in grounds:
             last = float(ground.time[-1])
             if begin > MARGIN * last or end < (1 - MARGIN) * last:
                 yield (
-                    f"the actuation of the damper at {name} is known from {begin:.4g} s to "
+                    f"the actuation of the damper at {device.name} is known from {begin:.4g} s to "
                     f"{end:.4g} s, and the ground motion {ground.name} goes on to {last:.4g} s: "
                     "the first and the last actuation are taken to stay"
                 )
@@ -136,7 +137,9 @@ def remarks_of(source: Source, response: Response) -> list[str]:
     if not response.dampers.count:
         return []
     tested = {span.name: span for span in source.tested}
-    levels = [d.actuation for d in response.building.devices if np.isfinite(d.actuation)]
+    levels = [d.actuation for d in response.building.devices if d.history is None]
+    for _, _, along in histories_of(response.building):
+        levels += [float(along.min()), float(along.max())]
     stroke = 2.0 * float(np.median(response.travel.max(axis=(1, 2))))
     asked = [Span("stroke", "in", stroke, stroke)]
     if levels:

@@ -389,3 +389,17 @@ def test_no_residuals_have_a_larger_density_than_none(noise):
     for size in (1e-3, 0.1, 3.0):
         found = noise.log_density(size * rng.standard_normal((50, 30)), time, values)
         assert np.all(found < largest)
+
+
+def test_a_mask_that_leaves_next_to_nothing_is_refused():
+    swing = 0.05 * np.sin(2 * np.pi * 2.0 * TIME)
+    ramp = 20.0 * np.maximum(TIME - 0.9 * TIME[-1], 0.0)
+    late = Trace.from_arrays(TIME, swing + ramp, actuation=0.03, force=FORCE)
+    with pytest.raises(FitError, match=r"mask.* goes on after a stroke .* for 20 samples or more"):
+        build(start="mask", trace=late)
+
+
+@pytest.mark.parametrize("model", ["three_stage", "backlash"])
+def test_no_points_have_no_residuals(model):
+    posterior = build(model)
+    assert posterior.residual(np.empty((0, posterior.dim))).shape == (0, TIME.size)

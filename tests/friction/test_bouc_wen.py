@@ -408,7 +408,7 @@ def test_steps_that_do_not_fit_are_refused_by_name(name, value, words):
         MODEL.step(state, **good | {name: value})
 
 
-@pytest.mark.parametrize("reference", [-1.0, np.nan])
+@pytest.mark.parametrize("reference", [-1.0, 0.0, np.nan])
 def test_a_reference_actuation_that_does_not_fit_is_refused_by_name(reference):
     with pytest.raises(FitError, match=f"reference_actuation must be .*, got {reference}"):
         MODEL.start(theta(), reference_actuation=reference)
@@ -418,3 +418,20 @@ def test_a_place_in_the_gap_is_without_effect():
     plain, placed = MODEL.start(theta()), MODEL.start(theta(), np.array([0.2]))
     forces = [MODEL.step(state, 0.1, 0.5, 0.01)[0] for state in (plain, placed)]
     np.testing.assert_array_equal(*forces)
+
+
+def test_a_valve_that_is_closed_at_first_is_no_reference():
+    time = np.arange(200) / 100.0
+    trace = Trace.from_arrays(time, np.sin(2 * np.pi * time))
+
+    def forces(first, reference=None):
+        state, found = MODEL.start(theta(), reference_actuation=reference), []
+        for i, (x, v) in enumerate(zip(trace.displacement, trace.velocity, strict=True)):
+            actuation = 0.5 if i else first
+            force, state = MODEL.step(state, x, v, trace.time[1] - trace.time[0], actuation)
+            found.append(force[0])
+        return np.array(found[trace.samples // 2 :])
+
+    expected = forces(0.5)
+    np.testing.assert_allclose(forces(0.0), expected, rtol=1e-4, atol=1e-4)
+    assert np.max(np.abs(forces(0.0, reference=1.0) - expected)) > 0.1  # the control

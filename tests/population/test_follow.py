@@ -13,7 +13,7 @@ from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.incoming import AHEAD, Incoming
 from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.setting import planned_setting, setting_of
 from mfd_bayes.records.trace import Trace
 
 
@@ -199,3 +199,36 @@ def test_samples_are_averaged_and_rest_is_one():
     assert incoming.direction == -1
     np.testing.assert_allclose(incoming.trace().force[AHEAD:], [31.5, 100.0, 100.0])
     assert incoming.time == later[-1]
+
+
+def test_what_was_given_is_told_without_what_was_made_up(make, truth):
+    forecaster = make(refresh=False)
+    feed(forecaster, truth.trace, 0, 64)
+    given = forecaster.band(rest(truth.trace, 64)).given
+    assert given.method == "weights"
+    assert given.window == (truth.trace.time[0], truth.trace.time[63])
+    assert given.samples <= 64
+    k = forecaster.pareto_k
+    forecaster.refresh()
+    sampled = forecaster.band(rest(truth.trace, 64)).given
+    assert sampled.method == "sampling"
+    assert sampled.pareto_k == k  # that of the weights which it replaces
+    assert sampled.window == given.window
+
+
+def test_a_test_without_actuation_can_be_followed(make, truth):
+    forecaster = make(planned=0.0, refresh=False)
+    feed(forecaster, truth.trace, 0, 64, actuation=0.0)
+    band = forecaster.band(rest(truth.trace, 64))
+    assert np.all(np.isfinite(band.draws))
+    with pytest.raises(RecordError, match="planned without actuation, and now has one"):
+        forecaster.band(rest(truth.trace, 64, actuation=0.5))
+    with pytest.raises(RecordError, match="planned without actuation, and now has one"):
+        feed(forecaster, truth.trace, 64, 80, actuation=0.5)
+
+
+def test_a_covariate_that_is_no_number_is_refused(study):
+    tested = study.predictor.population.layout.settings
+    for value in ("3 in/s", -1.0, np.nan):
+        with pytest.raises(FitError, match=f"planned velocity must be above zero.*{value}"):
+            planned_setting(tested, 1.0, "", {"velocity": value})

@@ -1,8 +1,12 @@
 """Factors of recalibration, against computations by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from mfd_bayes.population.band import band_of
+from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.recalibration import (
     PROBABILITIES,
     chosen_factor,
@@ -70,3 +74,15 @@ def test_recalibrated_bands_cover_new_tests_as_often_as_promised():
             covered[widened].append(inside >= 0.9)
     assert np.mean(covered[True]) == pytest.approx(0.9, abs=0.04)
     assert np.mean(covered[False]) < 0.2  # the control
+
+
+def test_a_widened_band_stays_inside_that_of_the_whole_history():
+    rng = np.random.default_rng(1)
+    forecast = Forecast(probability=0.8, whole=True)
+    band = band_of(np.arange(3.0), rng.standard_normal((500, 3)), forecast, "a test")
+    wide = band.widened(3.0)
+    assert np.all(wide.lower < band.whole[0])  # else this shows nothing
+    for lower, upper in (wide.whole, replace(wide, whole_lower=None).whole):
+        assert np.all(lower <= wide.lower)
+        assert np.all(wide.upper <= upper)
+    np.testing.assert_array_equal(band.widened(1.01).whole, band.whole)

@@ -119,3 +119,20 @@ def test_nonsense_is_one_sentence_with_the_key(old, new, words):
 def test_a_limit_of_the_drift_needs_heights():
     with pytest.raises(BuildingError, match=r"limits\.drift in b.toml needs the height"):
         made(GOOD.replace('height = "12 ft"\n', "") + '[limits]\ndrift = "1 %"\n')
+
+
+@pytest.mark.parametrize("content", ["nothing", "words", "several"])
+def test_a_matrix_that_is_none_is_one_sentence(tmp_path, content):
+    bad = tmp_path / "M.npy"
+    if content == "nothing":
+        bad.write_bytes(b"")
+    elif content == "words":
+        np.save(bad, np.array([["a", "b"], ["c", "d"]]))
+    else:
+        np.savez(tmp_path / "M.npz", np.eye(2))
+        (tmp_path / "M.npz").rename(bad)
+    path = tmp_path / "b.toml"
+    path.write_text('[matrices]\nmass = "M.npy"\nstiffness = "M.npy"\n')
+    with pytest.raises(BuildingError, match=r"matrices\.mass.*M\.npy as numbers") as error:
+        read_building(path)
+    assert "\n" not in str(error.value)

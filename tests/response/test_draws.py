@@ -8,6 +8,7 @@ from mfd_bayes.response import draws
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
+from mfd_bayes.response.history import levels_along
 from tests.friction.backlash_cases import loads
 
 BUILDING = """
@@ -120,3 +121,38 @@ def test_dampers_begin_without_load_where_the_tests_did(benchmark_module, tmp_pa
     assert np.corrcoef(found.T)[0, 1] > 0.1
     monkeypatch.setattr(draws, "replace", lambda standing, luck: standing)  # the control
     assert abs(np.corrcoef(loaded().T)[0, 1]) < 0.05
+
+
+def test_random_numbers_are_the_same_at_tested_levels_and_between(study, tmp_path):
+    path = tmp_path / "building.toml"
+    path.write_text(BUILDING + CONSTANT.format(storey=1), encoding="utf-8")
+    building, predictor = read_building(path), study.predictor
+    column = [quantity.name for quantity in predictor.model.quantities].index("d2")
+
+    def gaps(level, seed=1):
+        choice = Choice("new_test", 400, seed)
+        found = draw_dampers(
+            predictor.population, predictor.model, building.at_level(level), choice
+        )
+        return np.log(found.theta[:, 0, column])
+
+    tested = [setting.actuation for setting in predictor.population.layout.settings]
+    assert 1.0 in tested
+    assert 1.2 not in tested
+    assert np.corrcoef(gaps(1.0), gaps(1.2))[0, 1] > 0.99
+    assert abs(np.corrcoef(gaps(1.0), gaps(1.2, seed=2))[0, 1]) < 0.5  # the control
+
+
+def test_dampers_at_one_place_have_a_history_each(study, tmp_path):
+    for name, level in (("valve", 2.0), ("slower", 0.5)):
+        (tmp_path / f"{name}.csv").write_text(f"time_s,pressure_ksi\n0,1\n2,{level}\n")
+    three = HISTORY + CONSTANT + HISTORY.replace("valve", "slower")
+    path = tmp_path / "building.toml"
+    path.write_text(BUILDING + three.format(storey=1), encoding="utf-8")
+    building = read_building(path)
+    _, levels = levels_along(building)
+    assert [float(level[-1]) for level in levels] == [2.0, 1.0, 0.5]
+    predictor = study.predictor
+    found = draw_dampers(predictor.population, predictor.model, building, CHOICE)
+    last = np.median(found.scales["Fc_fwd"][:, :, -1] * found.slip, axis=0)
+    assert last[0] > last[1] > last[2]

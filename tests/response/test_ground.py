@@ -75,3 +75,11 @@ def test_what_follows_a_file_is_its_step_and_unit():
     assert parse_ground("a.txt:10ms:cm/s^2") == (Path("a.txt"), pytest.approx(0.01), "cm/s^2")
     with pytest.raises(BuildingError, match=r"expected FILE, FILE:0\.01s"):
         parse_ground("a.txt:fast")
+
+
+@pytest.mark.parametrize("step", ["...", "-", "e"])
+def test_a_header_whose_step_is_no_number_does_not_say_it(tmp_path, step):
+    path = tmp_path / "a.AT2"
+    path.write_text(PEER.replace("DT=   .0100", f"DT= {step}"))
+    with pytest.raises(BuildingError, match="does not say its step"):
+        read_ground(path)

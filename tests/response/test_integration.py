@@ -198,3 +198,33 @@ def test_peaks_of_force_are_looked_for_within_steps_too(monkeypatch, benchmark_m
     at_ends = "mfd_bayes.response.integration._Mover._middle"
     monkeypatch.setattr(at_ends, lambda mover, before, state, force, step: force)
     assert within < 0.7 * error()
+
+
+def three_stages(starts):
+    """Dampers that begin at places (n, m); those of the first draw are alike in both directions."""
+    known = dict.fromkeys(("Fs_fwd", "Fs_bwd"), 6.0) | dict.fromkeys(("Fc_fwd", "Fc_bwd"), 5.0)
+    known |= {"sigma0": 100.0, "sigma1": 0.1, "sigma2": 0.02, "v_s": 1.0, "k2": 1.0, "k3": 30.0}
+    known |= {"d2": 0.1, "d3": 0.1, "gamma1": 1.0, "gamma2": 0.02}
+    start, model = np.array(starts), ThreeStage()
+    row = np.array([known[name] for name in model.parameters])
+    theta = np.broadcast_to(row, (*start.shape, row.size)).copy()
+    theta[1:, :, model.parameters.index("Fc_bwd")] = 3.0  # but for the others
+    return Dampers(model, theta, start, np.full(start.shape, 5.0))
+
+
+def test_the_mirrored_earthquake_has_the_mirrored_response():
+    building, ground = shear_building(2, devices(2)), shaking()
+    mirrored = replace(ground, acceleration=-ground.acceleration)
+    one, other = (
+        integrate(building, g, three_stages(np.full((2, 2), 0.5)), 4) for g in (ground, mirrored)
+    )
+    assert np.allclose(one.drifts[0], -other.drifts[0], atol=1e-5)
+    assert not np.allclose(one.drifts[1], -other.drifts[1], atol=1e-2)  # the control
+
+
+def test_kept_forces_begin_with_that_at_rest():
+    ground, dampers = shaking(), three_stages([[0.98], [0.5]])
+    found = integrate(shear_building(1, devices(1)), ground, dampers, 2, kept=2)
+    at_rest = dampers.towards(-np.sign(ground.acceleration[:1])).bank().force
+    assert np.max(np.abs(at_rest)) > 1.0
+    assert np.allclose(found.forces[:, 0, 0], at_rest, rtol=1e-5)

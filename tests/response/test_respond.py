@@ -21,6 +21,7 @@ from mfd_bayes.response.draws import draw_dampers
 from mfd_bayes.response.ground import Ground, read_ground
 from mfd_bayes.response.influence import influence
 from mfd_bayes.response.settling import Accuracy
+from mfd_bayes.response.sweep import sweep_of
 from mfd_bayes.units import GRAVITY
 
 BUILDING = """
@@ -192,9 +193,19 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
         (["--peak", "3 in"], "expected an acceleration"),
         (["--ground", "nothing.AT2"], "cannot read nothing.AT2"),
         (["--building", "nothing.toml"], "cannot read nothing.toml"),
+        (
+            [
+                *("--sweep", "actuation=800 psi to 900 psi"),
+                *("--by", "passing", "--minimise", "acceleration"),
+            ],
+            "needs limits.acceleration in the building file",
+        ),
     ],
 )
-def test_a_mistake_is_one_sentence(finished_run, path, quake, tmp_path, words, sentence):
+def test_a_mistake_is_one_sentence(
+    finished_run, path, quake, tmp_path, monkeypatch, words, sentence
+):
+    monkeypatch.setattr(Analysis, "respond", None)  # it is told before anything is computed
     given = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
     done = CliRunner().invoke(app, [*given, "-o", str(tmp_path / "r"), *words])
     assert done.exit_code == 2
@@ -275,3 +286,31 @@ def test_ctrl_c_leaves_nothing(finished_run, path, quake, tmp_path):
     assert "interrupted" in said
     assert not (tmp_path / "r").exists()
     assert not [place for place in tmp_path.glob("mfd_bayes-*") if any(place.glob("*.npz"))]
+
+
+def test_a_draw_that_ran_away_at_a_level_does_not_count_in_a_sweep(run, path, ground):
+    one = run.respond(path, ground, draws=12, kind="device", tolerance=0.2)
+    away = np.zeros_like(one.unstable)
+    away[3] = True
+    drift = np.where(away[..., None], 1e5, one.drift)
+    levels = np.array([0.8, 1.0]), "ksi"
+    sweep = sweep_of(levels, [one, replace(one, drift=drift, unstable=away)], "drift", "mean")
+    assert sweep.values["drift"].shape == (2, 11, 1)
+    assert sweep.scores[1] == pytest.approx(sweep.scores[0])
+    heeded = sweep_of(levels, [one, replace(one, drift=drift)], "drift", "mean")  # the control
+    assert heeded.scores[1] > 1e3
+    with pytest.raises(BuildingError, match="every draw ran away"):
+        sweep_of(levels, [one, replace(one, unstable=~np.zeros_like(away))], "drift", "mean")
+
+
+def test_histories_beyond_what_was_tested_are_told(run, path, ground, tmp_path):
+    history = 'actuation = { file = "valve.csv", column = "pressure_ksi", unit = "ksi" }'
+    path.write_text(BUILDING.replace('actuation = "1000 psi"', history))
+    told = []
+    for most in (1.2, 15.0):
+        (tmp_path / "valve.csv").write_text(f"time_s,pressure_ksi\n0,1.0\n1000,{most}\n")
+        response = run.respond(path, ground, draws=12, kind="device", tolerance=0.2)
+        told.append([r for r in response.remarks if "actuation" in r])
+    inside, beyond = told
+    assert inside == []
+    assert len(beyond) == 1
