@@ -173,10 +173,11 @@ def tempering(log_weights: Array, share: float) -> float:
     ----------
     log_weights : (n,)
     """
-    floor = np.log(share * log_weights.size)
+    floor, below = np.log(share * log_weights.size), log_weights - log_weights.max()
+    below = np.maximum(below, -1e6)  # that of −∞ would stay so at any power
 
     def excess(power: float) -> float:
-        scaled = power * (log_weights - log_weights.max())
+        scaled = power * below
         size = 2.0 * special.logsumexp(scaled) - special.logsumexp(2.0 * scaled)
         return float(size - floor)
 

@@ -109,7 +109,7 @@ class Posterior(ShownPosterior):
             "priors": chosen_priors,
             "names": names,
             "pivots": find_pivots(trace, names, chosen_priors),
-            "first": _first_slip(trace, file.gap) if start == "mask" else 0,
+            "first": _first_slip(trace, file, chosen) if start == "mask" else 0,
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
@@ -276,10 +276,16 @@ class Posterior(ShownPosterior):
         return points
 
 
-def _first_slip(trace: Trace, gap: float | None) -> int:
+def _first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
     """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
-    if gap is None:
+    gap = file.gap
+    if gap is None and not model.has_gap:
         return 0
+    if gap is None:
+        raise FitError(
+            f"start = 'mask' needs the width of the gap: {file.path.name} has no priors of d2 and "
+            "d3, and none of gap"
+        )
     for begin, end in itertools.pairwise([0, *trace.turning_points.tolist()]):
         if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
             if trace.samples - end < LEAST_AFTER:

@@ -54,9 +54,11 @@ class PriorFile:
 
     @property
     def gap(self) -> float | None:
-        """Typical width of the gap under the priors of d2 and d3, in; None without them."""
-        parts = [self.parameters[name] for name in ("d2", "d3") if name in self.parameters]
-        return sum(prior.typical for prior in parts) if len(parts) == 2 else None
+        """Typical width of the gap under the priors of d2 and d3, else of gap, in; None without."""
+        for names in (("d2", "d3"), ("gap",)):
+            if all(name in self.parameters for name in names):
+                return sum(self.parameters[name].typical for name in names)
+        return None
 
 
 def find_priors(name: str, folder: Path | None = None) -> Path:

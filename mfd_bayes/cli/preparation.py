@@ -143,9 +143,10 @@ def prior_check(
             f"note: most of the force of {', '.join(found.unloaded)} lies outside. It was measured "
             "without actuation, and the priors are of a device under actuation."
         )
-    if found.wrong:
+    if found.outside:
+        why = f": {found.wrong}" if found.wrong else ""
         say(
             f"warning: most of the force of {', '.join(found.outside)} lies outside of what the "
-            f"priors allow: {found.wrong}"
+            f"priors allow{why}"
         )
         raise typer.Exit(1)

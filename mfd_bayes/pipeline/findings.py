@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from mfd_bayes.records.record import Record
 from mfd_bayes.records.together import Tested, compare_tests
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.findings import Finding
+from mfd_bayes.runs.settings import Settings
 
 WIDE, NARROW = 6.0, 1.0 / 12.0
 """A gap wider or narrower than the priors' typical one by these factors is in another unit."""
@@ -51,12 +52,48 @@ def findings_together(
 
 
 def findings_of(
-    faults: Iterable[tuple[str, Fault]], layout: Layout, calibrated: Sequence[str]
+    faults: Sequence[tuple[str, Fault]],
+    settings: Settings,
+    layout: Layout,
+    calibrated: Mapping[str, Trace],
 ) -> tuple[Finding, ...]:
-    """All warnings before a calibration: faults, and what tests at zero actuation do not tell."""
-    found = [Finding(name, fault.name, fault.sentence) for name, fault in faults]
-    told = [Finding("laws", "zero actuation", s) for s in zero_sentences(layout, calibrated)]
+    """All warnings before a calibration.
+
+    They are faults, what a campaign asks for and the calibration does not do, and what tests at
+    zero actuation do not tell.
+    """
+    every = [*faults, *_of_settings(settings, layout, calibrated)]
+    found = [Finding(name, fault.name, fault.sentence) for name, fault in every]
+    told = [Finding("laws", "zero actuation", s) for s in zero_sentences(layout, [*calibrated])]
     return (*found, *told)
+
+
+def _of_settings(
+    settings: Settings, layout: Layout, tests: Mapping[str, Trace]
+) -> Iterator[tuple[str, Fault]]:
+    """What a campaign asks for that the calibration of its tests does not do."""
+    model = models.find_model(settings.model)
+    unused = [name for name in settings.dependence or {} if name not in layout.names]
+    if unused:
+        yield (
+            "laws",
+            Fault(
+                "dependence",
+                f"[dependence] names {' and '.join(unused)}, which the tests of the model "
+                f"{model.name} do not share: it is not used",
+            ),
+        )
+    other = [name for name in model.slip_forces if layout.laws.get(name) != "proportional"]
+    for name in (name for name, trace in tests.items() if trace.varying and other):
+        yield (
+            name,
+            Fault(
+                "actuation history",
+                "its actuation changes, and its fit takes friction in proportion to it, whatever "
+                f'the law of {" and ".join(other)}: give it role = "validate", or take the laws '
+                "that come from it with care",
+            ),
+        )
 
 
 def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:

@@ -147,7 +147,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         settings=settings,
         inputs=inputs,
         tests=entries,
-        warnings=findings_of(faults, layout, [task.id for task in tasks]),
+        warnings=findings_of(faults, settings, layout, {task.id: task.trace for task in tasks}),
         **_session(options),
     )
     check_readable(manifest)
@@ -218,6 +218,11 @@ def layout_of(tasks: Sequence[Task], settings: Settings) -> Layout:
     """
     some = tasks[0]
     names = some.posterior().names
+    if "noise_sd" not in names:
+        raise CampaignError(
+            f"noise_sd is fixed in {some.priors.path.name}: the population of tests needs a prior "
+            "of it, such as a narrow lognormal"
+        )
     under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
     return lay_out(some.priors, names, under, settings.laws, settings.dependence)
 

@@ -68,15 +68,15 @@ def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
     campaign = load_campaign(path)
     written = campaign.folder / WRITTEN
     _check_new(written, force=force)
-    records = [test.read() for test in campaign.tests if test.role == "calibrate"]
+    tests = {test.id: test.read() for test in campaign.tests if test.role == "calibrate"}
     found = {
-        record.path.name: scales
-        for record in records
+        name: scales
+        for name, record in tests.items()
         if (scales := scales_of(record.trace())) is not None
     }
     if not found:
         raise CampaignError(f"no test of {path} has a force, so it shows no scales of priors")
-    units = Units(*(_usual(records, role) for role in ("force", "displacement")))
+    units = Units(*(_usual(tests.values(), role) for role in ("force", "displacement")))
     write_text(written, priors_text(found, units))
     return written, campaign.priors == WRITTEN
 

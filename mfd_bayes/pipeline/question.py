@@ -149,7 +149,8 @@ def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
         if question.compare or question.rate or question.given:
             raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
         return parse_sine(question.sine).trace(0.0), ()
-    record = read_record(question.motion)
+    # the actuation is that of the question, whatever columns the file has
+    record = read_record(question.motion, actuation=question.actuation)
     if question.compare and record.force is None:
         raise CampaignError(f"--compare needs a column of the force in {question.motion}")
     if question.given and record.force is None:

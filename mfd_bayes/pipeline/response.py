@@ -118,6 +118,8 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
         command's.
     """
     _check_folder(query)
+    if not query.sweep and (query.quantity, query.goal) != (Query.quantity, Query.goal):
+        raise BuildingError("--minimise and --by say what a sweep makes small: give --sweep too")
     levels = parse_sweep(query.sweep) if query.sweep else None
     building = read_building(query.building)
     grounds = _grounds(query)

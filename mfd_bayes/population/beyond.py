@@ -34,10 +34,10 @@ def unknown_beyond(layout: Layout, setting: Setting, n: int) -> list[tuple[str, 
     stroke, rate = folds_beyond(setting, layout.settings)
     if not stroke and not rate:
         return []
-    sparse = layout.sparse or (False,) * len(layout.names)
+    same = layout.common or layout.sparse or (False,) * len(layout.names)
     found = []
     for k, name in enumerate(layout.names):
-        if not sparse[k] and not name.startswith(_STAY):
+        if not same[k] and not name.startswith(_STAY):
             sd = np.hypot(STROKE * stroke, RATE * rate * (name in layout.laws))
             found.append(("beyond", k, np.full(n, sd / layout.spread[k])))
     return found

@@ -154,7 +154,9 @@ def effects_of(
     for name, likely in (("level", followers), ("session", list(range(len(names))))):
         keys = [_cell(name, setting, settings) for setting in settings]
         cells = tuple(dict.fromkeys(keys))
-        told = [{keys[j] for j in np.flatnonzero(informs[:, k])} for k in range(len(names))]
+        # one level in two sessions is one level: it cannot be told from the sessions
+        kinds = [level for _, level in keys] if name == "level" else keys
+        told = [{kinds[j] for j in np.flatnonzero(informs[:, k])} for k in range(len(names))]
         members = [k for k in likely if len(told[k]) >= (LEVELS if name == "level" else 2)]
         home = tuple(cells.index(key) for key in keys)
         for group in dict.fromkeys(member[members].tolist()):

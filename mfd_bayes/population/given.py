@@ -24,6 +24,7 @@ from mfd_bayes.population.sequel import standing_of
 from mfd_bayes.population.setting import Setting, setting_of
 from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.population.tempering import systematic, temper
+from mfd_bayes.population.unshared import stays
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -255,7 +256,8 @@ def sample_known(
     def log_likelihood(labels: Index, points: Array) -> Array:
         return problem.known(smooth, labels, points).log_likelihood
 
-    depends = problem.part.trace.varying or smooth.around.size > 0
+    stay = stays(np.atleast_1d(problem.part.trace.actuation), smooth.around.level)
+    depends = not stay or smooth.around.size > 0
     found = temper(smooth, log_likelihood, rng, max(n, POINTS), depends=depends)
     chosen = rng.permutation(len(found.labels))[:n]
     known = problem.known(smooth, found.labels[chosen], found.points[chosen])

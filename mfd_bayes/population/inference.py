@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.result import TestResult
@@ -20,7 +21,7 @@ from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import beside, several_processes
-from mfd_bayes.population.apart import set_apart
+from mfd_bayes.population.apart import joined, set_apart
 from mfd_bayes.population.law_scores import (
     TESTS,
     DependenceScore,
@@ -149,14 +150,23 @@ def _inferred(
         if COMPARE in layout.laws.values():
             weighed = replace(layout, weights=_weights(layout, compared().scores))
         apart = set_apart(weighed, likelihoods)
-        given = some.priors, settings.actuation_unit, pilot.residual
+        given = _priors_of(some, priors), settings.actuation_unit, pilot.residual
         draws = _sampled(JointProblem(weighed, apart, *given), settings, report)
-        begun, left = _starts(working, draws), _left(working, draws)
-        free = _unloaded(working, draws)
+        each = [joined(weighed, j, x) for j, x in enumerate(draws.tests)]
+        begun, left = _starts(working, each), _left(working, each)
+        free = _unloaded(working, each)
         population = replace(draws.population, starts=begun, left=left, unloaded=free)
         draws = replace(draws, population=population)
         found = compared()
     return Inference(draws, found.scores, found.exponents, found.dependence)
+
+
+def _priors_of(posterior: Posterior, priors: PriorFile) -> dict[str, Prior]:
+    """Priors of what tests have; of the start too where its samples are masked."""
+    found = dict(posterior.priors)
+    if posterior.model.has_gap and "start" in priors.parameters:
+        found.setdefault("start", priors.parameters["start"])
+    return found
 
 
 @dataclass(frozen=True)
@@ -207,24 +217,24 @@ def _start(likelihood: WorkingLikelihood, test: TestResult) -> Array:
     return np.asarray((q - likelihood.middle) / likelihood.scale)
 
 
-def _starts(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | None:
+def _starts(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> Array | None:
     """Places in the gap at which the tests began, (chain, draw, J); None where none is inferred."""
     if any("start" not in one.own for one in working):
         return None
     found = []
-    for one, x in zip(working, draws.tests, strict=True):
+    for one, x in zip(working, tests, strict=True):
         k = len(one.layout.names) + one.own.index("start")
         prior = one.posterior.priors["start"]
         found.append(prior.value(one.middle[k] + one.scale[k] * x[..., k]))
     return np.stack(found, axis=-1)
 
 
-def _left(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | None:
+def _left(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> Array | None:
     """Places at which the tests' own motions leave the device, (J,), by their medians."""
     if any("start" not in one.own for one in working):
         return None
     found = []
-    for one, x in zip(working, draws.tests, strict=True):
+    for one, x in zip(working, tests, strict=True):
         middle = np.median(x.reshape(-1, x.shape[-1]), axis=0)
         posterior = one.posterior
         theta = posterior.model.theta(posterior.values(one.points(middle[None])))
@@ -233,17 +243,17 @@ def _left(working: Sequence[WorkingLikelihood], draws: JointDraws) -> Array | No
     return np.array(known) if len(known) == len(found) else None
 
 
-def _unloaded(working: Sequence[WorkingLikelihood], draws: JointDraws) -> float:
+def _unloaded(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> float:
     """Probability that tests begin without load, from where the calibrated ones began.
 
-    It is 0 where the model does not tell load from none, and where the prior of the start is not
-    even from 0 to 1: then that prior says where tests begin.
+    It is 0 where the model does not tell load from none, where the start is masked, and where its
+    prior is not even from 0 to 1: then that prior says where tests begin.
     """
     found = []
-    for one, x in zip(working, draws.tests, strict=True):
+    for one, x in zip(working, tests, strict=True):
         values = one.posterior.values(one.points(x.reshape(-1, x.shape[-1])))
-        part = one.posterior.model.unloaded(values)
-        if part is None or not _even(one.posterior.priors["start"]):
+        part, prior = one.posterior.model.unloaded(values), one.posterior.priors.get("start")
+        if part is None or prior is None or not _even(prior):
             return 0.0
         found.append((values["start"], Unloaded.checked(*part)))
     return chance_of(found)

@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError, UnitError
 from mfd_bayes.records.motion import Array
@@ -28,7 +29,7 @@ class Clock:
     ----------
     rate : float, Hz
         (T - 1) over the duration, which rounded time stamps do not change; one over the median
-        step where `jitter` is above `JITTER`.
+        step where `jitter` is 1 or more, since samples are missing then.
     jitter : float
         Largest distance of a sample from a uniform grid between the ends, in steps.
     pauses : int
@@ -55,6 +56,12 @@ class Clock:
         return text
 
 
+def after_gaps(time: Array) -> NDArray[np.intp]:
+    """Samples of an increasing time, (T,), s, before which there is a gap."""
+    steps = np.diff(time)
+    return np.flatnonzero(steps > GAP * np.median(steps)) + 1
+
+
 def longest_piece(
     time: Array, place: Callable[[int], str], window: tuple[float, float] | None
 ) -> tuple[slice, str]:
@@ -69,8 +76,7 @@ def longest_piece(
     window : (float, float), s, optional
         Only the part of a piece inside it counts.
     """
-    steps = np.diff(time)
-    after = np.flatnonzero(steps > GAP * np.median(steps)) + 1
+    steps, after = np.diff(time), after_gaps(time)
     if not after.size:
         return slice(0, time.size), ""
     bounds = [0, *(int(at) for at in after), time.size]
@@ -121,7 +127,7 @@ def clock_of(time: Array) -> Clock:
     step = float(time[-1] - time[0]) / (time.size - 1)
     jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
     pauses = int(np.count_nonzero(steps > PAUSE * median))
-    return Clock(1 / (median if jitter > JITTER else step), jitter, pauses, float(steps.max()))
+    return Clock(1 / (median if jitter >= 1.0 else step), jitter, pauses, float(steps.max()))
 
 
 def parse_window(text: str, *, of: str = "") -> tuple[float, float]:

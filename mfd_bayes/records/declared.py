@@ -18,11 +18,14 @@ from mfd_bayes.units import factor, measure, parse_actuation, same_unit
 TOLERANCE = 0.1
 """A name and its record agree if they differ by no more than this share of the name's value."""
 
-_NUMBER = r"(?<![\d.A-Za-z])(\d+(?:[.p]\d+)?)"
-_FREQUENCY = re.compile(r"(?<![\d.])(\d+(?:[.p]\d+)?)[ _-]?hz(?![a-z])", re.IGNORECASE)
-_LENGTH = re.compile(rf"{_NUMBER}(in|inch|mm)(?![a-z])", re.IGNORECASE)
+NUMBER = r"(?<![\d.])(?<!\d,)(?<!\d[eE])(0,\d++|\d++(?:[.p]\d++|,\d{1,2}(?!\d)|,\d{4,}+)?+)"
+"""Number in a name: ``0.5``, ``0p5``, ``0,5``; of ``1,200`` it is not known which it is."""
+
+_ALONE = rf"(?<![A-Za-z]){NUMBER}"
+_FREQUENCY = re.compile(rf"{NUMBER}[ _-]?hz(?![a-z])", re.IGNORECASE)
+_LENGTH = re.compile(rf"{_ALONE}(in|inch|mm)(?![a-z])", re.IGNORECASE)
 _ACTUATION = re.compile(
-    rf"{_NUMBER}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
+    rf"{_ALONE}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
 )
 _HALF = re.compile(r"(?<![a-z])amp(?:l|litude)?(?![a-z])", re.IGNORECASE)
 _FULL = re.compile(
@@ -66,14 +69,16 @@ def _of_motion(record: Record, trace: Trace) -> Iterator[Fault]:
         return
     amplitude = float(np.median(loops.amplitude[loops.strong]))
     rate = float(1.0 / np.median(loops.period[loops.strong]))
-    lengths = [(m[0], _value(m[1]) * factor(m[2], "displacement")) for m in _LENGTH.finditer(name)]
+    lengths = [
+        (m[0], number_in(m[1]) * factor(m[2], "displacement")) for m in _LENGTH.finditer(name)
+    ]
     half, full = bool(_HALF.search(name)), bool(_FULL.search(name))
     may_be = [amplitude] * (half or not full) + [2.0 * amplitude] * (full or not half)
     shown = (
         f"the record has an amplitude of {amplitude:.3g} in (a stroke of {2 * amplitude:.3g} in)"
     )
     yield from _fault(record, lengths, may_be, shown)
-    rates = [(m[0], _value(m[1])) for m in _FREQUENCY.finditer(name)]
+    rates = [(m[0], number_in(m[1])) for m in _FREQUENCY.finditer(name)]
     shown = f"the record's motion has {rate:.3g} Hz"
     yield from _fault(record, rates, [rate, record.rate], shown)
 
@@ -85,7 +90,7 @@ def _of_actuation(record: Record, trace: Trace) -> Iterator[Fault]:
     found = []
     for match in _ACTUATION.finditer(record.path.stem):
         unit = _SPELLED.get(match[2].lower(), match[2].lower())
-        value, internal = parse_actuation(f"{_value(match[1]):g} {unit}")
+        value, internal = parse_actuation(f"{number_in(match[1]):g} {unit}")
         if internal == record.actuation_unit:
             found.append((match[0], value))
     level = float(np.mean(record.actuation))
@@ -94,8 +99,9 @@ def _of_actuation(record: Record, trace: Trace) -> Iterator[Fault]:
     yield from _fault(record, found, [level], shown)
 
 
-def _value(number: str) -> float:
-    return float(number.lower().replace("p", "."))
+def number_in(text: str) -> float:
+    """Number that `NUMBER` has found."""
+    return float(text.lower().replace("p", ".").replace(",", "."))
 
 
 def _fault(

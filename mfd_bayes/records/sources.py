@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.clock import check_increasing, parse_window
+from mfd_bayes.records.clock import SAMPLES, after_gaps, check_increasing, parse_window
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import unit_of
@@ -176,7 +176,8 @@ def take_off(
             raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
         signal = signal - float(np.mean(signal[inside]))
     elif source.tare:
-        signal = signal - parse_quantity(source.tare, role, of=f"tare of {of}")
+        number, unit = split_quantity(source.tare, of=f"tare of {of}")
+        signal = signal - number * scale_of(source, role, unit, f"the tare of {of}")[0]
     return signal
 
 
@@ -184,8 +185,19 @@ def acceleration(time: Array, displacement: Array) -> Array:
     """Acceleration, (T,), in/s², of a displacement in in at times in s.
 
     The second derivative of a cubic fitted to the samples about each (Savitzky and Golay, 1964),
-    over a tenth of the median half-cycle; uneven times are evened first.
+    over a tenth of the median half-cycle; uneven times are evened first. Each piece between gaps
+    in time is taken by itself; one of fewer than `SAMPLES` samples has none.
     """
+    pieces = np.split(np.arange(time.size), after_gaps(time))
+    enough = [piece for piece in pieces if piece.size >= SAMPLES]
+    found = np.zeros(time.size)
+    for piece in enough:
+        found[piece] = _second_derivative(time[piece], displacement[piece])
+    return found
+
+
+def _second_derivative(time: Array, displacement: Array) -> Array:
+    """As `acceleration`, of a piece without gaps."""
     from scipy.signal import savgol_filter
 
     even = np.linspace(time[0], time[-1], time.size)

@@ -213,7 +213,9 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     )
     lines = "".join(f"# {' '.join(line.split())}\n" for line in head) + ",".join(columns) + "\n"
     rows = zip(*columns.values(), strict=True)
-    return lines + "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in rows)
+    # times may be seconds since 1970
+    cells = ([f"{time:.15g}", *(f"{value:.8g}" for value in rest)] for time, *rest in rows)
+    return lines + "".join(",".join(row) + "\n" for row in cells)
 
 
 def _derived_cells(row: DerivedRow) -> tuple[str | float, ...]:

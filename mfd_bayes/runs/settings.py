@@ -9,6 +9,7 @@ from pydantic import AfterValidator
 
 from mfd_bayes.campaign.schema import Area, LawName, check_id
 from mfd_bayes.population.inference import InferenceSettings
+from mfd_bayes.records.roles import header_unit
 from mfd_bayes.store.schema import Part, Positive
 
 Id = Annotated[str, AfterValidator(check_id)]
@@ -36,9 +37,15 @@ class TestSettings(Part):
 
     @property
     def given_actuation(self) -> object:
-        """The actuation in words, or the column that has it, as the campaign gives it."""
+        """The actuation in words, or a mapping with the "unit" of its column."""
         columns = self.columns if isinstance(self.columns, Mapping) else {}
-        return self.actuation or columns.get("actuation")
+        if self.actuation or "actuation" not in columns:
+            return self.actuation
+        match columns["actuation"]:
+            case [column, unit, *_]:
+                return {"unit": unit or header_unit(str(column))}
+            case column:
+                return column
 
 
 class Settings(Part):

@@ -105,15 +105,19 @@ def test_an_untested_level_has_the_covariance_of_the_process_too(priors, new):
 
 
 def test_levels_of_different_sessions_have_nothing_in_common(priors):
-    layout = lay_out(priors, NAMES, settings((0.5, 0.8, 0.5, 0.8), ["a", "a", "b", "b"]))
-    effect = level_of(layout)
+    three = lay_out(priors, NAMES, settings((0.5, 0.8, 0.5, 0.8, 1.2), ["a", "a", "b", "b", "c"]))
+    two = lay_out(priors, NAMES, settings((0.5, 0.8, 0.5, 0.8), ["a", "a", "b", "b"]))
+    # two levels in two sessions are two: nothing tells them from a law
+    assert "level" not in [effect.name for effect in two.effects]
+    effect = level_of(three)
     rows = np.array([effect.row(cell)[0] for cell in effect.cells])
     found = rows @ rows.T
     np.testing.assert_allclose(found[:2, 2:], 0.0, atol=1e-12)
-    assert found[0, 1] == pytest.approx(covariance(0.5, 0.8, (0.5, 0.8)))
-    row, sd = effect.row(("c", 0.5))
+    levels = (0.5, 0.8, 0.5, 0.8, 1.2)
+    assert found[0, 1] == pytest.approx(covariance(0.5, 0.8, levels))
+    row, sd = effect.row(("d", 0.5))
     np.testing.assert_array_equal(row, 0.0)
-    assert sd == pytest.approx(np.sqrt(0.8 / 0.5))
+    assert sd == pytest.approx(np.sqrt(covariance(0.5, 0.5, levels)))
 
 
 def test_effects_are_smooth_over_the_actuation(priors):

@@ -218,7 +218,7 @@ def test_inference_learns_it_from_the_tests(motion_of_a_test):
         drawn["start"] = np.random.default_rng(1).uniform(*start, 400)
         q = posterior.coordinates(drawn).reshape(4, 100, -1)
         one = SimpleNamespace(own=("start",), posterior=posterior, points=lambda x: x)
-        return _unloaded([one] * 6, SimpleNamespace(tests=[q] * 6))
+        return _unloaded([one] * 6, [q] * 6)
 
     assert chance((0.45, 0.55)) > 0.95
     assert chance((0.0, 0.02)) < BEFORE

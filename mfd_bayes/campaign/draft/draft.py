@@ -162,7 +162,9 @@ def _look_at(path: Path, folder: Path) -> Candidate:
 
 def _is_own(path: Path, table: Table) -> bool:
     """Whether this package wrote a file: a table of a run, or a prediction."""
-    bands = {"lower_kip", "median_kip", "upper_kip"} <= set(table.names)
+    names = set(table.names)
+    units = [name.removeprefix("lower_") for name in names if name.startswith("lower_")]
+    bands = any({f"median_{unit}", f"upper_{unit}"} <= names for unit in units)
     derived = path.stem.endswith("_derived") and "quantity" in table.names
     return bands or derived or path.name in _OWN
 

@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mfd_bayes.records.declared import NUMBER, number_in
 from mfd_bayes.units import ActuationUnit, parse_actuation
 
 _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
 _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN", "n": "N", "lb": "lbf", "lbs": "lbf"}
 _SPELLED |= {"kips": "kip"}
-_NUMBER = r"(?<![\d.])(\d+(?:[.p]\d+)?)"
-_WITH_UNIT = re.compile(rf"{_NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
-_PRESSURE = re.compile(r"(?<![a-z])(?:p|press|pressure)[ _=-]?(\d+(?:\.\d+)?)(?![\d.]*[a-z])", re.I)
-_TENSION = re.compile(r"(?<![a-z])(?:tension|preload)[ _=-]?(\d+(?:\.\d+)?)(?![\d.]*[a-z])", re.I)
+_WITH_UNIT = re.compile(rf"{NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
+_PRESSURE = re.compile(rf"(?<![a-z])(?:p|press|pressure)[ _=-]?{NUMBER}(?![\d.]*[a-z])", re.I)
+_TENSION = re.compile(rf"(?<![a-z])(?:tension|preload)[ _=-]?{NUMBER}(?![\d.]*[a-z])", re.I)
 _SAID = re.compile(
-    rf"(?:pressure|tension|preload|actuation|clamping)[^\d\n]{{0,30}}?(\d+(?:\.\d+)?)\s*({_UNITS})(?![a-z])",
+    rf"(?:pressure|tension|preload|actuation|clamping)[^\d\n]{{0,30}}?{NUMBER}\s*({_UNITS})(?![a-z])",
     re.IGNORECASE,
 )
 
-_PRESSURE_UNIT = re.compile(rf"{_NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.IGNORECASE)
+_PRESSURE_UNIT = re.compile(rf"{NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.IGNORECASE)
 
 _HEADER_LINES = 40
 _HEADER_BYTES = 8192
@@ -41,7 +41,7 @@ class Level:
 
 def levels_in(name: str) -> tuple[Level, ...]:
     """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is assumed to be psi."""
-    found = [_level(m[1].lower().replace("p", "."), m[2]) for m in _WITH_UNIT.finditer(name)]
+    found = [_level(m[1], m[2]) for m in _WITH_UNIT.finditer(name)]
     if found:
         return tuple(dict.fromkeys(found))
     pressures, tensions = _PRESSURE.findall(name), _TENSION.findall(name)
@@ -71,6 +71,6 @@ def level_in_header(path: Path, names: Sequence[str]) -> Level | None:
 
 
 def _level(number: str, unit: str, doubt: str = "") -> Level:
-    text = f"{float(number):g} {_SPELLED.get(unit.lower(), unit.lower())}"
+    text = f"{number_in(number):g} {_SPELLED.get(unit.lower(), unit.lower())}"
     value, internal = parse_actuation(text)
     return Level(text, value, internal, doubt)

@@ -146,7 +146,7 @@ def _not_a_workbook(path: Path) -> str:
 
 
 def _find(path: Path, workbook: Any) -> tuple[int, Layout]:
-    """Number of the first sheet with the largest share of numbers, and the layout of its table."""
+    """Number of the first sheet whose table weighs most, and the layout of that table."""
     heads = [
         [cells for _, cells in islice(_filled_rows(path, sheet), SEARCHED)]
         for sheet in workbook.worksheets
@@ -165,7 +165,7 @@ def _find(path: Path, workbook: Any) -> tuple[int, Layout]:
         raise RecordError(f"{path} holds no row of two names or more above numbers: {held}")
     if not named:
         return max(bare, key=lambda table: table[1].count)
-    return max(named, key=lambda table: table[1].share)
+    return max(named, key=lambda table: table[1].weight)
 
 
 def _described(head: list[Cells]) -> str:

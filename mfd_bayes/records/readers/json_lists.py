@@ -30,7 +30,11 @@ def read_json(path: Path) -> Table:
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
 
+    rows = _labels(content)
+
     def load(wanted: Sequence[str]) -> dict[str, Array]:
+        if len({rows[name] for name in wanted if name in rows}) > 1:
+            raise RecordError(f"columns of {path} have different lengths or row labels")
         return {name: _numbers(path, name, columns[name]) for name in wanted}
 
     return Table(path, tuple(columns), load, sample, headed=not _is_bare(content))
@@ -53,12 +57,14 @@ def _columns(path: Path, content: object) -> dict[str, list[Any]]:
         case [*rows]:
             return _from_rows(path, rows)
         case {}:
-            columns = {k: _in_order(v) for k, v in content.items() if isinstance(v, dict | list)}
-            indices = {tuple(sorted(v)) for v in content.values() if isinstance(v, dict)}
-            if len(indices) > 1:
-                raise RecordError(f"columns of {path} have different lengths or row labels")
-            return columns
+            return {k: _in_order(v) for k, v in content.items() if isinstance(v, dict | list)}
     raise RecordError(f"{path} must hold an object of lists or a list of objects")
+
+
+def _labels(content: object) -> dict[str, tuple[str, ...]]:
+    """Labels of the rows of each column that has them."""
+    columns = content.items() if isinstance(content, dict) else ()
+    return {name: tuple(sorted(column)) for name, column in columns if isinstance(column, dict)}
 
 
 def _row(names: list[Any], row: object) -> object:

@@ -11,6 +11,7 @@ from mfd_bayes.units import DIMENSIONS, measure
 
 Row = Sequence[object]
 
+ENOUGH = 40  # numbers of a table that is surely more than a few settings
 SEARCHED = 200  # number of filled rows, from the first, in which the names are looked for
 # Ratios, rates and masses do not show that a row holds units: "1", "cycles" or "t" may be text.
 _TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate", "mass"}
@@ -26,17 +27,23 @@ class Layout:
     share: float  # numbers over filled cells
     count: int  # numbers, up to the next row without any
 
+    @property
+    def weight(self) -> float:
+        """Share of numbers, times how many there are where these are few."""
+        return self.share * min(self.count, ENOUGH)
+
 
 def find_layout(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Layout | None:
     """Layout of the table with the largest share of numbers, then with the most numbers.
 
     A table is a row of at least two names, perhaps a row of units, and a row with a number.
-    Titles and settings above it ("Station", "Rate 1024") are no table, or a small one.
+    Titles and settings above it ("Station", "Rate 1024") are no table, or a small one, which
+    counts the less the fewer numbers it has.
     """
     found = [_layout_at(rows, i, is_number) for i in range(len(rows))]
     return max(
         (layout for layout in found if layout is not None),
-        key=lambda layout: (layout.share, layout.count),
+        key=lambda layout: (layout.weight, layout.count),
         default=None,
     )
 

@@ -89,7 +89,7 @@ class _Text:
         lines = list(self.lines)
         if self.separator != BLANKS:  # every line may lack the last columns
             lines[0] += self.separator * (len(self.names) - 1 - lines[0].count(self.separator))
-        return pd.read_csv(
+        frame = pd.read_csv(
             StringIO("\n".join(lines).replace("\N{MINUS SIGN}", "-")),
             sep=r"\s+" if self.separator == BLANKS else self.separator,
             header=None,
@@ -99,6 +99,13 @@ class _Text:
             skipinitialspace=True,
             **options,
         )
+        if len(frame) != len(self.lines):
+            row = next((i for i, line in enumerate(self.lines) if line.count('"') % 2), 0)
+            raise RecordError(
+                f"{self.path} {self.place(row)} has a quotation mark without its partner, which "
+                "would join it with the next lines"
+            )
+        return frame
 
     def _check_commas(self) -> None:
         """Refuse numbers whose comma may be a decimal sign or a thousands separator in all."""

@@ -174,9 +174,9 @@ def _because(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:
 
 def _of_actuation(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:
     """A wrong actuation, with the unit or the power of ten that would make it right."""
-    number, _, unit = test.actuation.partition(" ")
+    number, _, unit = test.actuation.strip().partition(" ")
     away = np.log(cause.factor)
-    for known in dict.fromkeys(t.actuation.partition(" ")[2] for t in others):
+    for known in dict.fromkeys(t.actuation.strip().partition(" ")[2] for t in others):
         if known and unit and known != unit:
             wrong = actuation_factor(unit)[0] / actuation_factor(known)[0]
             if abs(np.log(wrong) - away) < 0.5 * abs(away):

@@ -37,6 +37,9 @@ tests that were repeated differ by 1.4 of them, and by what friction scatters.""
 QUIET = 1e-3
 """Least noise that is expected of a force, as a share of its sd."""
 
+LONGEST = 1 << 20
+"""Most bins, nine hours: a longer record, such as one in a wrong unit of time, is not compared."""
+
 SHORTEST = 64
 """Fewest bins in which two records must overlap."""
 
@@ -102,7 +105,7 @@ class Signature:
 
 def find_twin(one: Signature, other: Signature) -> Twin | None:
     """Where a record is, in whole or in part, the same measurement as another; None if not."""
-    if min(one.bins, other.bins) < SHORTEST:
+    if min(one.bins, other.bins) < SHORTEST or max(one.bins, other.bins) > LONGEST:
         return None
     near = [_refined(one, other, k * BIN, BIN / 4) for k in _coarse_lags(one, other)]
     lag, misfit = min(near, key=lambda found: found[1], default=(0.0, np.inf))

@@ -43,11 +43,16 @@ def test_every_json_form_gives_the_same_columns(tmp_path, form):
         ('{"a": [1, NaN]}', "sample 2"),
         ('{"a": [1, 1' + "0" * 400 + "]}", "sample 2"),
         ('[{"a": 1}, {"b": 2}]', "sample 2"),
-        ('{"a": {"0": 1}, "b": {"1": 1}}', "row labels"),
     ],
 )
 def test_bad_json_is_refused(tmp_path, text, expected, refused):
     assert expected in refused(write(tmp_path / "a.json", text))
+
+
+def test_only_columns_that_are_read_must_have_the_same_rows(tmp_path, refused):
+    path = write(tmp_path / "a.json", '{"a": {"0": 1}, "b": {"1": 1}, "rig": {"id": 3}}')
+    assert "row labels" in refused(path, ("a", "b"))
+    np.testing.assert_array_equal(read_table(path).columns(("a",))["a"], [1.0])
 
 
 def test_columns_of_different_lengths_are_refused(tmp_path, refused):
