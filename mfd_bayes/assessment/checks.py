@@ -46,6 +46,7 @@ GROSS = 5.0
 
 LENGTH = "autocorrelation times kept"
 CALIBRATION = "calibration"
+SHOWN = "report"
 MODES = "modes found"
 
 SECOND_MODE = 0.1

@@ -14,6 +14,7 @@ from mfd_bayes.population.band import Band
 from mfd_bayes.population.effects import LEVELS
 from mfd_bayes.population.kinds import KIND_NAMES, NESTED
 from mfd_bayes.population.setting import levels_of, setting_of
+from mfd_bayes.population.zeros import with_zeros
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
@@ -106,7 +107,7 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[Desi
 
 def design_warnings(run: Run) -> tuple[str, ...]:
     """Why bounds may be too narrow, in sentences."""
-    settings = [setting_of(test.trace) for test in run.tests.values()]
+    settings = with_zeros([setting_of(test.trace) for test in run.tests.values()])
     count = len(levels_of(settings))
     if count >= LEVELS:
         return ()

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from mfd_bayes.assessment.checks import CALIBRATION, MODES, SAMPLING
+from mfd_bayes.assessment.checks import CALIBRATION, MODES, SAMPLING, SHOWN
 from mfd_bayes.assessment.views import COVERAGE, NOISE, PREDICTIVE, READING, Check, Judgement
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.verdict import Use, Verdict
@@ -56,7 +56,8 @@ def _judge(
     )
     reasons: list[tuple[float, str]] = [*_of_record(findings, missed), *_of_sampler(checks)]
     reasons += _of_readings(checks)
-    if missed and not any(f.spoils for f in findings):
+    counted = bool(missed) and not any(f.spoils for f in findings)
+    if counted:
         reasons.append((doubt_of(missed[0]), _misses(missed)))
     failed = {c.name for c in checks if c.verdict == Verdict.FAIL}
     wrong = any(f.spoils for f in findings) or bool(failed - set(SAMPLING))
@@ -64,7 +65,9 @@ def _judge(
     reasons.sort(key=lambda reason: -reason[0])
     told = "; ".join(words for _, words in reasons)
     least = max((doubt_of(c) for c in checks if _is_of_fit(c)), default=0.0)
-    doubt = sum(size for size, _ in reasons) + least if reasons else min(least, 1.0)
+    doubt = sum(size for size, _ in reasons) if reasons else min(least, 1.0)
+    if reasons and not counted:  # else the worst misfit is one of the reasons
+        doubt += least
     return Judgement(subject, use, told, doubt, wrong, "; ".join(_notes(checks, aside)))
 
 
@@ -89,6 +92,8 @@ def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
     """Sampling that did not reach its targets, a test that was lost, and several modes."""
     if any(check.name == CALIBRATION for check in checks):
         yield _LOST, "it could not be calibrated"
+    if any(check.name == SHOWN for check in checks):
+        yield _LOST, "it could not be shown in the report"
     short = [c for c in checks if c.name in SAMPLING and c.verdict == Verdict.FAIL]
     if short:
         more = f" and {len(short) - 1} more" if short[1:] else ""

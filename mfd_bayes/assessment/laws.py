@@ -31,13 +31,18 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
     sampled = population.layout.inferred[: population.layout.sd_scale.size]
-    scales = dict(zip(spreads, population.layout.sd_scale[sampled].tolist(), strict=True))
+    layout = population.layout
+    # the prior's standard deviation: of a half-normal, or of an exponential that prefers none
+    narrow = np.full(layout.sd_scale.size, np.sqrt(1.0 - 2.0 / np.pi))
+    narrow[np.flatnonzero(layout.sparse)] = 1.0
+    prior_sds = (narrow * layout.sd_scale)[sampled].tolist()
+    prior_sd = dict(zip(spreads, prior_sds, strict=True))
     found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
     rows = mixed_rows(population, run.actuation_unit, run.system)
     for name, draws in found.items():
         converged = measure_draws(draws, population.walkers)
-        shrunk = _contraction(draws, scales[name]) if name in scales else float("nan")
+        shrunk = _contraction(draws, prior_sd[name]) if name in prior_sd else float("nan")
         rows.append(
             Row(
                 subject="population",
@@ -65,9 +70,8 @@ def _shapes(population: Population) -> dict[str, Array]:
     }
 
 
-def _contraction(draws: Array, scale: float) -> float:
-    """Share of a half-normal prior's variance that the tests removed."""
-    prior_sd = scale * np.sqrt(1.0 - 2.0 / np.pi)
+def _contraction(draws: Array, prior_sd: float) -> float:
+    """Share of a prior's variance that the tests removed."""
     return float(contraction(np.array([prior_sd]), draws.reshape(-1, 1))[0])
 
 

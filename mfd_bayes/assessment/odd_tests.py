@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from mfd_bayes.calibration.quantities import units
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import pooled_of
@@ -42,9 +43,11 @@ def odd_tests(run: Run) -> list[Finding]:
     for j, i, away in stand_apart(deviations[:, columns]):
         k = columns[i]
         others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
+        subject, unit = _subject(layout, k)
         sentence = (
-            f"{names[j]} stands apart from the other tests: {_subject(layout, k)} "
-            f"{np.exp(places[j, k]):.3g}, where the others suggest {np.exp(others):.3g}, "
+            f"{names[j]} stands apart from the other tests: {subject} "
+            f"{np.exp(places[j, k]):.3g}{unit}, where the others suggest "
+            f"{np.exp(others):.3g}{unit}, "
             f"{away:.1f} of their standard deviations away; check its displacement, units and "
             "actuation before you use the campaign"
         )
@@ -86,8 +89,11 @@ def _places(run: Run) -> tuple[Array, Array]:
     return np.array(places), np.array(medians)
 
 
-def _subject(layout: Layout, k: int) -> str:
-    """What a shared coordinate is, in words."""
+def _subject(layout: Layout, k: int) -> tuple[str, str]:
+    """What a shared coordinate is, in words, and its unit behind a blank."""
     name = layout.names[k]
     words = {"d2": "gap", "Fc_fwd": "forward slip force", "Fc_bwd": "backward slip force"}
-    return words.get(name, name)
+    if name == "d3":
+        return "d3/d2", ""
+    unit = units()[name]
+    return words.get(name, name), "" if unit == "1" else f" {unit}"

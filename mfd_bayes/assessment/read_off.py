@@ -101,4 +101,5 @@ def reading_check(row: ReadingRow) -> Check:
         target = f"{within}, largest force {row.value:.3g} {row.unit}"
     size = (row.median - row.value) / abs(row.value) if row.value else float("nan")
     verdict = Verdict.CARE if row.far else Verdict.noted(not row.missed)
-    return Check(row.subject, READING, target, row.value, limit, verdict, size, row.tolerance)
+    told = row.subject, READING, target, row.value, limit, verdict, size, row.tolerance
+    return Check(*told, unit=row.unit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from mfd_bayes.assessment.checks import INFORMED, SAMPLING
+from mfd_bayes.assessment.checks import CALIBRATION, INFORMED, SAMPLING
 from mfd_bayes.assessment.fits import SCALE_NOTE
 from mfd_bayes.assessment.judgement import least_believed
 from mfd_bayes.assessment.noises import unchecked
@@ -36,7 +36,8 @@ def verdict_sentence(
     if all(j.use == Use.USABLE for j in judged):
         parts.append(_nothing_missed(len(judged)))
     advice = "correct what is wrong first" if wrong else "give a larger --effort"
-    parts.append(_of_sampling(failed, manifest.effort, len(judged), advice))
+    lost = {check.subject for check in failed if check.name == CALIBRATION}
+    parts.append(_of_sampling(failed, manifest.effort, len(judged) - len(lost), advice))
     if least := least_believed(judged):
         parts.append(least)
     bent = [c for c in checks if c.name == FREE_EXPONENT and c.verdict == Verdict.CARE]

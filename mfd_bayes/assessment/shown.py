@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from mfd_bayes.assessment.checks import SHOWN
 from mfd_bayes.assessment.fits import calibrated_view, held_out_view, sharing_priors
 from mfd_bayes.assessment.views import CampaignView, Check, TestView
 from mfd_bayes.errors import MfdError, StoreError
@@ -17,9 +18,6 @@ from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
 
 Given = TypeVar("Given")
-
-SHOWN = "report"
-"""Name of the check that fails where a test is left out of the report."""
 
 
 def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, str]]:

@@ -67,7 +67,8 @@ class Spring:
         """Vectors for which `_plain` is not exact, by their numbers."""
         scale, half = self._constants[:2]
         least = z.reshape(-1, z.shape[-1]).min(axis=0) * scale - half
-        total = np.add.reduce(force.reshape(-1, force.shape[-1]), axis=0)
+        with np.errstate(invalid="ignore"):  # ∞ − ∞
+            total = np.add.reduce(force.reshape(-1, force.shape[-1]), axis=0)
         return np.flatnonzero(~(np.isfinite(total) & (least > LEAST)))
 
     def _plain(self, z: Array, room: list[Array]) -> tuple[Array, Array, float]:

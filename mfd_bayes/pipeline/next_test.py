@@ -101,6 +101,8 @@ def next_test(out: Path, wish: Wish) -> Told:
         When the run, the goal, the candidates or the limits cannot be used, or a file may not be
         written.
     """
+    if wish.tests > 1 and wish.draft is None:
+        raise CampaignError("--tests says how many tests --write drafts: give --write too")
     table = out / ADVICE[0] if wish.table is None else wish.table
     files = _files(table, wish)
     candidates = _candidates(wish.candidates)

@@ -250,7 +250,7 @@ def _verdict(response: Response, system: System) -> list[str]:
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
             f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
         )
-    for one in response.limits():
+    for one in (limit for limit in response.limits() if np.isfinite(limit.probability)):
         found.append(
             f"{one.ground}: the limit of the {one.quantity} is exceeded with a probability of "
             f"{100 * one.probability:.3g} % (standard error {100 * one.error:.2g} %)."

@@ -74,6 +74,7 @@ def repeats(candidate: Candidate, tests: Iterable[Candidate]) -> bool:
     """Whether a candidate is like a test that was made."""
     return any(
         same_level(candidate.actuation, test.actuation)
+        and candidate.waveform == test.waveform
         and abs(candidate.frequency / test.frequency - 1.0) <= ALIKE
         and abs(candidate.amplitude / test.amplitude - 1.0) <= ALIKE
         for test in tests

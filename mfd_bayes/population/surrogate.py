@@ -93,7 +93,7 @@ class Surrogate:
         found = terms(z) @ self.components
         squares = np.einsum("nr,nr->n", found, found) + self.rest
         by_squares = _by_term(2.0 * found @ self.components.T, z) @ self.whiten.T
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             slopes = -self.weight(x)[:, None] * by_squares
             for k in self.direct:
                 step = np.zeros(z.shape[1])

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from mfd_bayes.assessment.design import DesignRow
 from mfd_bayes.assessment.views import (
     CampaignView,
+    Check,
     DerivedRow,
     Fan,
     LawView,
@@ -68,12 +69,21 @@ def in_words(view: CampaignView) -> CampaignView:
         view,
         sentence=say(view.sentence),
         remarks=tuple(map(say, view.remarks)),
-        checks=tuple(replace(check, target=say(check.target)) for check in view.checks),
+        checks=tuple(_check(check, system) for check in view.checks),
         warnings=tuple(replace(f, sentence=say(f.sentence)) for f in view.warnings),
         judgements=tuple(
             replace(j, sentence=say(j.sentence), notes=say(j.notes)) for j in view.judgements
         ),
     )
+
+
+def _check(check: Check, system: System) -> Check:
+    """A check whose sentence, and value where it has a unit, are in the units of a system."""
+    found = replace(check, target=system.reworded(check.target))
+    if not check.unit:
+        return found
+    value = check.value * system.factor(check.unit)
+    return replace(found, value=value, unit=system.unit(check.unit))
 
 
 def in_tables(view: CampaignView, system: System) -> CampaignView:

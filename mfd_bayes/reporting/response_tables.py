@@ -82,7 +82,8 @@ def draws_csv(response: Response, system: System) -> str:
                 response.steps[i, g],
                 response.change[i, g],
             )
-            flags = bool(response.unstable[i, g]), not bool(response.unsettled[i, g])
+            away = bool(response.unstable[i, g])
+            flags = away, not (away or response.unsettled[i, g])
             lines.append([i, ground.name, *map(_number, figures), *(int(f) for f in flags)])
     return _csv(lines)
 

@@ -89,8 +89,8 @@ def laws_csv(rows: Iterable[Row]) -> str:
 
 
 def checks_csv(checks: Iterable[Check]) -> str:
-    """Every check: its value, its limit and its verdict."""
-    head = ("subject", "check", "target", "value", "limit", "verdict", "size", "tolerance")
+    """Every check: its value, with its unit where it has one, its limit and its verdict."""
+    head = ("subject", "check", "target", "value", "limit", "verdict", "size", "tolerance", "unit")
     return csv_text(head, map(dataclasses.astuple, checks))
 
 

@@ -63,7 +63,7 @@ class Departure:
     @property
     def times(self) -> float:
         """How many times the largest tested value it is; below 1 where it is too small."""
-        if self.asked.highest > self.tested.highest:
+        if self.asked.highest > self.tested.highest * (1.0 + _MARGINS[self.asked.name]):
             return self.asked.highest / self.tested.highest if self.tested.highest else np.inf
         return self.asked.lowest / self.tested.lowest
 

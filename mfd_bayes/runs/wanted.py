@@ -15,6 +15,8 @@ from mfd_bayes.planning.goal import Goal, check_goal, parse_goal
 from mfd_bayes.planning.grid import grid_of, tested_of, typical_of
 from mfd_bayes.planning.study import Effort, Situation, advise
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.zeros import with_zeros
 from mfd_bayes.runs.folder import CAMPAIGN, check_stored
 from mfd_bayes.runs.manifest import Manifest
 
@@ -73,10 +75,19 @@ def next_test(
     effort: Effort,
 ) -> Advice:
     """Table of the wanted candidates, or of a grid from the campaign's range."""
-    done = tuple(tested_of(test.trace) for test in tests.values())
+    made = [tested_of(test.trace) for test in tests.values()]
+    levels = with_zeros([Setting(one.actuation) for one in made])
+    done = tuple(
+        replace(one, actuation=level.actuation) for one, level in zip(made, levels, strict=True)
+    )
     sessions = tuple(manifest.settings.tests[name].session for name in tests)
     some = next(iter(tests.values())).posterior
     situation = Situation(population, some.model, some.noise, done, sessions)
-    typical = typical_of(done)[0]
-    candidates = [parts.completed(typical) for parts in wanted.candidates] or grid_of(done)
+    # without an actuation of its own a test is one at each of the campaign's range
+    asked = [
+        parts.completed(typical)
+        for parts in wanted.candidates
+        for typical in (typical_of(done) if parts.actuation is None else typical_of(done)[:1])
+    ]
+    candidates = asked or grid_of(done)
     return advise(situation, wanted.goal, candidates, wanted.limits, effort)

@@ -30,6 +30,7 @@ from mfd_bayes.population.recalibration import factors_of
 from mfd_bayes.population.sequel import pooled_values
 from mfd_bayes.population.setting import Setting, levels_of, setting_of
 from mfd_bayes.population.whole import holds_whole
+from mfd_bayes.population.zeros import with_zeros
 from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.order import Order
@@ -152,6 +153,7 @@ def parts_of(
     CampaignError
         When there are fewer than two parts, or one has all the tests with an actuation.
     """
+    settings = dict(zip(settings, with_zeros([*settings.values()]), strict=True))
     names = list(settings)
     parts: dict[str, tuple[str, ...]] = {}
     if by == "test":

@@ -205,3 +205,20 @@ def test_a_test_whose_slip_force_is_far_from_its_reading_needs_care():
         "a slip force is far from what is read off the loop, so that the noise stands in for "
         f"friction: {target}"
     )
+
+
+def test_the_doubt_is_by_how_many_tolerances_the_worst_figure_is_missed():
+    one = missed("a", "energy per cycle, kip·in", "energy", 1.0, 1.15, 0.0)
+    (judged,) = judge(["a"], [one], [])
+    assert judged.doubt == pytest.approx(abs(one.size) / one.tolerance)
+
+
+def test_a_test_that_was_not_calibrated_has_not_converged_and_one_not_shown_says_why():
+    lost = Check("b", "calibration", "finished", 0.0, "finished", Verdict.FAIL)
+    checks = [missed("a", "peak force forward, kip", "peak", 3.0, 3.0, 0.5), lost]
+    sentence = verdict_sentence(Manifest(), checks, judge(["a", "b", "c"], checks, []))
+    assert "ll 2 calibrated tests" in sentence or "Both calibrated tests" in sentence
+    hidden = Check("b", "report", "shown", 0.0, "shown", Verdict.FAIL)
+    worst = judge(["a", "b"], [hidden], [])[0]
+    assert worst.subject == "b"
+    assert worst.sentence == "it could not be shown in the report"

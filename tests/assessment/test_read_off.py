@@ -6,6 +6,8 @@ import pytest
 from mfd_bayes.assessment.read_off import reading_check, reading_rows
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.conversion import _check
+from mfd_bayes.runs.systems import SI
 from mfd_bayes.runs.verdict import Verdict
 
 TIME = np.arange(0.0, 10.0, 1 / 128)
@@ -53,6 +55,9 @@ def test_a_parameter_that_misses_its_reading_is_noted(name, value):
     check = reading_check(missed)
     assert check.verdict == Verdict.NOTE
     assert ("largest force" if name == "Fs_bwd" else "read off") in check.target
+    shown = _check(check, SI)
+    assert f"{shown.value:.3g} {shown.unit}" in shown.target
+    assert f"{check.value:.3g} {check.unit}" in check.target
 
 
 @pytest.mark.parametrize(("value", "verdict"), [(0.9, "care"), (1.1, "note"), (4.5, "care")])

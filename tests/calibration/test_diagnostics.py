@@ -8,6 +8,7 @@ from mfd_bayes.calibration.diagnostics import (
     log_if_positive,
     measure,
     measure_draws,
+    tempering,
 )
 
 
@@ -130,3 +131,9 @@ def test_the_way_to_the_limits_is_as_long_as_its_worst_part(r_hat, ess, share):
 def test_draws_that_never_move_have_no_r_hat_and_no_warning():
     measured = measure_draws(np.full((2, 40), 0.1064174), walkers=2)
     assert np.isnan(measured.r_hat[0])
+
+
+def test_weights_that_are_nearly_all_nothing_can_be_tempered():
+    log_weights = np.full(100, -np.inf)
+    log_weights[:5] = [0.0, -1.0, -2.0, -3.0, -4.0]
+    assert 0.0 < tempering(log_weights, 0.5) < 1e-3

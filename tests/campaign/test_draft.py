@@ -197,6 +197,10 @@ def test_units_that_nothing_tells_are_to_be_filled_in(tmp_path):
         ("120 kPa", "120 kPa"),
         ("_35lb_", "35 lbf"),
         ("tension30", "30 lbf"),
+        ("seal_0,5MPa", "0.5 MPa"),
+        ("3,5bar run 2", "3.5 bar"),
+        ("p2,5", "2.5 psi"),
+        ("36lb,0.25Hz", "36 lbf"),
     ],
 )
 def test_a_level_is_read_off_a_name(name, level):
@@ -204,7 +208,11 @@ def test_a_level_is_read_off_a_name(name, level):
 
 
 @pytest.mark.parametrize(
-    "name", ["pump1", "step0.015backward", "3in_2Hz", "p0.5Hz", "test12", "harmonic0.03ea1forward"]
+    "name",
+    [
+        *("pump1", "step0.015backward", "3in_2Hz", "p0.5Hz", "test12", "harmonic0.03ea1forward"),
+        *("1,200psi", "1.5e3psi", "p1,200"),
+    ],
 )
 def test_what_is_no_level_is_not_taken_for_one(name):
     assert levels_in(name) == ()
@@ -467,3 +475,16 @@ def test_the_real_records_are_laid_out_but_for_the_semi_active_ones(tmp_path, da
     assert [name for name, _ in draft_campaign(tmp_path).left_out] == ["manifest.csv"]
     shutil.copy(data_folder / "2023-08_semiactive_step0.015backward.csv", tmp_path)
     assert "FIXME" in campaign_text(draft_campaign(tmp_path))
+
+
+@pytest.mark.parametrize("unit", ["kip", "kN", "N", "lbf"])
+def test_a_prediction_of_this_program_is_no_test(tmp_path, unit):
+    write(tmp_path / "p500.csv")
+    names = ["time_s", "displacement_mm", *(f"{n}_{unit}" for n in ("lower", "median", "upper"))]
+    time = np.arange(400) / 50.0
+    columns = [time, 25 * np.sin(np.pi * time), *(np.cos(np.pi * time) * k for k in (1, 2, 3))]
+    np.savetxt(
+        tmp_path / "b.csv", np.transpose(columns), "%.6g", ",", header=",".join(names), comments=""
+    )
+    draft, _ = draft_of(tmp_path)
+    assert [test.file for test in draft.tests] == ["p500.csv"]

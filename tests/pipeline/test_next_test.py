@@ -95,6 +95,7 @@ def test_mistakes_end_in_one_sentence(out, tmp_path):
     empty.write_text("# nothing\n")
     assert "has no test" in refusal(out, "--candidates", empty)
     assert "there is no file" in refusal(out, "--candidates", tmp_path / "none.txt")
+    assert "give --write too" in refusal(out, "--tests", 2)
     assert "has no manifest.json" in refusal(tmp_path) or "manifest" in refusal(tmp_path)
 
 

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import mfd_bayes as mb
 from mfd_bayes.calibration.effort import EFFORTS
+from mfd_bayes.calibration.prior_files import find_priors
 from mfd_bayes.cli.commands import app
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population import sampling
 
@@ -106,3 +109,46 @@ def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path
     assert checked.exit_code == 1
     assert f"warning: {WORDS}" in checked.stdout
     assert "The test to believe least is t1" in checked.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_a_run_with_a_test_without_actuation_is_finished(tmp_path, monkeypatch):
+    monkeypatch.setitem(sampling.SWEEPS, EFFORTS["quick"].ess, 20)
+    path, out = write_campaign(tmp_path, (1, 1)), tmp_path / "out"
+    path.write_text(path.read_text().replace('"500 psi"', '"0 psi"'))
+    outcome = here("calibrate", path, "-o", out, "--effort", "quick", "--jobs", "2")
+    assert outcome.exit_code == 0, outcome.output
+    run = mb.open_run(out)
+    assert run.population.layout.laws["Fc_fwd"] == "proportional"  # which a test at zero has not
+    assert np.all(np.isfinite(run.predict(run.tests["t1"].trace).median))
+
+
+def test_what_the_calibration_does_not_do_is_told(tmp_path):
+    extra = '[laws]\nFc_fwd = "affine"\n[dependence]\ngap = ["velocity"]\n'
+    path = write_campaign(tmp_path, (1, 1), extra)
+    table = np.genfromtxt(tmp_path / "t1.csv", delimiter=",", names=True)
+    columns = [*(table[name] for name in table.dtype.names), np.linspace(0.9, 1.1, table.size)]
+    head = "time_s,displacement_in,force_kip,pressure_ksi"
+    np.savetxt(tmp_path / "t1.csv", np.transpose(columns), delimiter=",", header=head, comments="")
+    text = path.read_text().replace(
+        'actuation = "1000 psi"', 'actuation = { name = "pressure_ksi", unit = "ksi" }'
+    )
+    path.write_text(text)
+    told = {f.name: f for f in plan_campaign(path, Options(effort="quick")).manifest.warnings}
+    assert told["actuation history"].subject == "t1"
+    assert "whatever the law of Fc_fwd" in told["actuation history"].sentence
+    assert (
+        "names gap, which the tests of the model lugre do not share" in told["dependence"].sentence
+    )
+
+
+def test_a_fixed_noise_is_refused_before_anything_is_calibrated(tmp_path):
+    path = write_campaign(tmp_path, (1, 1), 'priors = "own.toml"\n')
+    own = find_priors("mfd").read_text()
+    begin = own.index("[parameters.noise_sd]")
+    end = own.index("\n[", begin)
+    fixed = '[parameters.noise_sd]\nfamily = "fixed"\nvalue = "0.02 kip"\nreason = "known"\n'
+    (tmp_path / "own.toml").write_text(own[:begin] + fixed + own[end:])
+    with pytest.raises(CampaignError, match=r"noise_sd is fixed in own\.toml"):
+        plan_campaign(path, Options(effort="quick"))

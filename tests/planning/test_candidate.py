@@ -1,5 +1,7 @@
 """Candidates and limits in words, and mistakes in them in one sentence."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -136,3 +138,8 @@ def test_the_range_has_its_ends_and_the_median_motion():
     assert [c.actuation for c in found] == [0.5, 0.75, 1.0, 1.25, 1.5]
     assert {c.frequency for c in found} == {0.3}
     assert len(typical_of([Candidate(0.5, 0.1, 1.0)])) == 1
+
+
+def test_another_waveform_is_no_repeat():
+    assert repeats(TYPICAL, [TYPICAL])
+    assert not repeats(replace(TYPICAL, waveform="triangle"), [TYPICAL])

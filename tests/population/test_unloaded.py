@@ -209,11 +209,11 @@ def test_the_prior_of_a_test_is_normalised_whether_it_begins_with_load_or_not(st
 
 
 def test_inference_learns_it_from_the_tests(motion_of_a_test):
-    def chance(start, model="backlash", prior=None):
+    def chance(start, model="backlash", prior=None, known="sample"):
         priors = load_priors("mfd")
         if prior is not None:
             priors = replace(priors, parameters={**priors.parameters, "start": prior})
-        posterior = Posterior(motion_of_a_test, priors, "iid", model)
+        posterior = Posterior(motion_of_a_test, priors, "iid", model, start=known)
         drawn = posterior.draw_prior(np.random.default_rng(0), 400)
         drawn["start"] = np.random.default_rng(1).uniform(*start, 400)
         q = posterior.coordinates(drawn).reshape(4, 100, -1)
@@ -224,6 +224,7 @@ def test_inference_learns_it_from_the_tests(motion_of_a_test):
     assert chance((0.0, 0.02)) < BEFORE
     assert chance((0.45, 0.55), "three_stage") == 0.0
     assert chance((0.45, 0.55), "lugre") == 0.0  # it has no start
+    assert chance((0.45, 0.55), known="mask") == 0.0  # it is not known
     beta = Prior("truncated_normal", {"mean": 0.5, "sd": 0.1, "lower": 0.0, "upper": 1.0})
     assert chance((0.45, 0.55), prior=beta) == 0.0
     narrow = Prior("uniform", {"lower": 0.4, "upper": 0.6})

@@ -361,3 +361,12 @@ def test_what_a_window_leaves_out_is_told_by_its_ends_and_turns(tmp_path, left):
     assert max(before) == pytest.approx(motion[:left].max())
     assert record.around(record.trace(), since=time[left - 1])[0] == ()
     assert read_record(path).around(record.trace()) == ((), ())
+
+
+@pytest.mark.parametrize("rate", [256.0, 400.0, 600.0])
+def test_rounded_time_stamps_do_not_change_the_rate(tmp_path, rate):
+    time = np.arange(4000) / rate
+    path = write(tmp_path, time_s=np.round(time, 3), displacement_in=np.sin(2 * np.pi * time))
+    record = read_record(path)
+    assert record.rate == pytest.approx(rate, rel=1e-3)
+    assert record.trace(0.875 * rate).samples == pytest.approx(3500, abs=2)

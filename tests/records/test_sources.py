@@ -168,3 +168,25 @@ def test_a_force_that_is_nothing_but_what_was_taken_off_is_still_a_record(tmp_pa
     with pytest.raises(RecordError, match="column 7"):
         read_record(path, {"time": 7, "displacement": 2})
     assert np.all(force_of(path, tare="2 N") == 0.0)
+
+
+def test_inertia_is_taken_off_on_either_side_of_a_gap_in_time(tmp_path):
+    late = TIME + np.where(TIME > 4.0, 1000.0, 0.0)
+    path = written(tmp_path, time_s=late, stroke_mm=TRAVEL, load_N=FRICTION + INERTIA)
+    found = force_of(path, minus_mass="3 kg")
+    inside = slice(40, -40)
+    np.testing.assert_allclose(found[inside], FRICTION[TIME > 4.0][inside], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("unit", "arm", "column", "tare"),
+    [
+        ("N", {"arm": "4 in", "measured_at": "10 in"}, (FRICTION + 5.0) / 2.5, "2 N"),
+        ("N*m", {"arm": "4 in"}, (FRICTION + 5.0) * 0.1016, "0.508 N*m"),
+    ],
+)
+def test_a_tare_is_what_the_column_reads_at_zero(tmp_path, unit, arm, column, tare):
+    path = written(tmp_path, time_s=TIME, stroke_mm=TRAVEL, load=column)
+    columns = {"time": "time_s", "displacement": "stroke_mm"}
+    columns["force"] = Source("load", unit, tare=tare, **arm)
+    np.testing.assert_allclose(read_record(path, columns).force * N, FRICTION, atol=1e-6)

@@ -193,6 +193,7 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
         (["--peak", "3 in"], "expected an acceleration"),
         (["--ground", "nothing.AT2"], "cannot read nothing.AT2"),
         (["--building", "nothing.toml"], "cannot read nothing.toml"),
+        (["--by", "q90"], "give --sweep too"),
         (
             [
                 *("--sweep", "actuation=800 psi to 900 psi"),

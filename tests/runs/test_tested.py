@@ -103,3 +103,11 @@ def test_a_history_reaches_from_its_least_to_its_largest_actuation():
     (departure,) = departures(RANGE, history, "ksi")
     assert departure.asked.words(US) == "700 to 9000 psi"
     assert departure.far
+
+
+def test_a_departure_names_the_end_that_leaves_the_range():
+    history = Trace.from_arrays(
+        (time := np.linspace(0.0, 8.0, 401)), np.sin(np.pi * time), np.linspace(0.1, 1.505, 401)
+    )
+    (found,) = [d for d in departures(RANGE, history, "ksi") if d.asked.name == "actuation"]
+    assert found.times == pytest.approx(0.2)

@@ -40,6 +40,8 @@ class Check:
         By how much the model misses the figure, as a share; NaN where it is not said.
     tolerance : float
         The size up to which nobody minds; NaN where there is none.
+    unit : str
+        Unit of the value, where it is a measured quantity.
     """
 
     subject: str
@@ -50,3 +52,4 @@ class Check:
     verdict: Verdict
     size: float = float("nan")
     tolerance: float = float("nan")
+    unit: str = ""

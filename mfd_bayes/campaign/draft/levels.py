@@ -14,8 +14,8 @@ _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
 _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN", "n": "N", "lb": "lbf", "lbs": "lbf"}
 _SPELLED |= {"kips": "kip"}
 _WITH_UNIT = re.compile(rf"{NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
-_PRESSURE = re.compile(rf"(?<![a-z])(?:p|press|pressure)[ _=-]?{NUMBER}(?![\d.]*[a-z])", re.I)
-_TENSION = re.compile(rf"(?<![a-z])(?:tension|preload)[ _=-]?{NUMBER}(?![\d.]*[a-z])", re.I)
+_PRESSURE = re.compile(rf"(?<![a-z])(?:p|press|pressure)[ _=-]?{NUMBER}(?![\d.]*[a-z]|,\d)", re.I)
+_TENSION = re.compile(rf"(?<![a-z])(?:tension|preload)[ _=-]?{NUMBER}(?![\d.]*[a-z]|,\d)", re.I)
 _SAID = re.compile(
     rf"(?:pressure|tension|preload|actuation|clamping)[^\d\n]{{0,30}}?{NUMBER}\s*({_UNITS})(?![a-z])",
     re.IGNORECASE,

@@ -99,7 +99,8 @@ def _profile(axes: Axes, values: Array, bare: Array, friction: Array, *, step: b
     """Bands over the height: each storey as a box, or lines from floor to floor."""
     n = values.shape[1]
     at = np.arange(1, n + 1)
-    quantiles = np.quantile(values, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
+    shown = values if len(values) else np.full((1, n), np.nan)  # where every draw ran away
+    quantiles = np.quantile(shown, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
     if step:
         for low, high, colour in ((0, 4, _WIDE), (1, 3, _NARROW)):
             size = quantiles[high] - quantiles[low]
@@ -125,6 +126,8 @@ def _profile(axes: Axes, values: Array, bare: Array, friction: Array, *, step: b
 def draw_histories(response: Response, ground: int, system: System) -> Figure:
     """Drift of every storey against time, with bands, and that without dampers behind."""
     values = response.histories[ground][response.usable(ground)]
+    if not len(values):  # every draw ran away
+        values = np.full((1, *values.shape[1:]), np.nan)
     storeys = values.shape[2]
     figure = look.new_figure(10, 0.8 + 1.5 * storeys)
     grid = figure.subplots(storeys, 1, squeeze=False, sharex=True)[:, 0]

@@ -53,3 +53,10 @@ def test_units_are_bare_and_dashes_are_none():
 
 def test_names_are_looked_for_far_enough():
     assert SEARCHED >= 100
+
+
+def test_a_few_settings_are_not_the_table():
+    data = [[str(i / 50), str(i), "held"] for i in range(60)]
+    rows = [["Rate", "Channels"], ["1024", "4"], ["time_s", "disp_mm", "mode"], *data]
+    assert found(rows).names == 2
+    assert found(rows[:2]).names == 0  # the control: where there is nothing else

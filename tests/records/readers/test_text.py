@@ -2,6 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import read_table
 
 TIME = np.arange(30) / 10
@@ -250,3 +251,14 @@ def test_the_encodings_of_laboratories_are_read(tmp_path, encoding):
     path.write_bytes("Zeit\tWeg µ°\r\n0,5\t1\r\n".encode(encoding))
     np.testing.assert_array_equal(read_table(path).columns(["Zeit"])["Zeit"], [0.5])
     assert read_table(path).names == ("Zeit", "Weg µ°")
+
+
+@pytest.mark.parametrize("marks", [1, 2])
+def test_a_quotation_mark_does_not_swallow_the_next_lines(tmp_path, marks):
+    lines = [
+        f"{i / 50},{np.sin(i / 8):.4f},{chr(34) if i in range(5, 5 + marks) else ''}"
+        for i in range(40)
+    ]
+    path = write(tmp_path / "a.csv", "time_s,displacement_in,note\n" + "\n".join(lines) + "\n")
+    with pytest.raises(RecordError, match=r"a\.csv"):
+        read_table(path).columns(("time_s", "displacement_in"))
