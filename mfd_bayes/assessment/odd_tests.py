@@ -40,8 +40,7 @@ def odd_tests(run: Run) -> list[Finding]:
     places, medians = _places(run)
     found = []
     names, deviations = list(run.tests), places - medians
-    for j, i, away in stand_apart(deviations[:, columns]):
-        k = columns[i]
+    for j, k, away in _apart(deviations, columns, layout.informs):
         others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
         subject, unit = _subject(layout, k)
         sentence = (
@@ -53,6 +52,20 @@ def odd_tests(run: Run) -> list[Finding]:
         )
         found.append(Finding(names[j], "stands apart", sentence, stage="results"))
     return found
+
+
+def _apart(
+    deviations: Array, columns: list[int], informs: NDArray[np.bool_]
+) -> Iterator[tuple[int, int, float]]:
+    """As `stand_apart`, in each quantity of the tests that tell of it."""
+    groups: dict[bytes, list[int]] = {}
+    for k in columns:
+        groups.setdefault(informs[:, k].tobytes(), []).append(k)
+    for same in groups.values():
+        rows = np.flatnonzero(informs[:, same[0]])
+        if rows.size >= FEWEST:
+            for j, i, away in stand_apart(deviations[rows][:, same]):
+                yield int(rows[j]), same[i], away
 
 
 def stand_apart(deviations: Array) -> Iterator[tuple[int, int, float]]:

@@ -112,15 +112,8 @@ def verdicts(view: CampaignView) -> dict[str, str]:
         if worse != Use.WITH_CARE or found.get(check.subject) != Use.NOT_USABLE:
             found[check.subject] = worse or found.get(check.subject, Use.USABLE)
     found |= {judged.subject: judged.use for judged in view.judgements}
-    # last, since tests may have these names too
-    return (
-        {"campaign": "", "sentence": ""}
-        | found
-        | {
-            "campaign": view.verdict,
-            "sentence": view.sentence,
-        }
-    )
+    whole = {"campaign": view.verdict, "sentence": view.sentence}
+    return whole | found | whole  # tests may have these names too
 
 
 def _truth_rows(

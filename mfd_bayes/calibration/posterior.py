@@ -26,9 +26,6 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-LEAST_AFTER = 20
-"""Fewest samples that are fitted after a start that is masked."""
-
 AT_ONCE = 1 << 24
 """Points times samples whose forces are computed at once: some 400 MB."""
 
@@ -91,9 +88,11 @@ class Posterior(ShownPosterior):
         if trace.force is None:
             raise FitError("a posterior needs a trace with a measured force")
         chosen = find_model(model) if isinstance(model, str) else model
+        if not isinstance(chosen, Model):
+            raise FitError(f"model must be a name or a model such as LuGre(), got {chosen!r}")
         if start not in ("sample", "mask"):
             raise FitError(f"unknown start {start!r}: expected 'sample' or 'mask'")
-        file = load_priors(priors) if isinstance(priors, str) else priors
+        file = priors if isinstance(priors, PriorFile) else load_priors(str(priors))
         found = find_noise(noise)
         wanted = quantities_of_fit(chosen, found, sampled_start=start == "sample")
         chosen_priors = priors_of(file, wanted)
@@ -288,10 +287,8 @@ def _first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
         )
     for begin, end in itertools.pairwise([0, *trace.turning_points.tolist()]):
         if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
-            if trace.samples - end < LEAST_AFTER:
-                break
             return int(end)
     raise FitError(
-        "start = 'mask' needs a record that goes on after a stroke of twice the prior's gap, "
-        f"for {LEAST_AFTER} samples or more: what comes before is not fitted"
+        "start = 'mask' needs a record that goes on after a stroke of twice the prior's gap: what "
+        "comes before is not fitted"
     )

@@ -26,6 +26,9 @@ from mfd_bayes.store.netcdf import CalibratedTest, save_test
 
 Array = NDArray[np.float64]
 
+LEAST_AFTER = 20
+"""Fewest samples that are fitted after a start that is masked."""
+
 REPLICAS = 50
 """Posterior predictive records that are stored for each ensemble."""
 
@@ -66,7 +69,13 @@ class Task:
         MfdError
             When it cannot be made: no force, a name that is unknown, or a prior that is missing.
         """
-        return Posterior(self.trace, self.priors, self.noise, self.model, start=self.start)
+        found = Posterior(self.trace, self.priors, self.noise, self.model, start=self.start)
+        if self.trace.samples - found.first < LEAST_AFTER:
+            raise FitError(
+                f"start = 'mask' leaves {self.trace.samples - found.first} samples of {self.id} "
+                f"after its first long stroke, and at least {LEAST_AFTER} are needed"
+            )
+        return found
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Calibrate the test into a run folder."""

@@ -222,8 +222,9 @@ def _check_together(path: Path, tests: tuple[Test, ...], area: float | None) -> 
     """Refuse equal ids, pressures mixed with forces, and a campaign with nothing to calibrate."""
     seen: dict[str, str] = {}
     for test in tests:
-        other = seen.setdefault(test.id.lower(), test.id)
-        if other is not test.id:
+        other = seen.get(test.id.lower())
+        seen[test.id.lower()] = test.id
+        if other is not None:
             also = "" if other == test.id else f" (as {other!r}; case does not tell folders apart)"
             raise CampaignError(f"two tests of {path} have the id {test.id!r}{also}")
     units = {test.actuation_unit: test.id for test in reversed(tests)}

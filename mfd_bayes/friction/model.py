@@ -110,7 +110,17 @@ class Model:
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
-        return travel_since_turn(theta, trace)
+        return travel_since_turn(self._checked(theta), trace)
+
+    def _checked(self, theta: ArrayLike) -> Array:
+        """Parameter vectors (n, p), or a FitError that says what does not fit."""
+        values = real_numbers("theta", theta, FitError)
+        width = len(self.parameters)
+        if values.ndim != 2 or values.shape[1] != width:
+            raise FitError(
+                f"theta must have shape (n, {width}) for {self.name}, got {values.shape}"
+            )
+        return values
 
     def end(
         self,

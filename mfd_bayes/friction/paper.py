@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.yield_shares import check_shares
 from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
@@ -183,12 +184,7 @@ def actuate(
         share = np.asarray(trace.actuation)[None] / (reference if reference > 0 else 1.0)
         scales = dict.fromkeys(FRICTION_FORCES, share)
     n = next(iter(columns.values())).shape[1]
-    for name, factor in scales.items():
-        if name not in ACTUATED or factor.shape not in ((n, trace.samples), (1, trace.samples)):
-            raise FitError(
-                f"scales may hold {', '.join(ACTUATED)} with shape ({n}, {trace.samples}) or "
-                f"(1, {trace.samples}), got {name} with {factor.shape}"
-            )
+    scales = check_shares(scales, ((n, trace.samples), (1, trace.samples)), ACTUATED)
     nearest, followed = trace.path.nearest, {}
     for name, factor in scales.items():
         along = factor.T.take(nearest, axis=0)

@@ -15,8 +15,9 @@ from mfd_bayes.friction.gap import begin, turn
 from mfd_bayes.friction.paper import ACTUATED, FRICTION_FORCES, PaperModel
 from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.friction.transitions import Crossing, Gap, blend
-from mfd_bayes.friction.yield_shares import check_reference
+from mfd_bayes.friction.yield_shares import check_reference, reference_of
 from mfd_bayes.records.motion import vertices
+from mfd_bayes.records.numbers import real_numbers
 
 Array = NDArray[np.float64]
 
@@ -134,9 +135,11 @@ class State:
 
     def _referred(self, actuation: float | None) -> State:
         """The state with this actuation as the reference, if none is known yet."""
-        if actuation is None or self.damper.reference is not None or not actuation > 0:
+        known = self.damper.reference
+        reference = reference_of(known, actuation)
+        if reference == known:
             return self
-        return replace(self, damper=replace(self.damper, reference=actuation))
+        return replace(self, damper=replace(self.damper, reference=reference))
 
     def _first(self, friction: Friction, displacement: float, velocity: float) -> State:
         direction = self.direction or (-1 if velocity < 0 else 1)
@@ -235,8 +238,9 @@ def _actuated(
     n = damper.friction.vectors
     columns = {}
     for name, factor in scales.items():
-        values = np.asarray(factor, dtype=np.float64)
-        if name not in ACTUATED or values.shape not in ((), (n,)) or not np.all(values >= 0):
+        values = real_numbers(f"scales of {name}", factor, FitError)
+        fine = np.all(np.isfinite(values) & (values >= 0))
+        if name not in ACTUATED or values.shape not in ((), (n,)) or not fine:
             raise FitError(
                 f"scales of a step may hold {', '.join(ACTUATED)}, each one factor or "
                 f"{n}, not negative, got {name} = {factor!r}"

@@ -13,7 +13,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.weakening import ENDINGS, QUANTITIES, SIDES, Sliding, fall_along
-from mfd_bayes.friction.yield_shares import check_number, check_step
+from mfd_bayes.friction.yield_shares import check_number, check_step, reference_of
 from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
@@ -226,7 +226,7 @@ class Weakened(Model):
         sliding, reference = state.sliding.moved(displacement, velocity, dt), state.reference
         if actuation is not None:
             check_number("actuation", actuation, least=0.0)
-            reference = reference or actuation
+            reference = reference_of(reference, actuation)
             scales = self._by_actuation(actuation, reference) if scales is None else scales
         factors = {side: 1.0 + sliding.fall(side) * w for side, w in state.weakening.items()}
         base: Any = self.base

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -37,10 +38,13 @@ def check_step(displacement: float, velocity: float, dt: float, *, first: bool) 
         raise FitError(f"dt must be positive, got {dt} s")
 
 
-def _check_shares(
+def check_shares(
     scales: Mapping[str, ArrayLike], shapes: tuple[tuple[int, ...], ...], names: Names
 ) -> Shares:
-    shares = {name: np.asarray(share, dtype=np.float64) for name, share in scales.items()}
+    """Factors by name, checked: names, shapes, and that they are finite and not negative."""
+    shares = {
+        name: real_numbers(f"scales of {name}", share, FitError) for name, share in scales.items()
+    }
     expected = " or ".join(map(str, shapes))
     for name, share in shares.items():
         if name not in names or share.shape not in shapes:
@@ -58,7 +62,7 @@ def trace_shares(
 ) -> Shares:
     """Factors of `names` at each sample, (n, T) or (1, T); empty when they are constant."""
     if scales is not None:
-        return _check_shares(scales, ((n, trace.samples), (1, trace.samples)), names)
+        return check_shares(scales, ((n, trace.samples), (1, trace.samples)), names)
     if not trace.varying:
         return {}
     share = np.asarray(trace.actuation)[None] / (trace.reference_actuation or 1.0)
@@ -87,7 +91,7 @@ def step_shares(
     if actuation is not None:
         check_number("actuation", actuation, least=0.0)
     if scales is not None:
-        return _check_shares(scales, ((n,), (1,), ()), names)
+        return check_shares(scales, ((n,), (1,), ()), names)
     if actuation is None:
         return {}
     return dict.fromkeys(names, np.array([actuation / (reference or 1.0)]))

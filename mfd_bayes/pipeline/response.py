@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, StoreError
 from mfd_bayes.jobs.job import Step
@@ -35,6 +36,8 @@ from mfd_bayes.runs.response import check_kind, grounds_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import SI, SYSTEMS, US, System, named_system
 from mfd_bayes.store.files import write_text
+
+Array = NDArray[np.float64]
 
 MARKER = "response.json"
 """A folder with this file was written by this command, and may be written again."""
@@ -152,10 +155,22 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
                 )
                 for level in levels[0].tolist()
             ]
-            sweep = sweep_of(levels, each, query.quantity, query.goal, query.seed)
+            sweep, told = _swept(levels, each, query)
+            response = replace(response, remarks=(*response.remarks, *told))
     view = view_of(run, response, sweep, query, system)
     _write(response, sweep, view, query, system)
     return Found(response, sweep, view, query.folder / "report.html")
+
+
+def _swept(
+    levels: tuple[Array, str], each: list[Response], query: Query
+) -> tuple[Sweep | None, tuple[str, ...]]:
+    """The sweep, if it says anything, and what is to be remarked of it."""
+    try:
+        sweep = sweep_of(levels, each, query.quantity, query.goal, query.seed)
+    except BuildingError as error:  # the response at the file's own actuation is there
+        return None, (str(error),)
+    return sweep, sweep.remarks
 
 
 def _check_folder(query: Query) -> None:

@@ -6,6 +6,9 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from numbers import Real
+
+import numpy as np
 
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.records.harmonic import MOST_CYCLES
@@ -24,6 +27,17 @@ FORM = "a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
 _ALTERNATIVES = re.compile(r"\s*([^a-zA-Zµμ%°]*\|[^a-zA-Zµμ%°]*)(.*)", re.ASCII)
 _LONGEST = 20_000
+
+
+def _check_number(
+    name: str, value: object, least: float, most: float = np.inf, *, above: bool = False
+) -> None:
+    """Refuse what is no number in a range."""
+    number = float(value) if isinstance(value, Real) else np.nan
+    if not (least <= number <= most and number < np.inf) or (above and number == least):
+        words = f"above {least:g}" if above else f"at least {least:g}"
+        also = f" and at most {most:g}" if np.isfinite(most) else ""
+        raise CampaignError(f"{name} must be a number {words}{also}, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -49,6 +63,25 @@ class Candidate:
     cycles: float = 3.0
     waveform: str = "sine"
     price: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no test.
+
+        Raises
+        ------
+        CampaignError
+            When a number is none or out of its range, or the waveform is unknown.
+        """
+        _check_number("actuation of a test", self.actuation, 0.0)
+        for name in ("frequency", "amplitude"):
+            _check_number(f"{name} of a test", getattr(self, name), 0.0, above=True)
+        _check_number("cycles of a test", self.cycles, 1.0, MOST_CYCLES)
+        if self.price is not None:
+            _check_number("price of a test", self.price, 0.0)
+        if self.waveform not in WAVEFORMS:
+            raise CampaignError(
+                f"waveform of a test must be {' or '.join(WAVEFORMS)}, got {self.waveform!r}"
+            )
 
     @property
     def cost(self) -> float:
@@ -82,6 +115,12 @@ class Limits:
     velocity: float | None = None
     stroke: float | None = None
     force: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no limit, by a CampaignError."""
+        for name, value in vars(self).items():
+            if value is not None:
+                _check_number(f"limit of the {name}", value, 0.0, above=True)
 
     def allow(self, candidate: Candidate) -> bool:
         """Whether its motion is within the limits; its force is known only once simulated."""

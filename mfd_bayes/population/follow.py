@@ -39,6 +39,7 @@ from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.population.tempering import systematic
 from mfd_bayes.population.walk import Steps, Walk
+from mfd_bayes.population.zeros import NOTHING
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -73,6 +74,7 @@ class Forecaster:
             raise FitError(f"the model {model.name} has no steps, which following a test needs")
         self._predictor, self._forecast, self._level = predictor, forecast, setting.actuation
         tested = [one.actuation for one in predictor.population.layout.settings]
+        self._nothing = NOTHING * max(tested)
         reached = np.append(self._level * EITHER_WAY, [p for p in tested if p > 0.0])
         around = Along.of(predictor.population, setting, reached)
         self._rng = np.random.default_rng(forecast.seed)
@@ -199,7 +201,7 @@ class Forecaster:
 
     def _check_actuation(self, actuation: ArrayLike) -> None:
         """Refuse an actuation where the laws say nothing of it."""
-        if self._level == 0.0 and np.any(np.asarray(actuation) > 0.0):
+        if self._level == 0.0 and np.any(np.asarray(actuation) > self._nothing):
             raise RecordError(
                 "the test was planned without actuation, and now has one: give run.follow the "
                 "actuation of the test"

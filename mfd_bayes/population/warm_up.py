@@ -124,7 +124,7 @@ def _accompany(sampler: Sampler, chains: Chains) -> bool:
         if not np.any(np.isfinite(log_weights)):
             return False
         log_weights -= log_weights.max()
-        near = tempering(np.maximum(log_weights, -1e6), EFFECTIVE)
+        near = tempering(log_weights, EFFECTIVE)
         if near == 1.0 and turn > 0:
             break
         picks = _resampled(near * log_weights, chains.ensemble, rng)

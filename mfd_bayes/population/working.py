@@ -142,8 +142,7 @@ def working_likelihood(
     layout: Layout, posterior: Posterior, priors: PriorFile
 ) -> WorkingLikelihood:
     """Working likelihood of a calibrated test, without discrepancy and with even noise so far."""
-    masked = posterior.first or (posterior.model.has_gap and "start" not in posterior.priors)
-    start = "mask" if masked else "sample"
+    start = "mask" if posterior.first else "sample"
     plain = Posterior(posterior.trace, priors, "iid", posterior.model, start=start)
     own = [name for name in plain.names if name not in layout.names]
     units = [_prior_units(plain, name) for name in own]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from mfd_bayes.units import parse_quantity
 
 SAMPLES = 20  # fewest samples that a record, or a window of it, may have
 GAP = 10.0  # a step longer than this many median steps is a gap in time
-PAUSE = 1.5  # a step longer than this many median steps is a pause
+PAUSE = 1.9  # a step longer than this many median steps is a pause
 SHORTEST = 1e-9  # shortest step in time that is accepted, s
 JITTER = 0.01  # above this jitter, in steps, samples are interpolated onto a uniform grid
 
@@ -28,8 +29,7 @@ class Clock:
     Attributes
     ----------
     rate : float, Hz
-        (T - 1) over the duration, which rounded time stamps do not change; one over the median
-        step where `jitter` is 1 or more, since samples are missing then.
+        (T - 1) over the duration, without pauses, which rounded time stamps do not change.
     jitter : float
         Largest distance of a sample from a uniform grid between the ends, in steps.
     pauses : int
@@ -126,8 +126,24 @@ def clock_of(time: Array) -> Clock:
     median = float(np.median(steps))
     step = float(time[-1] - time[0]) / (time.size - 1)
     jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
-    pauses = int(np.count_nonzero(steps > PAUSE * median))
-    return Clock(1 / (median if jitter >= 1.0 else step), jitter, pauses, float(steps.max()))
+    late = steps > PAUSE * median
+    pauses = int(np.count_nonzero(late))
+    rate = 1.0 / float(np.mean(steps[~late]))
+    return Clock(rate if pauses else 1.0 / step, jitter, pauses, float(steps.max()))
+
+
+def checked_window(window: object) -> tuple[float, float]:
+    """Two times, s, the first before the second.
+
+    Raises
+    ------
+    RecordError
+        When they are none.
+    """
+    match window:
+        case (Real() as start, Real() as end) if start < end:
+            return float(start), float(end)
+    raise RecordError(f"a window must be two times in s, the earlier one first, got {window!r}")
 
 
 def parse_window(text: str, *, of: str = "") -> tuple[float, float]:

@@ -18,8 +18,14 @@ from mfd_bayes.units import factor, measure, parse_actuation, same_unit
 TOLERANCE = 0.1
 """A name and its record agree if they differ by no more than this share of the name's value."""
 
-NUMBER = r"(?<![\d.])(?<!\d,)(?<!\d[eE])(0,\d++|\d++(?:[.p]\d++|,\d{1,2}(?!\d)|,\d{4,}+)?+)"
-"""Number in a name: ``0.5``, ``0p5``, ``0,5``; of ``1,200`` it is not known which it is."""
+NUMBER = (
+    r"(?<![\d.])(?<!\d[eE])(?<![A-Za-z]\d,)"  # no part of 1.5e3, nor of "seal3,5bar"
+    r"(0,\d++(?![\d.,])|(?<![A-Za-z])\d{1,3},\d{1,2}(?![\d.,])"
+    r"|(?!(?<=\d,)\d{3}(?!\d))\d++(?:[.p]\d++)?+)"  # no part of 1,200
+)
+"""Number in a name: ``0.5``, ``0p5``, ``0,5``. Of ``1,200`` it is not known which it is, and commas
+may stand between words too, as in ``2022,36lb,0.25Hz``.
+"""
 
 _ALONE = rf"(?<![A-Za-z]){NUMBER}"
 _FREQUENCY = re.compile(rf"{NUMBER}[ _-]?hz(?![a-z])", re.IGNORECASE)

@@ -18,6 +18,7 @@ from mfd_bayes.records.clock import (
     SAMPLES,
     Clock,
     check_increasing,
+    checked_window,
     clock_of,
     longest_piece,
     parse_window,
@@ -137,7 +138,7 @@ class Record:
         RecordError
             When the window or the rate leaves fewer than 20 samples, or the rate is not positive.
         """
-        cut = _slice(self, window or self.fit)
+        cut = _slice(self, self.fit if window is None else window)
         if rate is None and gap is not None:
             x = self.displacement[cut]
             rate = default_rate(self.time[cut], x, _turns(x), gap, rate=self.rate)
@@ -224,6 +225,8 @@ def read_record(
     signals, named, unit = signals_of(table, sources)
     check_increasing(path, signals["time"], table.place)
     window = parse_window(fit) if isinstance(fit, str) else fit
+    if window is not None:
+        window = checked_window(window)
     piece, gap = longest_piece(signals["time"], table.place, window)
     if piece.stop - piece.start < SAMPLES:
         raise RecordError(f"{gap}: fewer than the {SAMPLES} samples that are needed in {path}")
@@ -267,7 +270,7 @@ def _slice(record: Record, window: Window | None) -> slice:
     """Samples of a window, both ends included."""
     if window is None:
         return slice(0, record.time.size)
-    start, end = window
+    start, end = checked_window(window)
     first = int(np.searchsorted(record.time, start, side="left"))
     last = int(np.searchsorted(record.time, end, side="right"))
     if not last - first >= SAMPLES:

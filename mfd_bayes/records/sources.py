@@ -176,9 +176,17 @@ def take_off(
             raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
         signal = signal - float(np.mean(signal[inside]))
     elif source.tare:
-        number, unit = split_quantity(source.tare, of=f"tare of {of}")
-        signal = signal - number * scale_of(source, role, unit, f"the tare of {of}")[0]
+        signal = signal - _tare_of(source, role, f"tare of {of}")
     return signal
+
+
+def _tare_of(source: Source, role: str, of: str) -> float:
+    """What a column reads at zero, as the signal of its role; or that signal at zero itself."""
+    number, unit = split_quantity(source.tare, of=of)
+    try:
+        return number * scale_of(source, role, unit, of)[0]
+    except UnitError:
+        return parse_quantity(source.tare, role, of=of)
 
 
 def acceleration(time: Array, displacement: Array) -> Array:

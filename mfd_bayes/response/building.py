@@ -145,8 +145,9 @@ def building_of(content: Content, path: Path) -> Building:
     units = {device.unit for device in devices}
     if len(units) > 1:
         raise BuildingError(f"damper in {path}: actuation must be a pressure of all, or a force")
-    if content.limits.drift is not None and not np.all(np.isfinite(frame.heights)):
-        raise BuildingError(f"limits.drift in {path} needs the height of every storey")
+    shares = [name for name in ("drift", "residual") if getattr(content.limits, name) is not None]
+    if shares and not np.all(np.isfinite(frame.heights)):
+        raise BuildingError(f"limits.{shares[0]} in {path} needs the height of every storey")
     return Building(
         content.building.title,
         frame.mass,

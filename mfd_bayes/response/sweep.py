@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -22,6 +22,9 @@ LEVELS = 9
 
 QUANTITIES = ("drift", "acceleration")
 """What may be made small: the largest of these over the building."""
+
+MOST_AWAY = 0.1
+"""Largest share of draws that may run away at a level."""
 
 MOST_STEPS = 100
 RESAMPLES = 400
@@ -46,14 +49,16 @@ class Sweep:
     unit : {"ksi", "kip"}
     values : mapping of str to (L, n, g)
         The largest over the building of "drift", in, and "acceleration", g, of the draws that ran
-        away at no level.
+        away at no other level; NaN at levels that are left out.
     quantity, goal : str
     scores : (L,)
-        What is made small, over all ground motions.
+        What is made small, over all ground motions; infinite at levels that are left out.
     best : float
         The actuation at which it is smallest.
     interval : (float, float)
         Equal-tailed 90 % interval of the best actuation, over resampled draws.
+    remarks : tuple of str
+        What it leaves out.
     """
 
     levels: Array
@@ -64,6 +69,7 @@ class Sweep:
     scores: Array
     best: float
     interval: tuple[float, float]
+    remarks: tuple[str, ...] = ()
 
 
 def parse_sweep(text: str) -> tuple[Array, str]:
@@ -108,30 +114,46 @@ def sweep_of(
     Raises
     ------
     BuildingError
-        When the quantity or the goal is unknown, a limit is missing, or every draw ran away.
+        When the quantity or the goal is unknown, a limit is missing, or no level is left.
     """
     levels, unit = swept
     bound = check_goal(quantity, goal, responses[0].building.limits)
+    away = np.array([r.unstable.any(axis=1) for r in responses])
+    lost = away.mean(axis=1) > MOST_AWAY
+    if lost.all():
+        raise BuildingError("the sweep says nothing: many draws ran away at every level")
     # a draw that ran away at one level is left out at all: the others are of the same dampers
-    usable = ~np.any([r.unstable.any(axis=1) for r in responses], axis=0)
-    if not usable.any():
-        raise BuildingError("the sweep says nothing: every draw ran away at one of its levels")
+    usable = ~away[~lost].any(axis=0)
     values = {name: np.stack([r.measure(name)[usable] for r in responses]) for name in QUANTITIES}
+    for value in values.values():
+        value[lost] = np.nan
     shown = values[quantity]
     if goal == "passing":
         shown = np.stack([_against_limit(r, quantity)[usable] for r in responses])
     n = shown.shape[1]
-    score = GOALS[goal]
-    flat = shown.reshape(len(levels), -1)
-    scores = score(flat, bound)
+
+    def score(of: Array) -> Array:
+        return np.where(lost, np.inf, GOALS[goal](of.reshape(len(levels), -1), bound))
+
+    scores = score(shown)
     rng = np.random.default_rng(seed)
-    found = [
-        _lowest(levels, score(shown[:, rng.integers(n, size=n)].reshape(len(levels), -1), bound))
-        for _ in range(RESAMPLES)
-    ]
+    found = [_lowest(levels, score(shown[:, rng.integers(n, size=n)])) for _ in range(RESAMPLES)]
     low, high = np.quantile(found, [0.05, 0.95])
     best = _lowest(levels, scores)
-    return Sweep(levels, unit, values, quantity, goal, scores, best, (float(low), float(high)))
+    interval = float(low), float(high)
+    remarks = tuple(_remarks(int((~usable).sum()), len(usable), int(lost.sum())))
+    return Sweep(levels, unit, values, quantity, goal, scores, best, interval, remarks)
+
+
+def _remarks(out: int, draws: int, lost: int) -> Iterator[str]:
+    """What a sweep leaves out, in sentences."""
+    if out:
+        yield f"the sweep leaves out {out} of {draws} draws, which diverged at one of its levels"
+    if lost:
+        yield (
+            f"the sweep leaves out {lost} of its levels, at which more than "
+            f"{100 * MOST_AWAY:.0f} % of the draws diverged"
+        )
 
 
 def check_goal(quantity: str, goal: str, limits: Limits) -> float:
@@ -164,6 +186,8 @@ def _lowest(levels: Array, scores: Array) -> float:
     if k in (0, len(levels) - 1):
         return float(levels[k])
     a, b, c = scores[k - 1 : k + 2]
+    if not np.isfinite(a + c):
+        return float(levels[k])
     bend = a - 2.0 * b + c
     shift = 0.5 * (a - c) / bend if bend > 0 else 0.0
     return float(levels[k] + shift * (levels[1] - levels[0]))

@@ -12,6 +12,7 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.population.population import Population
+from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.choice import Choice
@@ -78,6 +79,7 @@ def respond_of_run(
         than the run's.
     """
     choice = Choice(kind, draws, seed)
+    whole_number("jobs", jobs, 0, BuildingError)
     built = building if isinstance(building, Building) else read_building(building)
     moved = grounds_of(grounds)
     check_actuation(source, built)

@@ -241,7 +241,7 @@ class Run:
         Parameters
         ----------
         actuation : float, ksi or kip
-            As planned; that of the samples may differ.
+            As planned; that of the samples may differ, but for a test without any.
         kind : {"new_test", "observation"}
         probability : float
         amplitude : float, in, optional

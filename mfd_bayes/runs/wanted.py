@@ -9,8 +9,9 @@ from pathlib import Path
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.content import read_content
 from mfd_bayes.campaign.goal import Wanted, wanted_of
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.advice import Advice
-from mfd_bayes.planning.candidate import Candidate, Limits, Parts, parse_limits, parse_tests
+from mfd_bayes.planning.candidate import MOST, Candidate, Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, parse_goal
 from mfd_bayes.planning.grid import grid_of, tested_of, typical_of
 from mfd_bayes.planning.study import Effort, Situation, advise
@@ -83,11 +84,14 @@ def next_test(
     sessions = tuple(manifest.settings.tests[name].session for name in tests)
     some = next(iter(tests.values())).posterior
     situation = Situation(population, some.model, some.noise, done, sessions)
+    range_ = [one for one in typical_of(done) if one.actuation > 0.0]
     # without an actuation of its own a test is one at each of the campaign's range
     asked = [
         parts.completed(typical)
         for parts in wanted.candidates
-        for typical in (typical_of(done) if parts.actuation is None else typical_of(done)[:1])
+        for typical in (range_ if parts.actuation is None else range_[:1])
     ]
+    if len(asked) > MOST:
+        raise CampaignError(f"more than {MOST} tests, the most of one question")
     candidates = asked or grid_of(done)
     return advise(situation, wanted.goal, candidates, wanted.limits, effort)

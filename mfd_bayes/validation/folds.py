@@ -67,7 +67,7 @@ class Fold:
     kept: tuple[str, ...]
     effort: str
     seed: int
-    scores: int = 2
+    scores: int = 3
     """Number of the kind of scores, so that those of earlier versions are computed anew."""
 
     @property

@@ -199,8 +199,11 @@ def test_units_that_nothing_tells_are_to_be_filled_in(tmp_path):
         ("tension30", "30 lbf"),
         ("seal_0,5MPa", "0.5 MPa"),
         ("3,5bar run 2", "3.5 bar"),
-        ("p2,5", "2.5 psi"),
         ("36lb,0.25Hz", "36 lbf"),
+        ("2022,36lb,0.25Hz", "36 lbf"),
+        ("brfd,2023,35lb", "35 lbf"),
+        ("p500,1in", "500 psi"),
+        ("p500,0.5Hz", "500 psi"),
     ],
 )
 def test_a_level_is_read_off_a_name(name, level):
@@ -211,7 +214,7 @@ def test_a_level_is_read_off_a_name(name, level):
     "name",
     [
         *("pump1", "step0.015backward", "3in_2Hz", "p0.5Hz", "test12", "harmonic0.03ea1forward"),
-        *("1,200psi", "1.5e3psi", "p1,200"),
+        *("1,200psi", "1.5e3psi", "p1,200", "p2,5", "test3,35lb"),
     ],
 )
 def test_what_is_no_level_is_not_taken_for_one(name):

@@ -378,3 +378,8 @@ def test_what_a_test_follows_is_one_id(folder, value, said):
         folder, TEST + f"after = {value}\n"
     )
     assert said in refused(folder, TEST + f"after = {value}\n")
+
+
+def test_two_tests_with_the_same_short_id_are_refused(folder):
+    one = re.sub('id = "[^"]*"', 'id = "1"', TEST)
+    assert "have the id '1'" in refused(folder, one + one)

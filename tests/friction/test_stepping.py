@@ -154,3 +154,21 @@ def test_bad_settings_are_refused():
         model.start(dampers(1), reference_actuation=0.0)
     with pytest.raises(FitError, match="k3"):
         model.start(dampers(1) * np.where(np.arange(14) == 8, -1.0, 1.0))
+
+
+@pytest.mark.parametrize("factor", [-1.0, np.inf, "x"])
+def test_factors_that_do_not_fit_are_refused(factor):
+    trace = Trace.from_arrays(TIME[:50], MOTIONS["partial"][:50])
+    for model in MODELS:
+        theta = dampers(2)
+        along = [[factor] * 50]
+        with pytest.raises(FitError, match="scales"):
+            model.force(theta, trace, scales={"Fc_fwd": along})
+        with pytest.raises(FitError, match="scales"):
+            model.step(model.start(theta), 0.0, 0.0, 0.01, scales={"Fc_fwd": factor})
+
+
+def test_travel_takes_parameter_vectors_alone():
+    trace = Trace.from_arrays(TIME[:50], MOTIONS["partial"][:50])
+    with pytest.raises(FitError, match=r"theta must have shape \(n, 8\)"):
+        LuGre().travel(np.ones(8), trace)

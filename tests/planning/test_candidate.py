@@ -143,3 +143,25 @@ def test_the_range_has_its_ends_and_the_median_motion():
 def test_another_waveform_is_no_repeat():
     assert repeats(TYPICAL, [TYPICAL])
     assert not repeats(replace(TYPICAL, waveform="triangle"), [TYPICAL])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"waveform": "sawtooth"}, "waveform of a test must be sine or triangle"),
+        ({"cycles": 0}, "cycles of a test must be a number at least 1 and at most 100"),
+        ({"cycles": 1e6}, "at most 100"),
+        ({"frequency": 0.0}, "frequency of a test must be a number above 0"),
+        ({"amplitude": "1"}, "amplitude of a test must be a number above 0"),
+        ({"price": -1.0}, "price of a test must be a number at least 0"),
+    ],
+)
+def test_what_is_no_test_is_refused(wrong, said):
+    with pytest.raises(CampaignError, match=said):
+        replace(TYPICAL, **wrong)
+
+
+def test_what_is_no_limit_is_refused():
+    for wrong in ({"velocity": np.nan}, {"force": 0.0}, {"stroke": "6"}):
+        with pytest.raises(CampaignError, match="must be a number above 0"):
+            Limits(**wrong)

@@ -69,3 +69,15 @@ def test_draws_outside_are_wider_by_the_slope_and_have_the_same_median(make_popu
     assert logs[1].mean() == pytest.approx(logs[0].mean(), abs=0.015)
     assert logs[1].var() == pytest.approx(logs[0].var() + STROKE**2, rel=0.1)
     assert logs[0].std() < 0.8 * STROKE  # so that the difference can be seen
+
+
+def test_what_was_found_to_differ_between_tests_widens_outside_them(make_population):
+    layout = replace(make_population().layout, settings=tuple(TESTED))
+    k = layout.names.index("Fc_fwd")
+    sparse = tuple(i == k for i in range(len(layout.names)))
+    freed = replace(layout, sparse=sparse, common=(False,) * len(layout.names))
+    same = replace(layout, sparse=sparse, common=sparse)
+    outside = setting(0.5 / np.e, 0.3)
+    wider, fixed = ({one[1] for one in unknown_beyond(of, outside, 3)} for of in (freed, same))
+    assert k in wider
+    assert k not in fixed

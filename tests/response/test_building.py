@@ -136,3 +136,8 @@ def test_a_matrix_that_is_none_is_one_sentence(tmp_path, content):
     with pytest.raises(BuildingError, match=r"matrices\.mass.*M\.npy as numbers") as error:
         read_building(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_limit_of_the_residual_drift_needs_heights_too():
+    with pytest.raises(BuildingError, match=r"limits\.residual in b.toml needs the height"):
+        made(GOOD.replace('height = "12 ft"\n', "") + '[limits]\nresidual = "1 %"\n')

@@ -300,8 +300,16 @@ def test_a_draw_that_ran_away_at_a_level_does_not_count_in_a_sweep(run, path, gr
     assert sweep.scores[1] == pytest.approx(sweep.scores[0])
     heeded = sweep_of(levels, [one, replace(one, drift=drift)], "drift", "mean")  # the control
     assert heeded.scores[1] > 1e3
-    with pytest.raises(BuildingError, match="every draw ran away"):
-        sweep_of(levels, [one, replace(one, unstable=~np.zeros_like(away))], "drift", "mean")
+    assert sweep.remarks == (
+        "the sweep leaves out 1 of 12 draws, which diverged at one of its levels",
+    )
+    lost = replace(one, unstable=np.ones_like(away))
+    sweep = sweep_of(levels, [one, lost], "drift", "mean")
+    assert sweep.best == 0.8
+    assert np.isinf(sweep.scores[1])
+    assert "leaves out 1 of its levels" in sweep.remarks[0]
+    with pytest.raises(BuildingError, match="many draws ran away at every level"):
+        sweep_of(levels, [lost, lost], "drift", "mean")
 
 
 def test_histories_beyond_what_was_tested_are_told(run, path, ground, tmp_path):

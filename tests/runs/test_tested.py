@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.settings import TestSettings
 from mfd_bayes.runs.systems import SI, US
 from mfd_bayes.runs.tested import departures, far_sentences, range_of, reach_of
 
@@ -111,3 +112,17 @@ def test_a_departure_names_the_end_that_leaves_the_range():
     )
     (found,) = [d for d in departures(RANGE, history, "ksi") if d.asked.name == "actuation"]
     assert found.times == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("columns", "unit"),
+    [
+        ({"actuation": ["p", "bar"]}, "bar"),
+        ({"actuation": ["p_bar", None]}, "bar"),
+        ({"actuation": {"name": "p", "unit": "bar"}}, "bar"),
+    ],
+)
+def test_the_unit_of_a_measured_actuation_is_known_to_a_run(columns, unit):
+    given = TestSettings(columns=columns).given_actuation
+    assert given["unit"] == unit
+    assert TestSettings(actuation="7 bar", columns=columns).given_actuation == "7 bar"

@@ -14,8 +14,10 @@ _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
 _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN", "n": "N", "lb": "lbf", "lbs": "lbf"}
 _SPELLED |= {"kips": "kip"}
 _WITH_UNIT = re.compile(rf"{NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
-_PRESSURE = re.compile(rf"(?<![a-z])(?:p|press|pressure)[ _=-]?{NUMBER}(?![\d.]*[a-z]|,\d)", re.I)
-_TENSION = re.compile(rf"(?<![a-z])(?:tension|preload)[ _=-]?{NUMBER}(?![\d.]*[a-z]|,\d)", re.I)
+# what follows a number may not make another of it, or be its unit
+_ENDS = r"(?![\d.]*[a-z]|,\d{3}(?!\d)|,\d{1,2}(?![\d.a-z]))"
+_PRESSURE = re.compile(rf"(?<![a-z])(?:p|press|pressure)[ _=-]?{NUMBER}{_ENDS}", re.I)
+_TENSION = re.compile(rf"(?<![a-z])(?:tension|preload)[ _=-]?{NUMBER}{_ENDS}", re.I)
 _SAID = re.compile(
     rf"(?:pressure|tension|preload|actuation|clamping)[^\d\n]{{0,30}}?{NUMBER}\s*({_UNITS})(?![a-z])",
     re.IGNORECASE,

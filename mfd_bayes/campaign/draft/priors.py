@@ -64,7 +64,7 @@ def knows(priors: str, found: Mapping[str, Scales]) -> bool:
 
 
 def priors_text(found: Mapping[str, Scales], units: Units) -> str:
-    """Prior file for records whose scales are known, by the ids of their tests."""
+    """Prior file for records whose scales are known, by the names of their tests or files."""
     whole = middle(found.values())
     content = read_toml(find_priors("any"))
     values = {"force": whole.force, "length": whole.length, "speed": whole.speed}

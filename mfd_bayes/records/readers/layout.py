@@ -34,7 +34,7 @@ class Layout:
 
 
 def find_layout(rows: Sequence[Row], is_number: Callable[[object], bool]) -> Layout | None:
-    """Layout of the table with the largest share of numbers, then with the most numbers.
+    """Layout of the table that weighs most, then of that with the most numbers.
 
     A table is a row of at least two names, perhaps a row of units, and a row with a number.
     Titles and settings above it ("Station", "Rate 1024") are no table, or a small one, which

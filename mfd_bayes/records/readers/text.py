@@ -229,7 +229,7 @@ def _best(head: Sequence[str]) -> tuple[str, Layout] | None:
         if (block := find_numbers(rows, _reads)) is not None:
             blocks.append((separator, block))
     found = tables or blocks
-    return max(found, key=lambda table: (table[1].share, table[1].count), default=None)
+    return max(found, key=lambda table: (table[1].weight, table[1].count), default=None)
 
 
 def _reads(cell: object) -> bool:
