@@ -28,7 +28,6 @@ from mfd_bayes.friction.yield_shares import (
     trace_shares,
 )
 from mfd_bayes.records.motion import vertices
-from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -292,11 +291,8 @@ def _ratio(columns: dict[str, Array]) -> Array:
 
 def _check_theta(model: BoucWen, theta: ArrayLike) -> dict[str, Array]:
     """Columns of theta by name, (n,) each, or a FitError that names what does not fit."""
-    values = real_numbers("theta", theta, FitError)
-    width = len(model.parameters)
-    if values.ndim != 2 or values.shape[1] != width:
-        raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
-    columns = dict(zip(model.parameters, np.ascontiguousarray(values.T), strict=True))
+    values = np.ascontiguousarray(model.vectors(theta).T)
+    columns = dict(zip(model.parameters, values, strict=True))
     for q in model.quantities:
         column = columns[q.name]
         bad = ~(np.isfinite(column) & (column >= q.least) & (column <= q.most))

@@ -110,10 +110,10 @@ class Model:
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
-        return travel_since_turn(self._checked(theta), trace)
+        return travel_since_turn(self.vectors(theta), trace)
 
-    def _checked(self, theta: ArrayLike) -> Array:
-        """Parameter vectors (n, p), or a FitError that says what does not fit."""
+    def vectors(self, theta: ArrayLike) -> Array:
+        """Theta as numbers, (n, p), or a FitError that says what does not fit."""
         values = real_numbers("theta", theta, FitError)
         width = len(self.parameters)
         if values.ndim != 2 or values.shape[1] != width:
@@ -147,7 +147,7 @@ class Model:
         """
         if self.has_gap:
             raise FitError(f"the model {self.name} does not say where in its gap a motion ends")
-        return np.full(len(real_numbers("theta", theta, FitError)), 0.5)
+        return np.full(len(self.vectors(theta)), 0.5)
 
     def start_at(
         self,

@@ -113,6 +113,16 @@ class PaperModel(Model):
             known["gamma2"] = values["ell"] * values["gamma1"]
         return super().theta(known)
 
+    def vectors(self, theta: ArrayLike) -> Array:
+        """Theta as numbers, (n, p).
+
+        A model with fewer parameters takes its own from a theta in the paper's order, (n, 14), too.
+        """
+        values = real_numbers("theta", theta, FitError)
+        if values.ndim == 2 and values.shape[1] == len(PARAMETERS) != len(self.parameters):
+            values = values[:, [PARAMETERS.index(name) for name in self.parameters]]
+        return super().vectors(values)
+
     def composed(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Static friction, where its excess is sampled."""
         return tuple(static for static, (_, excess) in _EXCESS.items() if excess in names)
@@ -121,19 +131,12 @@ class PaperModel(Model):
 def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
     """Columns of theta by name, (1, n) each.
 
-    A model with fewer parameters takes its own from a theta in the paper's order, (n, 14), too.
-
     Raises
     ------
     FitError
         When the shape does not fit, or a value is negative or not finite, or F_s < F_c.
     """
-    values = real_numbers("theta", theta, FitError)
-    width = len(model.parameters)
-    if values.ndim == 2 and values.shape[1] == len(PARAMETERS) != width:
-        values = values[:, [PARAMETERS.index(name) for name in model.parameters]]
-    if values.ndim != 2 or values.shape[1] != width:
-        raise FitError(f"theta must have shape (n, {width}) for {model.name}, got {values.shape}")
+    values = model.vectors(theta)
     columns = dict(zip(model.parameters, np.ascontiguousarray(values.T)[:, None], strict=True))
     if not np.all((values >= _least(model.parameters)) & (values < np.inf)):
         _refuse(columns)

@@ -14,7 +14,6 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.weakening import ENDINGS, QUANTITIES, SIDES, Sliding, fall_along
 from mfd_bayes.friction.yield_shares import check_number, check_step, reference_of
-from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -243,11 +242,7 @@ class Weakened(Model):
         FitError
             When the shape does not fit, or a w is not between -1 and 1.
         """
-        values, width = real_numbers("theta", theta, FitError), len(self.parameters)
-        if values.ndim != 2 or values.shape[1] != width:
-            raise FitError(
-                f"theta must have shape (n, {width}) for {self.name}, got {values.shape}"
-            )
+        values = self.vectors(theta)
         weakening = dict(zip(self.sides, values.T[-len(self.sides) :], strict=True))
         for side, w in weakening.items():
             bad = ~(np.abs(w) <= QUANTITIES[side].most)

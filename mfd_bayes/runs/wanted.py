@@ -16,8 +16,6 @@ from mfd_bayes.planning.goal import Goal, check_goal, parse_goal
 from mfd_bayes.planning.grid import grid_of, tested_of, typical_of
 from mfd_bayes.planning.study import Effort, Situation, advise
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.zeros import with_zeros
 from mfd_bayes.runs.folder import CAMPAIGN, check_stored
 from mfd_bayes.runs.manifest import Manifest
 
@@ -76,10 +74,11 @@ def next_test(
     effort: Effort,
 ) -> Advice:
     """Table of the wanted candidates, or of a grid from the campaign's range."""
-    made = [tested_of(test.trace) for test in tests.values()]
-    levels = with_zeros([Setting(one.actuation) for one in made])
+    # an actuation that is next to nothing is zero there
+    settings = population.layout.settings
     done = tuple(
-        replace(one, actuation=level.actuation) for one, level in zip(made, levels, strict=True)
+        replace(tested_of(test.trace), actuation=setting.actuation)
+        for test, setting in zip(tests.values(), settings, strict=True)
     )
     sessions = tuple(manifest.settings.tests[name].session for name in tests)
     some = next(iter(tests.values())).posterior

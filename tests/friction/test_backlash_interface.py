@@ -1,5 +1,7 @@
 """The backlash model's interface: batches, steps, actuation, and what it refuses."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from mfd_bayes.friction.course import Place, Plan, cut
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.trace import Trace
 from tests.friction.backlash_cases import MODEL, VALUES, sine, stepped, theta, vectors, walk
+from tests.friction.valves import late_forces
 
 CLOSE = 1e-7  # kip
 
@@ -220,14 +223,7 @@ def test_a_reference_actuation_that_does_not_fit_is_refused_by_name(reference):
 def test_a_valve_that_is_closed_at_first_is_no_reference():
     trace = sine()
 
-    def forces(first, reference=None):
-        state, found = MODEL.start(theta(), reference_actuation=reference), []
-        for i, (x, v) in enumerate(zip(trace.displacement, trace.velocity, strict=True)):
-            actuation = 0.5 if i else first
-            force, state = MODEL.step(state, x, v, trace.time[1] - trace.time[0], actuation)
-            found.append(force[0])
-        return np.array(found[trace.samples // 2 :])
-
+    forces = partial(late_forces, MODEL, theta(), trace)
     expected = forces(0.5)
     np.testing.assert_allclose(forces(0.0), expected, rtol=1e-4, atol=1e-4)
     assert np.max(np.abs(forces(0.0, reference=1.0) - expected)) > 0.1  # the control

@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.hysteresis import Curve
 from mfd_bayes.records.trace import Trace
+from tests.friction.valves import late_forces
 
 VALUES = {
     "k": 40.0,
@@ -424,14 +427,7 @@ def test_a_valve_that_is_closed_at_first_is_no_reference():
     time = np.arange(200) / 100.0
     trace = Trace.from_arrays(time, np.sin(2 * np.pi * time))
 
-    def forces(first, reference=None):
-        state, found = MODEL.start(theta(), reference_actuation=reference), []
-        for i, (x, v) in enumerate(zip(trace.displacement, trace.velocity, strict=True)):
-            actuation = 0.5 if i else first
-            force, state = MODEL.step(state, x, v, trace.time[1] - trace.time[0], actuation)
-            found.append(force[0])
-        return np.array(found[trace.samples // 2 :])
-
+    forces = partial(late_forces, MODEL, theta(), trace)
     expected = forces(0.5)
     np.testing.assert_allclose(forces(0.0), expected, rtol=1e-4, atol=1e-4)
     assert np.max(np.abs(forces(0.0, reference=1.0) - expected)) > 0.1  # the control

@@ -172,3 +172,8 @@ def test_travel_takes_parameter_vectors_alone():
     trace = Trace.from_arrays(TIME[:50], MOTIONS["partial"][:50])
     with pytest.raises(FitError, match=r"theta must have shape \(n, 8\)"):
         LuGre().travel(np.ones(8), trace)
+    with pytest.raises(FitError, match=r"theta must have shape \(n, 8\)"):
+        LuGre().end(np.ones(8), trace)
+    papers = dampers(2)  # in the paper's order, with the columns of the gap
+    assert papers.shape == (2, 14)
+    assert LuGre().travel(papers, trace).shape == (2, trace.samples)
