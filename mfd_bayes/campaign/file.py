@@ -20,6 +20,7 @@ from mfd_bayes.campaign.schema import (
 )
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.friction.weakening import weakened_name
+from mfd_bayes.planning.goal import check_session
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers import read_table
@@ -136,7 +137,9 @@ def load_campaign(
     after = {test.id: test.after for test in tests}
     check_order(path, after)
     check_parts(path, after, {test.id: Part(test.path, test.window) for test in tests})
-    wanted_of(path, content.goal, tests[0].actuation_unit)
+    wanted = wanted_of(path, content.goal, tests[0].actuation_unit)
+    learned = [test.session for test in tests if test.role == "calibrate"]
+    check_session(wanted.goal.session, learned, of=f"goal.session in {path}")
     return Campaign(
         path=path,
         folder=folder,

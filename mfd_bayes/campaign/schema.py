@@ -65,6 +65,9 @@ NoiseName = Annotated[str, _one_of(lambda: noises.NOISES)]
 
 _ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
 
+RESERVED = frozenset({"campaign", "sentence", "population"})
+"""Names beside those of the tests in the verdicts and steps of a run, in small letters."""
+
 
 def check_id(name: str) -> str:
     """A test's id, unchanged; raises ValueError where it cannot be the name of a folder."""
@@ -74,6 +77,13 @@ def check_id(name: str) -> str:
             "and no dot first"
         )
     return name
+
+
+def _check_new_id(name: str) -> str:
+    """Id of a test in a campaign file: as `check_id`, and none that a run uses for itself."""
+    if name.lower() in RESERVED:
+        raise ValueError(f"a test's id cannot be {name!r}: a run uses that name for itself")
+    return check_id(name)
 
 
 def _parsed(parse: Callable[[str], object]) -> Callable[[object], object]:
@@ -226,7 +236,7 @@ class Settings(Part):
 class Entry(Part):
     """One `[[test]]`."""
 
-    id: Annotated[str, AfterValidator(check_id)]
+    id: Annotated[str, AfterValidator(_check_new_id)]
     file: Annotated[str, Field(min_length=1, max_length=1000)]
     actuation: Annotated[
         Annotated[str, AfterValidator(_checked(parse_actuation)), Tag(":quantity")]

@@ -262,7 +262,7 @@ def compare(
         with progress.watch(quiet=quiet) as observe:
             found, left_out = pipeline.compare(campaign, out, names, options, observe)
         console.print_comparison(found, quiet=quiet)
-        for model, view in left_out.items():
-            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} kip.")
+        for model, (view, unit) in left_out.items():
+            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} {unit}.")
         if not quiet:
             console.say(f"look next at {out / 'comparison.csv'}")

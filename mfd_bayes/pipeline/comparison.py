@@ -16,7 +16,7 @@ from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.crossvalidation import check_parts, leave_out_parts
 from mfd_bayes.pipeline.outputs import Output, check_outputs, table_with
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.pipeline.report import write_report
+from mfd_bayes.pipeline.report import left_out_shown, write_report
 from mfd_bayes.reporting.tables import (
     comparison_csv,
 )
@@ -35,7 +35,7 @@ def compare(
     models: Sequence[str],
     options: Options,
     observe: Observe,
-) -> tuple[Comparison, dict[str, LeftOutView]]:
+) -> tuple[Comparison, dict[str, tuple[LeftOutView, str]]]:
     """Calibrate a campaign under several models or noises, and compare what they predict.
 
     Parameters
@@ -53,8 +53,9 @@ def compare(
     Returns
     -------
     Comparison
-    dict of str to LeftOutView
-        How each run predicted what was left out; empty without `by`.
+    dict of str to (LeftOutView, str)
+        How each run predicted what was left out, in the units of the campaign, and its unit of
+        force; empty without `by`.
 
     Raises
     ------
@@ -74,7 +75,7 @@ def compare(
 
 def _compare_plans(
     plans: Mapping[str, Plan], out: Path, options: Options, observe: Observe
-) -> tuple[Comparison, dict[str, LeftOutView]]:
+) -> tuple[Comparison, dict[str, tuple[LeftOutView, str]]]:
     """Carry out every model's plan, and compare; all folders must be locked."""
     runs: dict[str, Run] = {}
     for model, plan in plans.items():
@@ -86,12 +87,13 @@ def _compare_plans(
     found = compare_runs(runs)
     write_text(out / "comparison.csv", comparison_csv(found.rows))
     observe(Step("comparison", State.DONE))
-    left_out: dict[str, LeftOutView] = {}
+    left_out: dict[str, tuple[LeftOutView, str]] = {}
     for model, run in runs.items():
         tell = _named(observe, model)
         view = write_report(run.rewrite(comparison=found), tell, jobs=options.jobs)
-        if options.by and view.left_out:
-            left_out[model] = view.left_out
+        shown, force = left_out_shown(view)
+        if options.by and shown:
+            left_out[model] = shown, force
     return found, left_out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from mfd_bayes.errors import CampaignError
@@ -52,7 +52,7 @@ class Goal:
     probability : float
         Of the band.
     session : str
-        Session that it is about, where the campaign declares several.
+        Session that it is about, where the campaign declares several; "" for a new one.
     """
 
     quantity: str = "band"
@@ -135,3 +135,23 @@ def check_goal(goal: Goal, *, of: str = "--goal") -> None:
         )
     if not 0.0 < goal.probability < 1.0:
         raise CampaignError(f"{of}: probability must lie between 0 and 1, got {goal.probability}")
+
+
+def check_session(session: str, sessions: Collection[str], *, of: str = "goal.session") -> None:
+    """Refuse the session of a goal that no calibrated test has.
+
+    Raises
+    ------
+    CampaignError
+        With the name that is most like it.
+    """
+    if not session or session in sessions:
+        return
+    named = [repr(name) for name in dict.fromkeys(sessions) if name]
+    near = difflib.get_close_matches(session, sessions, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    has = f"their sessions are {', '.join(named)}" if named else "they have no sessions"
+    raise CampaignError(
+        f"{of}: no calibrated test has the session {session!r}; {hint}{has}; leave it out for a "
+        "new session"
+    )

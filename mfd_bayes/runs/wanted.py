@@ -12,7 +12,7 @@ from mfd_bayes.campaign.goal import Wanted, wanted_of
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import MOST, Candidate, Limits, Parts, parse_limits, parse_tests
-from mfd_bayes.planning.goal import Goal, check_goal, parse_goal
+from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
 from mfd_bayes.planning.grid import grid_of, tested_of, typical_of
 from mfd_bayes.planning.study import Effort, Situation, advise
 from mfd_bayes.population.population import Population
@@ -81,6 +81,7 @@ def next_test(
         for test, setting in zip(tests.values(), settings, strict=True)
     )
     sessions = tuple(manifest.settings.tests[name].session for name in tests)
+    check_session(wanted.goal.session, sessions)
     some = next(iter(tests.values())).posterior
     situation = Situation(population, some.model, some.noise, done, sessions)
     range_ = [one for one in typical_of(done) if one.actuation > 0.0]

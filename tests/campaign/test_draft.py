@@ -450,6 +450,12 @@ def test_ids_differ_whatever_the_case_of_letters(tmp_path):
     assert len({name.lower() for name in ids}) == 4
 
 
+def test_a_file_named_as_a_run_names_its_own_gets_another_id(tmp_path):
+    write(tmp_path / "population.csv", table=signals(), above="# pressure: 500 psi\n")
+    write(tmp_path / "500psi.csv")
+    assert {test.id for test in accepted(tmp_path).tests} == {"500psi", "population_2"}
+
+
 def test_earthquakes_are_suggested_for_validation_and_not_made_it(tmp_path):
     for name in ("500psi.csv", "500psi_ElCentro.csv", "500psi_required.csv"):
         write(tmp_path / name)

@@ -383,3 +383,10 @@ def test_what_a_test_follows_is_one_id(folder, value, said):
 def test_two_tests_with_the_same_short_id_are_refused(folder):
     one = re.sub('id = "[^"]*"', 'id = "1"', TEST)
     assert "have the id '1'" in refused(folder, one + one)
+
+
+@pytest.mark.parametrize("name", ["campaign", "Sentence", "population"])
+def test_a_name_that_a_run_uses_for_itself_is_no_id(folder, name):
+    """The verdicts of a run are by id, beside that of the campaign and its sentence."""
+    said = refused(folder, re.sub('id = "[^"]*"', f'id = "{name}"', TEST))
+    assert f"a test's id cannot be '{name}'" in said

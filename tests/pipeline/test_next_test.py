@@ -130,6 +130,11 @@ def test_the_goal_of_the_campaign_file_is_taken(out, finished_run, tmp_path):
         ("10 in/s, 6 in", "10", "goal.limits in {}: limits read"),
         ("quantity", "quantty", "unknown key 'quantty' in [goal] of {}; did you mean 'quantity'"),
         ("limits", "kind", "goal.kind in {}"),
+        (
+            "limits",
+            'session = "2023"\nlimits',
+            "goal.session in {}: no calibrated test has the session '2023'; they have no sessions",
+        ),
     ],
 )
 def test_a_bad_goal_is_found_when_the_campaign_is_read(finished_run, tmp_path, old, new, said):

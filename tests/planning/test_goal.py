@@ -7,7 +7,7 @@ import pytest
 from mfd_bayes.assessment.next_test import goal_words
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.candidate import Candidate
-from mfd_bayes.planning.goal import Goal, parse_goal
+from mfd_bayes.planning.goal import Goal, check_session, parse_goal
 from mfd_bayes.runs.systems import US
 
 
@@ -53,6 +53,18 @@ def test_the_goals_words_name_its_motions(text, words):
     tests = (Candidate(0.5, 0.5, 1.0), Candidate(1.5, 0.5, 1.0))
     advice = SimpleNamespace(goal=parse_goal(text, "ksi"), tests=tests)
     assert goal_words(advice, US, "ksi") == words
+
+
+def test_a_goal_is_about_a_session_of_the_tests_or_a_new_one():
+    sessions = ["2022", "2023", "2023"]
+    check_session("", sessions)
+    check_session("2023", sessions)
+    with pytest.raises(CampaignError) as caught:
+        check_session("2032", sessions, of="goal.session in c.toml")
+    assert str(caught.value) == (
+        "goal.session in c.toml: no calibrated test has the session '2032'; did you mean '2023'? "
+        "their sessions are '2022', '2023'; leave it out for a new session"
+    )
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from mfd_bayes.campaign.draft.actuation import (
 )
 from mfd_bayes.campaign.draft.columns import Guess, guess_columns
 from mfd_bayes.campaign.draft.levels import level_in_header, levels_in
+from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
@@ -202,7 +203,7 @@ def _id(stem: str, taken: Sequence[str]) -> str:
     """Id from a file's name; no id in `taken` differs from it in the case of letters only."""
     plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9+_.-]+", "_", plain).lstrip(".").strip("_")[:90] or "test"
-    used = {other.lower() for other in taken}
+    used = {other.lower() for other in taken} | RESERVED
     number, found = 2, name
     while found.lower() in used:
         found, number = f"{name}_{number}", number + 1
