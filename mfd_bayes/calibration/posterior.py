@@ -189,21 +189,26 @@ class Posterior(ShownPosterior):
             )
         return np.where(np.isnan(density), -np.inf, density)
 
-    def residual(self, q: ArrayLike) -> Array:
-        """What the model leaves over, F_obs − F0 − F, (n, T), kip."""
+    def residual(self, q: ArrayLike, scales: Mapping[str, Array] | None = None) -> Array:
+        """What the model leaves over, F_obs − F0 − F, (n, T), kip; scales as in `Model.force`."""
         values = self.values(q)
         if not len(values["offset"]):
             return np.empty((0, self.trace.samples))
-        by_time = self.force(values).T  # as the models lay it out
+        by_time = self.force(values, scales=scales).T  # as the models lay it out
         np.subtract(np.asarray(self.trace.force)[:, None], by_time, out=by_time)
         by_time -= values["offset"]
         return by_time.T
 
-    def force(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array:
+    def force(
+        self,
+        values: Mapping[str, Array],
+        trace: Trace | None = None,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        return self.model.force_unbounded(
-            self.theta(values), self.trace if trace is None else trace, values["start"]
-        )
+        chosen = self.trace if trace is None else trace
+        theta = self.theta(values)
+        return self.model.force_unbounded(theta, chosen, values["start"], scales=scales)
 
     def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""

@@ -11,6 +11,7 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.file import Test
 from mfd_bayes.friction import models
 from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.swing import swing_of
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.faults import Fault, find_faults
 from mfd_bayes.records.record import Record
@@ -84,14 +85,15 @@ def _of_settings(
             ),
         )
     other = [name for name in model.slip_forces if layout.laws.get(name) != "proportional"]
-    for name in (name for name, trace in tests.items() if trace.varying and other):
+    swinging = [name for name, trace in tests.items() if swing_of(layout, model, trace)]
+    for name in swinging:
         yield (
             name,
             Fault(
                 "actuation history",
-                "its actuation changes, and its fit takes friction in proportion to it, whatever "
-                f'the law of {" and ".join(other)}: give it role = "validate", or take the laws '
-                "that come from it with care",
+                "its actuation changes: its own posterior takes friction in proportion to it, "
+                f"whatever the law of {' and '.join(other)}; the laws learn from it only the slip "
+                "force at its mean actuation",
             ),
         )
 

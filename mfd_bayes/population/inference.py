@@ -214,7 +214,9 @@ def _start(likelihood: WorkingLikelihood, test: TestResult) -> Array:
     priors = likelihood.posterior.priors
     coordinates += [priors[name].coordinate(values[name])[:, None] for name in likelihood.own]
     q = np.concatenate(coordinates, axis=1)[0]
-    return np.asarray((q - likelihood.middle) / likelihood.scale)
+    x = np.zeros(likelihood.middle.size)  # shapes of a swing begin at the mean of their priors
+    x[: q.size] = (q - likelihood.middle[: q.size]) / likelihood.scale[: q.size]
+    return x
 
 
 def _starts(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> Array | None:
@@ -238,7 +240,8 @@ def _left(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> Array
         middle = np.median(x.reshape(-1, x.shape[-1]), axis=0)
         posterior = one.posterior
         theta = posterior.model.theta(posterior.values(one.points(middle[None])))
-        found.append(left_by(posterior.model, theta, posterior.trace))
+        scales = one.scales(middle[None])
+        found.append(left_by(posterior.model, theta, posterior.trace, scales))
     known = [place for place in found if place is not None]
     return np.array(known) if len(known) == len(found) else None
 

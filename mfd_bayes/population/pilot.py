@@ -87,6 +87,11 @@ def fit_pilot(
     return fit.pilot()
 
 
+def _steps(size: int) -> Array:
+    """Steps forward, backward and none along each coordinate, (2 size + 1, size)."""
+    return STEP * np.concatenate([np.eye(size), -np.eye(size), np.zeros((1, size))])
+
+
 class _Fit:
     """State of the fit: coordinates of all tests, discrepancy, and sizes."""
 
@@ -104,8 +109,7 @@ class _Fit:
         self.common = np.array([bool(sparse) for sparse in layout.sparse])
         free = ~self.common
         free[k] = False
-        own = np.arange(self.d, len(starts[0]))
-        self.free = np.concatenate([np.flatnonzero(free), own])
+        self.shared = np.flatnonzero(free)
         shared = np.median([x[: self.d] for x in starts], axis=0)
         self.inverse = np.linalg.inv(self.basis.covariance())
         self.coefficients = np.zeros(self.basis.size)
@@ -127,10 +131,10 @@ class _Fit:
 
     def linearise(self) -> None:
         """Residuals and slopes at the current coordinates; slip forces."""
-        slips, size = [], len(self.tests[0].x)
-        steps = STEP * np.concatenate([np.eye(size), -np.eye(size), np.zeros((1, size))])
-        around = ((j, one.x + steps) for j, one in enumerate(self.tests))
+        slips = []
+        around = ((j, one.x + _steps(one.x.size)) for j, one in enumerate(self.tests))
         for one, residual in zip(self.tests, self.evaluate(around), strict=True):
+            size = one.x.size
             one.residual = residual[-1]
             one.slopes = (residual[size : 2 * size] - residual[:size]).T / (2.0 * STEP)
             posterior = one.likelihood.posterior
@@ -139,6 +143,10 @@ class _Fit:
         self.slip_force = float(np.exp(np.mean(np.log(np.maximum(slips, 1e-12)))))
         for one, slip in zip(self.tests, slips, strict=True):
             one.basis = one.functions * (slip / self.slip_force)
+
+    def _free(self, one: FittedTest) -> NDArray[np.intp]:
+        """Coordinates of a test that are its own, or differ between tests."""
+        return np.concatenate([self.shared, np.arange(self.d, one.x.size)])
 
     def step(self) -> float:
         """One damped Gauss–Newton step, if one lowers the objective; its length."""
@@ -167,10 +175,11 @@ class _Fit:
         for one in self.tests:
             weights = one.weights(self.log_shape)
             slopes, left = one.slopes * weights[:, None], one.residual * weights
-            a, b = slopes[:, those], slopes[:, self.free]
+            free = self._free(one)
+            a, b = slopes[:, those], slopes[:, free]
             own, gram, cross = b.T @ b, a.T @ a, a.T @ b
             own += np.diag(np.full(len(own), 1.0) + self.damping * np.diag(own))
-            gradient = b.T @ left - one.x[self.free]
+            gradient = b.T @ left - one.x[free]
             gain = np.linalg.solve(own, cross.T).T
             matrix += gram + self.damping * np.diag(np.diag(gram)) - gain @ cross.T
             pull += a.T @ left - gain @ gradient
@@ -179,7 +188,7 @@ class _Fit:
         xs = []
         for one, (own, cross, gradient) in zip(self.tests, kept, strict=True):
             x = one.x.copy()
-            x[self.free] += np.linalg.solve(own, gradient - cross.T @ moved)
+            x[self._free(one)] += np.linalg.solve(own, gradient - cross.T @ moved)
             x[those] += moved
             xs.append(x)
         return xs
@@ -189,7 +198,7 @@ class _Fit:
         total = 0.5 * float(np.sum(xs[0][: self.d][self.common] ** 2))
         for one, x, left in zip(self.tests, xs, residuals, strict=True):
             total += 0.5 * float(np.sum((left * one.weights(self.log_shape)) ** 2))
-            total += 0.5 * float(np.sum(x[self.free] ** 2))
+            total += 0.5 * float(np.sum(x[self._free(one)] ** 2))
         return total
 
     def learn(self) -> None:

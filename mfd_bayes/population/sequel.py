@@ -87,15 +87,17 @@ def ending_of(
     return Ending(test, theta, model.end(theta, trace, values["start"], scales=scales))
 
 
-def left_by(model: Model, theta: Array, trace: Trace) -> float | None:
+def left_by(
+    model: Model, theta: Array, trace: Trace, scales: Mapping[str, Array] | None = None
+) -> float | None:
     """Place, as a `start` of it, at which a motion leaves a device with theta (1, p).
 
     The device goes straight back to the first displacement of the motion. None for a model that
-    does not say where a motion ends.
+    does not say where a motion ends. `scales` are as in `Model.end`.
     """
     if type(model).end is Model.end:
         return None
-    ended = Ending("", theta, model.end(theta, trace))
+    ended = Ending("", theta, model.end(theta, trace, scales=scales))
     ended = ended.moved(model, trace.displacement[[-1, 0]])
     return float(np.clip(model.start_at(ended.place, trace)[0], 0.0, 1.0))
 

@@ -18,6 +18,7 @@ from mfd_bayes.calibration.noise import LOG_2PI
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.swing import Swing, swing_of
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,8 @@ class WorkingLikelihood:
         Of the test, with independent noise.
     layout : Layout
     middle, scale : (D,)
-        Origin and length of the prior units: the d shared quantities, then the test's own.
+        Origin and length of the prior units: the d shared quantities, the test's own, and the
+        shapes of its swing.
     order : tuple of int
         Column of each of the posterior's coordinates.
     discrepancy : (T,), kip
@@ -43,6 +45,8 @@ class WorkingLikelihood:
         Of the noise's standard deviation.
     information : float
         Share of independent samples.
+    swing : Swing, optional
+        Where the actuation changes and its law is not strictly proportional.
     """
 
     posterior: Posterior
@@ -53,6 +57,7 @@ class WorkingLikelihood:
     discrepancy: Array
     shape: Array
     information: float = 1.0
+    swing: Swing | None = None
 
     @cached_property
     def own(self) -> tuple[str, ...]:
@@ -73,7 +78,17 @@ class WorkingLikelihood:
 
     def residual(self, x: Array) -> Array:
         """What model and discrepancy leave over, (n, T), kip."""
-        return np.asarray(self.posterior.residual(self.points(x)) - self.discrepancy)
+        left = self.posterior.residual(self.points(x), self.scales(x))
+        return np.asarray(left - self.discrepancy)
+
+    def scales(self, x: Array) -> dict[str, Array] | None:
+        """Factors along the record of what follows a changing actuation, (n, T) each."""
+        return None if self.swing is None else self.swing.scales(self._shapes(x))
+
+    def _shapes(self, x: Array) -> Array:
+        """Coordinates of the swing's shapes, (n, K)."""
+        k = len(self.order)
+        return np.asarray(self.middle[k:] + self.scale[k:] * x[:, k:])
 
     def noise_sd(self, x: Array) -> Array:
         """Standard deviation of the noise, (n,), kip."""
@@ -88,6 +103,10 @@ class WorkingLikelihood:
         for i, name in enumerate(self.own):
             q = self.middle[d + i] + self.scale[d + i] * own[:, i]
             total += self.posterior.priors[name].log_density(q)
+        if self.swing is not None:
+            k = len(self.order)
+            q = self.middle[k:] + self.scale[k:] * own[:, k - d :]
+            total += self.swing.log_prior(q)
         return total
 
     def __call__(self, x: Array) -> Array:
@@ -148,11 +167,14 @@ def working_likelihood(
     units = [_prior_units(plain, name) for name in own]
     order = [*layout.names, *own]
     samples = plain.trace.samples
+    swing = swing_of(layout, plain.model, plain.trace)
+    units += [] if swing is None else list(zip(*swing.units, strict=True))
     return WorkingLikelihood(
         posterior=plain,
         layout=layout,
         middle=np.array([*layout.centre, *(centre for centre, _ in units)]),
         scale=np.array([*layout.spread, *(spread for _, spread in units)]),
+        swing=swing,
         order=tuple(order.index(name) for name in plain.names),
         discrepancy=np.zeros(samples),
         shape=np.ones(samples),
