@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf, isfinite, nan
+from numbers import Real
 from operator import index
 from typing import Any
 
@@ -19,10 +21,12 @@ def real_numbers(name: str, values: ArrayLike, error: type[MfdError] = RecordErr
     Raises
     ------
     MfdError
-        Of the kind `error`, when it holds masked values, complex numbers, text or no numbers.
+        Of the kind `error`, when it holds masked values, complex numbers, text or no numbers, or
+        has a unit: units would be lost.
     """
     if type(values) is np.ndarray and values.dtype == np.float64:
         return values
+    _refuse_unit(name, values, error)
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         raise error(f"{name} holds masked values: fill them, or leave these samples out")
     try:
@@ -34,6 +38,59 @@ def real_numbers(name: str, values: ArrayLike, error: type[MfdError] = RecordErr
     except (TypeError, ValueError, OverflowError) as fault:
         raise error(f"{name} must hold real numbers: {fault}") from fault
     raise error(f"{name} must hold real numbers, got values of type {found.dtype}")
+
+
+def real_number(
+    name: str,
+    value: Any,
+    error: type[MfdError],
+    bounds: tuple[float, float] = (-inf, inf),
+    *,
+    inside: bool = False,
+) -> float:
+    """A finite number within bounds, and at neither of them where it must lie `inside`.
+
+    Raises
+    ------
+    MfdError
+        Of the kind `error`, when it is none: text, true or false, several numbers, or beyond.
+    """
+    if type(value) is float:
+        found = value
+    else:
+        _refuse_unit(name, value, error)
+        found = _as_float(value)
+    least, most = bounds
+    if isfinite(found) and (least < found < most if inside else least <= found <= most):
+        return found
+    raise error(f"{name} must be {_range_words(*bounds, inside=inside)}, got {value!r}")
+
+
+def _as_float(value: Any) -> float:
+    """A number, or an array of no dimension with one, as float; NaN of all else."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            return nan
+    array = isinstance(value, np.ndarray | np.generic) and np.ndim(value) == 0
+    return float(value) if array and value.dtype.kind in "iuf" else nan
+
+
+def _range_words(least: float, most: float, *, inside: bool) -> str:
+    """Which numbers there may be, in words."""
+    if least > -inf and most < inf:
+        between = ("between", "and") if inside else ("from", "to")
+        return f"a number {between[0]} {least:g} {between[1]} {most:g}"
+    if least > -inf:
+        return f"a finite number {'above' if inside else 'of at least'} {least:g}"
+    return "a finite number" if most == inf else f"a finite number of at most {most:g}"
+
+
+def _refuse_unit(name: str, value: Any, error: type[MfdError]) -> None:
+    """Refuse a quantity with a unit, such as one of pint."""
+    if hasattr(value, "magnitude") and hasattr(value, "units"):
+        raise error(f"{name} must be plain numbers without a unit, got one in {value.units}")
 
 
 def whole_number(name: str, value: Any, least: int, error: type[MfdError]) -> int:

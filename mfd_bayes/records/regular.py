@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import os
 import stat
+from os import PathLike
 from pathlib import Path
+from typing import Any
+
+from mfd_bayes.errors import MfdError
 
 _KINDS = (
     (stat.S_ISFIFO, "a pipe"),
@@ -25,6 +30,21 @@ def why_no_file(path: Path) -> str:
     """
     mode = path.stat().st_mode
     return next((f"is {words}, not a file" for test, words in _KINDS if test(mode)), "")
+
+
+def path_of(name: str, value: Any, error: type[MfdError]) -> Path:
+    """Path that a caller gives as text or as a path.
+
+    Raises
+    ------
+    MfdError
+        Of the kind `error`, when it is neither, or holds a character that no path can hold.
+    """
+    if not isinstance(value, str | PathLike) or not isinstance(found := os.fspath(value), str):
+        raise error(f"{name} must be a path, as text or pathlib.Path, got {value!r}")
+    if "\0" in found:
+        raise error(f"{name} must be a path without the character NUL, got {found!r}")
+    return Path(found)
 
 
 def hash_file(path: Path) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.errors import RecordError
+from mfd_bayes.errors import MfdError, RecordError
 from mfd_bayes.records.motion import (
     Array,
     MotionPath,
@@ -123,6 +124,20 @@ class Trace:
     def reference_actuation(self) -> float:
         """The constant actuation, or the mean of a varying one: the level that theta belongs to."""
         return float(np.mean(self.actuation))
+
+
+def check_trace(name: str, value: Any, error: type[MfdError]) -> Trace:
+    """A trace, unchanged.
+
+    Raises
+    ------
+    MfdError
+        Of the kind `error`, when it is none.
+    """
+    if not isinstance(value, Trace):
+        kind = type(value).__name__
+        raise error(f"{name} must be a Trace, such as Trace.from_arrays(...) makes, got {kind}")
+    return value
 
 
 def _check_increasing(time: Array) -> None:

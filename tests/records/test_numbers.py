@@ -1,6 +1,10 @@
 """Wrong input in Python raises an error of this package; empty batches give empty results."""
 
+from fractions import Fraction
+from pathlib import Path
+
 import numpy as np
+import pint
 import pytest
 
 import mfd_bayes as mb
@@ -8,7 +12,9 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.numbers import real_number, real_numbers
+from mfd_bayes.records.regular import path_of
+from mfd_bayes.records.trace import check_trace
 
 TIME = np.arange(101) / 25.0
 MOTION = np.sin(np.pi * TIME)
@@ -123,3 +129,73 @@ def test_a_force_is_a_number_or_refused(model):
         taken += 1
         assert np.all(np.isfinite(force)), odd
     assert taken > 5
+
+
+# --- what one place checks for all
+
+
+@pytest.mark.parametrize(
+    "value", [2, 2.0, np.float32(2), np.int64(2), np.array(2.0), Fraction(4, 2)]
+)
+def test_a_number_is_taken_in_every_form(value):
+    assert real_number("x", value, FitError, (0.0, np.inf)) == 2.0
+
+
+@pytest.mark.parametrize(
+    "value",
+    [True, np.True_, "2", None, [2.0], np.array([2.0]), np.nan, np.inf, 10**400, 2 + 0j, -1.0],
+)
+def test_what_is_no_number_is_none(value):
+    with pytest.raises(FitError, match="x must be a finite number of at least 0, got"):
+        real_number("x", value, FitError, (0.0, np.inf))
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ({}, "a finite number"),
+        ({"bounds": (0.0, np.inf), "inside": True}, "a finite number above 0"),
+        ({"bounds": (-np.inf, 1.0)}, "a finite number of at most 1"),
+        ({"bounds": (0.0, 1.0), "inside": True}, "a number between 0 and 1"),
+        ({"bounds": (0.0, 1.0)}, "a number from 0 to 1"),
+    ],
+)
+def test_the_sentence_says_which_numbers_there_may_be(bounds, words):
+    with pytest.raises(FitError, match=f"p must be {words}, got 'x'"):
+        real_number("p", "x", FitError, **bounds)
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_a_number_inside_is_at_neither_end(value):
+    assert real_number("p", value, FitError, (0.0, 1.0)) == value
+    with pytest.raises(FitError):
+        real_number("p", value, FitError, (0.0, 1.0), inside=True)
+
+
+def test_a_unit_is_not_lost():
+    """A pressure of 800 psi was taken for 800 ksi."""
+    unit = pint.UnitRegistry()
+    with pytest.raises(RecordError, match="actuation must be plain numbers without a unit"):
+        mb.Trace.from_arrays(TIME, MOTION, 800 * unit.psi)
+    with pytest.raises(RecordError, match="displacement must be plain numbers without a unit"):
+        mb.Trace.from_arrays(TIME, MOTION * unit.mm, 0.8)
+    with pytest.raises(FitError, match="got one in millimeter"):
+        real_number("x", 3 * unit.mm, FitError)
+
+
+@pytest.mark.parametrize("value", ["a/b", Path("a/b")])
+def test_a_path_is_text_or_a_path(value):
+    assert path_of("out", value, FitError) == Path("a/b")
+
+
+@pytest.mark.parametrize("value", [None, 5, b"a", ["a"], "a\0b"])
+def test_what_is_no_path_is_none(value):
+    with pytest.raises(FitError, match="out must be a path"):
+        path_of("out", value, FitError)
+
+
+def test_a_trace_is_a_trace():
+    trace = mb.Trace.from_arrays(TIME, MOTION, 0.5)
+    assert check_trace("trace", trace, FitError) is trace
+    with pytest.raises(FitError, match=r"trace must be a Trace, .* got ndarray"):
+        check_trace("trace", MOTION, FitError)
