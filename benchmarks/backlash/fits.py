@@ -28,7 +28,7 @@ from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.trace import Trace
 
 MODELS = ("three_stage", "backlash")
-DRAWN, STARTS, EVALUATIONS, WEIGHT = 600, 3, 60, 0.02
+DRAWN, STARTS, EVALUATIONS, WEIGHT = 600, 8, 200, 0.02
 SHOWN = {
     "three_stage": ("k3", "d2", "d3", "ell", "Fc_fwd", "Fc_bwd"),
     "backlash": ("k_fwd", "k_bwd", "gap", "ell", "Fc_fwd", "Fc_bwd", "n"),

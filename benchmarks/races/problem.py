@@ -11,6 +11,7 @@ from scipy import special, stats
 from benchmarks.sampling.reference import find_posterior
 from mfd_bayes.calibration.diagnostics import measure
 from mfd_bayes.calibration.map_fit import find_modes
+from mfd_bayes.calibration.starts import around_modes, disperse
 
 ESS, R_HAT = 400.0, 1.01
 """When a person may stop waiting: of every coordinate."""
@@ -79,10 +80,12 @@ class Problem:
         return [self.posterior.priors[name] for name in self.posterior.names]
 
     def around_mode(self, n, seed):
-        """Draws of Laplace's approximation around the best mode, (n, dim); they cost nothing."""
+        """Points around the modes from which ours begins, (n, dim); they cost nothing."""
         before = self.spent
-        mode = find_modes(self.posterior, np.random.default_rng(seed))[0]
-        found = np.random.default_rng(seed).multivariate_normal(mode.q, mode.covariance, n)
+        modes = find_modes(self.posterior, np.random.default_rng(seed))
+        found = disperse(
+            self.posterior.log_prob, around_modes(modes, 1.0), n, np.random.RandomState(seed)
+        )
         self.paused += self.spent - before
         return found
 

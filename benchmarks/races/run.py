@@ -10,9 +10,9 @@ recommends and tuned to win (`benchmarks.races.tools`), with the same density: N
 JAX for those that differentiate. Two figures each: processor time from the start until every
 coordinate has a bulk and tail ESS of at least 400 and R-hat of at most 1.01, compiling and warm-up
 included; and effective draws per second once warm. Beside them the largest deviations of means and
-standard deviations from reference.json. Ours searches its modes; tools that need a start are given
-draws around our mode for nothing. A tool that has not come so far after --seconds is stopped, and
-said to have no end.
+standard deviations from reference.json. Ours searches its modes; tools that take a start are given
+points around those modes, as ours begins from, for nothing. A tool that has not come so far after
+--seconds is stopped, and said to have no end.
 
 The real records come from --data (MFD_BAYES_DATA, ../shared/data).
 """

@@ -201,12 +201,21 @@ def numpyro_nuts(problem, seed):
     )
     begin = problem.around_mode(4, seed)
     tool.warmup(jax.random.PRNGKey(seed), init_params=begin)
+
+    def one(state, _):
+        state = kernel.sample(state, (), {})
+        return state, state.z
+
+    # its own `run` compiles again in every call
+    run = jax.jit(lambda state: jax.lax.scan(one, state, None, 250))
+    state, _ = run(tool.post_warmup_state)
+    jax.block_until_ready(state)
     warm, kept = problem.spent, []
 
     def advance():
-        tool.run(jax.random.PRNGKey(seed + len(kept)), init_params=None)
-        kept.append(np.asarray(tool.get_samples(group_by_chain=True)).swapaxes(0, 1))
-        tool.post_warmup_state = tool.last_state
+        nonlocal state
+        state, drawn = run(state)
+        kept.append(np.asarray(drawn))
         return np.concatenate(kept)
 
     return stepped(problem, advance, each_a_chain, 0.0, warm)
@@ -323,8 +332,16 @@ def nutpie(problem, seed):
     def make_expand(*_):
         return lambda q: {"q": np.asarray(q, dtype=np.float64)}
 
-    dim = problem.dim
-    model = from_pyfunc(dim, make_density, make_expand, [np.dtype("float64")], [(dim,)], ["q"])
+    dim, starts = problem.dim, iter(problem.around_mode(100, seed))
+    model = from_pyfunc(
+        dim,
+        make_density,
+        make_expand,
+        [np.dtype("float64")],
+        [(dim,)],
+        ["q"],
+        make_initial_point_fn=lambda _: next(starts),
+    )
     draws = 500
     while True:
         trace = tool.sample(

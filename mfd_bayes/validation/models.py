@@ -232,7 +232,8 @@ def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
     if any(redone):
         text = (
             f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(filter(None, redone))}; "
-            "for these cycles the score was computed again without importance sampling. "
+            "for these cycles the score was computed in a second way too, from the evidence with "
+            "and without the cycle, and the one with the smaller k counts. "
         )
     if not doubts:
         return text + "The diagnostics of this comparison are good."
