@@ -26,11 +26,14 @@ def mistakes(resume: str = "") -> Iterator[None]:
     resume : str
         Command that resumes this one where it is interrupted.
     """
+    hint = f"; what is finished is kept, go on with: {clean(resume)}" if resume else ""
     try:
-        with hinting(f"; what is finished is kept, go on with: {clean(resume)}" if resume else ""):
+        with hinting(hint):
             yield
     except MfdError as error:
         _fail(str(error))
+    except MemoryError as error:
+        _fail(f"memory is too short{f': {error}' if str(error) else ''}{hint}")
     except CannotPrintError:
         raise
     except OSError as error:

@@ -18,14 +18,21 @@ class Workplace:
     """Where jobs are done."""
 
     jobs: int = 0
-    """Number of processes of this machine; 0 for one per processor."""
+    """Number of processes of this machine; 0 for one per processor that this process may use."""
     scheduler: str = ""
     """Address of a dask.distributed scheduler whose workers do the jobs, as "tcp://host:8786"."""
 
     @property
     def processes(self) -> int:
         """Number of processes of this machine."""
-        return self.jobs or os.cpu_count() or 1
+        return self.jobs or processors()
+
+
+def processors() -> int:
+    """Number of processors that this process may use, as `taskset` or a job on a cluster sets."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def run_jobs(

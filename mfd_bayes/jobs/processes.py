@@ -1,7 +1,8 @@
 """Processes of this machine: how they start, and what they may use.
 
 On Linux they are forked from a server, which has imported the libraries that they need: each then
-starts in some hundredths of a second instead of two or three seconds. Elsewhere each starts anew.
+starts in some hundredths of a second instead of two or three seconds. Elsewhere each starts anew,
+and also where the path of the folder of temporary files is too long for the server's socket.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +21,10 @@ from multiprocessing.context import ForkServerContext, SpawnContext
 
 WATCH = 0.1
 """Seconds between looks at whether the parent lives."""
+
+LONGEST = 107 - len("/pymp-12345678/listener-12345678")
+"""Most bytes of the path of the folder in which the server has its socket; of the socket's own path
+Linux takes 107."""
 
 _ENVIRONMENT = {
     **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
@@ -32,17 +38,18 @@ _TIDIED = "ignore:resource_tracker"
 
 def context() -> ForkServerContext | SpawnContext:
     """What starts processes; they must be started within `started_alike`."""
-    if sys.platform == "linux":
+    if sys.platform == "linux" and len(os.fsencode(tempfile.gettempdir())) <= LONGEST:
         return multiprocessing.get_context("forkserver")
     return multiprocessing.get_context("spawn")
 
 
 def get_ready(*modules: str) -> None:
     """Let the server of processes start and import modules meanwhile, if it is not there yet."""
-    if sys.platform == "linux":
+    kind = context()
+    if isinstance(kind, ForkServerContext):
         from multiprocessing import forkserver
 
-        context().set_forkserver_preload(list(modules))
+        kind.set_forkserver_preload(list(modules))
         with started_alike():
             forkserver.ensure_running()
 

@@ -18,13 +18,16 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.jobs.job import Job, Outcome, State, Step
 from mfd_bayes.jobs.processes import context, follow_parent, started_alike
-from mfd_bayes.jobs.signals import end_children
 
 ATTEMPTS = 3
 """The run gives up when this many processes of one job were killed, as where memory is short."""
+
+
+_Message = Step | Outcome | MfdError | None
+"""What a worker sends: None is that it waits for its first job."""
 
 
 def run_in_processes(
@@ -40,7 +43,7 @@ def run_in_processes(
     StoreError
         When a result cannot be written.
     FitError
-        When the processes of one job are killed `ATTEMPTS` times.
+        When the processes of one job are killed `ATTEMPTS` times, or memory is too short for it.
     """
     for job in jobs:
         observe(Step(job.id, State.WAITING))
@@ -53,12 +56,12 @@ def run_in_processes(
                 message = pool.receive(connection)
                 if isinstance(message, Step):
                     observe(message)
-                elif isinstance(message, StoreError):
+                elif isinstance(message, MfdError):
                     raise message
                 elif isinstance(message, Outcome):
                     yield message
     finally:
-        end_children()
+        pool.end()
 
 
 @dataclass(eq=False)
@@ -71,12 +74,16 @@ class _Worker:
 
 @dataclass(eq=False)
 class _Pool:
-    """The workers by the connection to each, the jobs that wait, and losses by job."""
+    """The workers by the connection to each, the jobs that wait, and losses by job.
+
+    `started` are the processes of all workers, also of those that have ended.
+    """
 
     out: Path
     waiting: deque[Job]
     workers: dict[Any, _Worker] = field(default_factory=dict)
     lost: Counter[str] = field(default_factory=Counter)
+    started: list[BaseProcess] = field(default_factory=list)
 
     @property
     def busy(self) -> int:
@@ -85,18 +92,27 @@ class _Pool:
 
     def start_worker(self) -> None:
         """Start one more process; it asks for a job when it is ready."""
-        started = context()
-        ours, theirs = started.Pipe()
-        process = started.Process(target=_work, args=(theirs, self.out), daemon=True)
+        kind = context()
+        ours, theirs = kind.Pipe()
+        process = kind.Process(target=_work, args=(theirs, self.out), daemon=True)
         with started_alike():
             process.start()
+        self.started.append(process)
         theirs.close()  # so that the connection ends when the process does
         self.workers[ours] = _Worker(process)
 
-    def receive(self, connection: Any) -> Step | Outcome | StoreError | None:
+    def end(self) -> None:
+        """Kill the processes that were started here; files that they have stored are whole."""
+        for process in self.started:
+            if process.is_alive():
+                process.kill()
+        for process in self.started:
+            process.join()
+
+    def receive(self, connection: Any) -> _Message:
         """Next message of a worker; one that has no job, or has ended one, gets the next."""
         try:
-            message: Step | Outcome | StoreError | None = connection.recv()
+            message: _Message = connection.recv()
             if message is None or isinstance(message, Outcome):
                 self.workers[connection].job = None
                 self._send_job(connection)
@@ -137,7 +153,7 @@ def _work(connection: Connection, out: Path) -> None:
     """In a worker process: do the jobs that come, until the connection ends."""
     follow_parent()
 
-    def send(message: Step | Outcome | StoreError | None) -> None:
+    def send(message: _Message) -> None:
         try:
             connection.send(message)
         except OSError:  # the parent has ended
@@ -151,3 +167,13 @@ def _work(connection: Connection, out: Path) -> None:
                 send(job.run(out, send))
             except StoreError as error:
                 send(error)
+            except OSError as error:
+                place = f" in {error.filename}" if error.filename else ""
+                send(StoreError(f"cannot store {job.id}{place}: {error.strerror or error}"))
+            except MemoryError as error:
+                send(FitError(f"memory is too short for {job.id}{_told(error)}: give fewer --jobs"))
+
+
+def _told(error: MemoryError) -> str:
+    """What an error says beside its kind, in brackets; often nothing."""
+    return f" ({error})" if str(error) else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import shutil
 import tempfile
 import time
@@ -24,6 +24,7 @@ from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import Reference, Response
 from mfd_bayes.response.settling import Accuracy, Settled, settle
 from mfd_bayes.response.tally import Energies, Peaks
+from mfd_bayes.store.files import write_bytes
 
 Array = NDArray[np.float64]
 
@@ -47,11 +48,12 @@ class Block:
     ground: Ground
     dampers: Dampers
     accuracy: Accuracy
+    file: str = "block.npz"
 
     @property
     def makes(self) -> tuple[str, ...]:
         """File that it stores."""
-        return (f"{self.id.replace(' ', '_').replace('/', '_')}.npz",)
+        return (self.file,)
 
     def needs(self, out: Path) -> tuple[str, ...]:
         """No files."""
@@ -68,10 +70,17 @@ class Block:
         )
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Compute the histories and store them."""
-        begun = time.perf_counter()
+        """Compute the histories and store them.
+
+        Raises
+        ------
+        StoreError
+            When they cannot be written.
+        """
+        begun, stored = time.perf_counter(), io.BytesIO()
         observe(Step(self.id, "in the earthquake"))
-        np.savez(out / self.makes[0], **_packed(self.solve(observe)))  # type: ignore[arg-type]
+        np.savez(stored, **_packed(self.solve(observe)))  # type: ignore[arg-type]
+        write_bytes(out / self.file, stored.getbuffer())
         return Outcome(self.id, State.DONE, time.perf_counter() - begun)
 
 
@@ -107,7 +116,7 @@ class Analysis:
             Called with every step.
         """
         blocks = list(self._blocks())
-        processes = min(jobs or os.cpu_count() or 1, len(blocks))
+        processes = min(Workplace(jobs).processes, len(blocks))
         # the longest work first, so that no process waits for another at the end
         found = _solved([*blocks, *self._references()], processes, observe)
         size, each = len(self.grounds), len(blocks) // len(self.grounds)
@@ -156,9 +165,10 @@ def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None])
         before_end(lambda: shutil.rmtree(folder, ignore_errors=True)),
     ):
         out = Path(folder)
-        for outcome in run_jobs(blocks, out, Workplace(jobs), observe):
+        numbered = [replace(block, file=f"{n}.npz") for n, block in enumerate(blocks, start=1)]
+        for outcome in run_jobs(numbered, out, Workplace(jobs), observe):
             observe(Step(outcome.id, outcome.status))
-        return [_unpacked(out / block.makes[0]) for block in blocks]
+        return [_unpacked(out / block.file) for block in numbered]
 
 
 def _packed(settled: Settled) -> dict[str, Array]:

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -46,6 +47,17 @@ if __name__ == "__main__":
         with processes.started_alike():
             print(pool.submit(int).result(), flush=True)
         time.sleep(60)
+"""
+
+
+LONG = """
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from mfd_bayes.jobs.processes import context, get_ready, started_alike
+if __name__ == "__main__":
+    get_ready("colorsys")
+    with started_alike(), ProcessPoolExecutor(1, context()) as pool:
+        print(pool.submit(int).result(), context().get_start_method())
 """
 
 
@@ -104,6 +116,18 @@ def test_the_server_ends_with_its_parent_while_it_imports(tmp_path, watched):
     process.stdout.close()
     process.stderr.close()
     assert (alone < 3.0) == watched
+
+
+@pytest.mark.parametrize(("size", "how"), [(75, "forkserver"), (76, "spawn"), (120, "spawn")])
+def test_processes_start_also_where_the_folder_of_temporary_files_has_a_long_name(
+    tmp_path, monkeypatch, size, how
+):
+    with tempfile.TemporaryDirectory(dir="/tmp") as short:
+        folder = Path(short) / ("x" * (size - len(short) - 1))
+        folder.mkdir()
+        monkeypatch.setenv("TMPDIR", str(folder))
+        printed, complaint = run(LONG, tmp_path).communicate(timeout=60)
+    assert (printed.split(), complaint) == (["0", how], "")
 
 
 @pytest.mark.parametrize("words", [(), ("untold",)])
