@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult, load_result
+from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step
@@ -34,6 +35,7 @@ from mfd_bayes.runs.folder import (
     posterior_of,
     record_of,
     remove_partial_files,
+    remove_stale,
 )
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Manifest, Status
@@ -47,6 +49,9 @@ Observe = Callable[[Step], None]
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""
+
+_OF_FINISHED = ("status", "finished", "crossvalidation", "verdicts")
+"""Keys of a finished run that rest on its population."""
 
 
 def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
@@ -110,12 +115,13 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
         Existing.asked(resume=options.resume, force=options.force),
         plan.priors,
     )
+    todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
+    if before is not None and not todo:
+        manifest = _with_population(manifest, before, out)
     try:
-        manifest, anew = _calibrate_tests(plan, manifest, out, observe)
+        manifest = _calibrate_tests(plan, manifest, todo, out, observe)
         results = _results(plan, manifest, out)
-        if before is not None and not anew:
-            manifest = _with_population(manifest, before, out)
-        if not set(_POPULATION) <= manifest.model_fields_set:
+        if manifest.status != Status.FINISHED:
             manifest = _infer_population(plan, manifest, results, out, observe)
         manifest = _finish(manifest, out)
     finally:
@@ -124,20 +130,23 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
 
 
 def _calibrate_tests(
-    plan: Plan, manifest: Manifest, out: Path, observe: Observe
-) -> tuple[Manifest, bool]:
-    """Store the posterior of every test that has none; also whether any had to be sampled."""
+    plan: Plan, manifest: Manifest, todo: Sequence[Task], out: Path, observe: Observe
+) -> Manifest:
+    """Store the posterior of every test that has none."""
+    kept = [task.id for task in plan.tasks if task not in todo]
+    for name in kept:
+        manifest = manifest.with_test(name, status=State.DONE)
+    for name in plan.held_out:
+        manifest = manifest.with_test(name, status=State.HELD_OUT)
     manifest.write(out)  # first of all: a folder with a manifest is a run folder
+    if manifest.status != Status.FINISHED:
+        remove_stale(out, draws=bool(todo))
     write_bytes(out / CAMPAIGN, plan.campaign.path.read_bytes())
     write_bytes(out / PRIORS, plan.priors.path.read_bytes())
     for name, trace in plan.held_out.items():
         save_trace(out / record_of(name), trace, {})
-        manifest = manifest.with_test(name, status=State.HELD_OUT)
-    todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
-    for task in plan.tasks:
-        if task not in todo:
-            manifest = manifest.with_test(task.id, status=State.DONE)
-            observe(Step(task.id, State.KEPT))
+    for name in kept:
+        observe(Step(name, State.KEPT))
     began = time.perf_counter()
     with closing(run_jobs(todo, out, plan.options, observe)) as outcomes:
         for outcome in outcomes:
@@ -146,7 +155,7 @@ def _calibrate_tests(
                 outcome.id, status=outcome.status, seconds=outcome.seconds, **failed
             ).with_files(hash_stored(out, [posterior_of(outcome.id)]))
             manifest.write(out)
-    return manifest.longer(time.perf_counter() - began), bool(todo)
+    return manifest.longer(time.perf_counter() - began)
 
 
 def _results(plan: Plan, manifest: Manifest, out: Path) -> dict[str, TestResult]:
@@ -162,11 +171,18 @@ def _results(plan: Plan, manifest: Manifest, out: Path) -> dict[str, TestResult]
 
 
 def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
-    """The manifest with the population's results, if an earlier session finished."""
-    if before.status != Status.FINISHED or not (out / POPULATION).is_file():
+    """The manifest with the results of an earlier session that finished, else as it is.
+
+    It is that of a finished run then: nothing is left to be computed, and where this session is
+    killed, nothing is lost. Hashes of files that are written again are left out.
+    """
+    whole = set(_POPULATION) <= before.model_fields_set and (out / POPULATION).is_file()
+    if before.status != Status.FINISHED or not whole:
         return manifest
-    keys = [key for key in (*_POPULATION, "crossvalidation") if key in before.model_fields_set]
-    return manifest.changed(**{key: getattr(before, key) for key in keys})
+    keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in before.model_fields_set]
+    names = {POPULATION, *map(pooled_of, manifest.tests)}
+    stored = {name: digest for name, digest in (before.files or {}).items() if name in names}
+    return manifest.changed(**{key: getattr(before, key) for key in keys}).with_files(stored)
 
 
 def _infer_population(

@@ -135,6 +135,12 @@ _OUTPUTS = (POPULATION, *_TABLES, *_DRAWS, "report.html", "report.pdf", CAMPAIGN
 ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
 
+_ASKED_FOR = (
+    *("tables.docx", "tables.xlsx", "report.pdf"),
+    *(*ADVICE, "figures/next.png", "figures/next.csv"),
+)
+"""What a report writes only where it is asked for, and advice: all rests on the population."""
+
 DISCARDED = f".{MANIFEST}.discarded"
 
 
@@ -204,13 +210,55 @@ def discard(out: Path) -> None:
             raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
         remove_partial_files(out)
         for name in FOLDERS:
-            if (out / name).exists():
-                shutil.rmtree(out / name)
+            remove_folder(out / name)
         for name in (*_OUTPUTS, *ADVICE):
             (out / name).unlink(missing_ok=True)
         begun.unlink()
     except OSError as error:
-        raise StoreError(f"cannot remove {error.filename}: {error.strerror}") from error
+        raise _cannot_remove(out, error) from error
+
+
+def remove_folder(path: Path) -> None:
+    """Remove a folder if it is there; of a link, the link alone.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be removed.
+    """
+    try:
+        if path.is_symlink():
+            path.unlink()
+        elif path.exists():
+            shutil.rmtree(path)
+    except OSError as error:
+        raise _cannot_remove(path, error) from error
+
+
+def remove_stale(out: Path, *, draws: bool) -> None:
+    """Remove what no report writes again unasked, before the population is inferred anew.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    draws : bool
+        Whether tests are sampled too, so that the table of their draws is removed.
+
+    Raises
+    ------
+    StoreError
+        When something cannot be removed.
+    """
+    for name in (*_ASKED_FOR, *(_DRAWS if draws else ())):
+        try:
+            (out / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise _cannot_remove(out / name, error) from error
+
+
+def _cannot_remove(path: Path, error: OSError) -> StoreError:
+    return StoreError(f"cannot remove {error.filename or path}: {error.strerror or error}")
 
 
 def remove_partial_files(out: Path) -> None:

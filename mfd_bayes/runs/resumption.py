@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import shutil
 from collections.abc import Collection, Iterable, Mapping
 from enum import Enum
 from pathlib import Path
@@ -23,6 +23,7 @@ from mfd_bayes.runs.folder import (
     check_stored,
     discard,
     posterior_of,
+    remove_folder,
 )
 from mfd_bayes.runs.lock import OWNER
 from mfd_bayes.runs.manifest import Manifest, read_begun
@@ -92,7 +93,8 @@ def prepare_folder(
     Raises
     ------
     StoreError
-        When the folder may not be used, or holds something other than this run.
+        When the folder may not be used, or holds something other than this run, or something in
+        it that must go cannot be removed.
     """
     check_links(out)
     check_places(out)
@@ -110,9 +112,9 @@ def prepare_folder(
     same = _same_parts(manifest, before, out, priors)
     _refuse_changes(manifest, before, out, () if same is None else _MAY_CHANGE)
     files = _kept_files(manifest.tests, out, before.files or {})
-    kept = _with_results(manifest, before).changed(files=files)
+    kept = _with_results(manifest, before, out).changed(files=files)
     if same in (TESTS, POPULATION_TOO):
-        shutil.rmtree(out / CROSSVALIDATED, ignore_errors=True)
+        remove_folder(out / CROSSVALIDATED)
     if same == POPULATION_TOO and before.crossvalidation is not None:
         before = before.changed(crossvalidation=None)
     return kept, None if same == TESTS else before
@@ -176,8 +178,7 @@ def _of_tests(content: Mapping[str, Any], priors: PriorFile) -> tuple[object, ..
     files = {str(test.get("file")) for test in tests.values()}
     inputs = {name: digest for name, digest in content["inputs"].items() if name in files}
     roles = {name: entry["role"] for name, entry in content["tests"].items()}
-    figures = {name: (p.family, dict(p.figures)) for name, p in priors.parameters.items()}
-    return rest, tests, inputs, roles, figures
+    return rest, tests, inputs, roles, _figures(priors)
 
 
 def _of_population(content: Mapping[str, Any], priors: PriorFile) -> tuple[object, ...]:
@@ -194,8 +195,42 @@ def _order(content: Mapping[str, Any]) -> dict[str, str]:
     return {name: test["after"] for name, test in tests.items() if test.get("after")}
 
 
-def _with_results(manifest: Manifest, before: Manifest) -> Manifest:
-    """The manifest with the results of an earlier session."""
+def population_digest(content: Mapping[str, Any], priors: PriorFile) -> str:
+    """Digest, 64 hexadecimal digits, of what a population and predictions from it rest on.
+
+    These are the tests' posteriors, sessions and order, the laws and dependence, and the priors.
+
+    Parameters
+    ----------
+    content : mapping
+        Of a manifest, with the hashes of the posteriors.
+    priors : PriorFile
+    """
+    plain = json.loads(json_text(content))
+    parts = {
+        "posteriors": {
+            name: (plain.get("files") or {}).get(posterior_of(name)) for name in plain["tests"]
+        },
+        "population": _of_population(plain, priors),
+        "order": _order(plain),
+        "priors": _figures(priors),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _figures(priors: PriorFile) -> dict[str, tuple[str, dict[str, float]]]:
+    """Family and figures of each parameter's prior, by name."""
+    return {name: (p.family, dict(p.figures)) for name, p in priors.parameters.items()}
+
+
+def _with_results(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
+    """The manifest with the results of an earlier session.
+
+    A comparison rests on the tests' posteriors alone, and is kept where all of them are.
+    """
+    fitted = (name for name, entry in manifest.tests.items() if entry.role == "calibrate")
+    if before.comparison and all((out / posterior_of(name)).is_file() for name in fitted):
+        manifest = manifest.changed(comparison=before.comparison)
     if before.truth is not None:
         manifest = manifest.changed(truth=before.truth)
     for name, entry in before.tests.items():

@@ -36,6 +36,7 @@ from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.order import Order
 from mfd_bayes.runs.predictions import read_predictions_of
 from mfd_bayes.runs.results import PartKind, Prediction, Score
+from mfd_bayes.runs.resumption import population_digest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import read_json, write_json
 from mfd_bayes.validation.scores import score
@@ -69,6 +70,8 @@ class Fold:
     seed: int
     scores: int = 3
     """Number of the kind of scores, so that those of earlier versions are computed anew."""
+    rests_on: str = ""
+    """Digest of what the run's population rests on, so that those under other laws are too."""
 
     @property
     def id(self) -> str:
@@ -155,15 +158,13 @@ def parts_of(
     """
     settings = dict(zip(settings, with_zeros([*settings.values()]), strict=True))
     names = list(settings)
-    parts: dict[str, tuple[str, ...]] = {}
-    if by == "test":
-        parts = {name: (name,) for name in names}
-    elif by == "level":
+    parts: dict[str, tuple[str, ...]] = {name: (name,) for name in names} if by == "test" else {}
+    if by == "level":
         for fold in levels_of(list(settings.values())):
             level = 1000.0 * settings[names[fold[0]]].actuation
             unit = "psi" if actuation_unit == "ksi" else "lbf"
             parts[f"{level:.4g} {unit}"] = tuple(names[j] for j in fold)
-    else:
+    elif by == "session":
         sessions = dict.fromkeys(setting.session for setting in settings.values())
         if not any(sessions):
             raise CampaignError(
@@ -200,15 +201,14 @@ def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
     """
     settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
     parts = parts_of(settings, by, run.actuation_unit, run.folder)
-    seed = run.manifest.seed
+    digest = population_digest(run.manifest.content, run.priors)
+    fold = partial(Fold, effort=effort, seed=run.manifest.seed, rests_on=digest)
     return tuple(
-        Fold(
+        fold(
             part=part,
             file=f"{by}_{number}.json",
             left_out=tests,
             kept=tuple(name for name in run.tests if name not in tests),
-            effort=effort,
-            seed=seed,
         )
         for number, (part, tests) in enumerate(parts.items(), start=1)
     )
@@ -237,8 +237,7 @@ def leave_out(
         test = run.tests[name]
         posterior = test.posterior
         predictor = Predictor(inference.draws.population, posterior.model, posterior.noise)
-        session = run.session(name)
-        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=session)
+        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=run.session(name))
         order = Order(run.manifest, others, motions, predictor, partial(_pooled, inference, others))
         forecast = replace(forecast, before=order.before(name, test.trace, forecast))
         band = predictor.predict(test.trace, forecast)

@@ -1,5 +1,6 @@
 """What a resumed run keeps where its campaign or its prior file has changed."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs.resumption import Existing, prepare_folder
+from mfd_bayes.runs.folder import discard
+from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.resumption import Existing, population_digest, prepare_folder
 
 
 @pytest.fixture(scope="module")
@@ -124,3 +127,62 @@ def test_another_record_is_not_resumed(plan, out):
     other = replace(plan, manifest=plan.manifest.changed(inputs=inputs))
     with pytest.raises(StoreError, match=file):
         resume(other, out)
+
+
+# --- what was left out, and what was compared
+
+
+def test_predictions_that_cannot_be_removed_are_no_longer_taken(plan, out, monkeypatch):
+    def fail(path):
+        raise OSError(16, "Device or resource busy")
+
+    monkeypatch.setattr(shutil, "rmtree", fail)
+    before = (out / "manifest.json").read_bytes()
+    with pytest.raises(StoreError, match=r"cannot remove .*crossvalidation: Device or resource"):
+        resume(plan, out, laws={**plan.manifest.settings.laws, "sigma0": "constant"})
+    assert (out / "manifest.json").read_bytes() == before
+
+
+def test_a_link_in_place_of_a_folder_is_removed_and_not_what_it_leads_to(out):
+    (out / "kept").mkdir()
+    (out / "kept" / "notes.txt").write_text("mine")
+    shutil.rmtree(out / "crossvalidation")
+    (out / "crossvalidation").symlink_to("kept")
+    discard(out)
+    assert [path.name for path in out.iterdir()] == ["kept"]
+    assert (out / "kept" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("laws", [{}, {"sigma0": "constant"}])
+def test_a_comparison_rests_on_the_tests_alone(plan, out, laws):
+    stored = read_manifest(out).comparison
+    assert stored is not None
+    given = {**plan.manifest.settings.laws, **laws}
+    assert resume(plan, out, laws=given)[0].comparison == stored
+    (out / "tests/a/posterior.nc").unlink()  # which is sampled again
+    assert resume(plan, out, laws=given)[0].comparison is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda content, priors: content["settings"].update(laws={"sigma0": "constant"}),
+        lambda content, priors: content["settings"].update(dependence={"Fc_fwd": ["velocity"]}),
+        lambda content, priors: content["settings"]["tests"]["a"].update(session="Monday"),
+        lambda content, priors: content["settings"]["tests"]["b"].update(after="a"),
+        lambda content, priors: content["files"].update({"tests/a/posterior.nc": "0" * 64}),
+        lambda content, priors: priors.scatter.clear(),
+        lambda content, priors: priors.parameters.popitem(),
+    ],
+)
+def test_what_the_population_rests_on_has_a_digest(plan, out, change):
+    content = json.loads((out / "manifest.json").read_text())
+    priors = replace(
+        plan.priors, scatter={**plan.priors.scatter}, parameters={**plan.priors.parameters}
+    )
+    before = population_digest(content, priors)
+    content["title"] = "Another"
+    assert population_digest(content, priors) == before
+    assert population_digest(read_manifest(out).content, priors) == before
+    change(content, priors)
+    assert population_digest(content, priors) != before

@@ -26,9 +26,26 @@ def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):
     key = asdict(fold)
     file.write_text(json.dumps({"key": key, "predictions": []}))
     assert fold.stored(tmp_path)
+    other = replace(fold, rests_on="other laws")
+    assert not other.stored(tmp_path)
+    del key["rests_on"]  # of which earlier versions knew nothing
+    file.write_text(json.dumps({"key": key, "predictions": []}))
+    assert not replace(fold, rests_on="these laws").stored(tmp_path)
+    key = asdict(fold)
     del key["scores"]  # without whole histories and factors of recalibration
     file.write_text(json.dumps({"key": key, "predictions": []}))
     assert not fold.stored(tmp_path)
+
+
+def test_folds_of_a_run_rest_on_its_laws_and_posteriors(benchmark_module, tmp_path):
+    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+    run = open_run(tmp_path / "out")
+    first, second = folds.folds_of(run, "test", "quick")
+    assert first.rests_on == second.rests_on != ""
+    laws = {**run.manifest.settings.laws, "sigma0": "constant"}
+    settings = run.manifest.settings.model_copy(update={"laws": laws})
+    other = replace(run, manifest=run.manifest.changed(settings=settings))
+    assert folds.folds_of(other, "test", "quick")[0].rests_on != first.rests_on
 
 
 def settings(*levels):

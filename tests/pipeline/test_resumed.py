@@ -1,0 +1,111 @@
+"""What a resumed run keeps where it is interrupted, and what it removes; nothing is sampled."""
+
+from dataclasses import replace
+
+import pytest
+
+from mfd_bayes.pipeline import calibration
+from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.opening import open_run
+
+RESULTS = ("law_scores", "population_sampler", "crossvalidation", "comparison", "verdicts")
+OPTIONAL = (
+    *("tables.docx", "tables.xlsx", "report.pdf", "next.csv", "next.json", "next.png"),
+    *("figures/next.png", "figures/next.csv"),
+)
+DRAWS = ("draws.csv", "draws.parquet")
+
+
+class _StopError(Exception):
+    """What ends a session, as a kill would."""
+
+
+def stop(*_):
+    raise _StopError
+
+
+@pytest.fixture
+def plan(benchmark_module, tmp_path):
+    """Plan of a run that is resumed."""
+    plan = benchmark_module("fuzz.runs").plan_of(small=False)
+    home = tmp_path / "campaign"
+    home.mkdir()
+    (home / "campaign.toml").write_text("# read already\n")
+    (home / "own.toml").write_bytes(benchmark_module("fuzz.seeds").priors())
+    return replace(
+        plan,
+        campaign=replace(plan.campaign, path=home / "campaign.toml"),
+        priors=replace(plan.priors, path=home / "own.toml"),
+        options=replace(plan.options, resume=True, jobs=1),
+    )
+
+
+@pytest.fixture
+def out(benchmark_module, tmp_path):
+    """Run folder of the plan, finished, with a report in every form."""
+    folder = tmp_path / "out"
+    benchmark_module("fuzz.runs").write_run(folder)
+    for name in (*OPTIONAL, *DRAWS):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("of these laws")
+    return folder
+
+
+def under_other_laws(plan):
+    laws = {**plan.manifest.settings.laws, "sigma0": "constant"}
+    settings = plan.manifest.settings.model_copy(update={"laws": laws})
+    inputs = {**plan.manifest.inputs, "campaign.toml": "0" * 64}
+    return replace(plan, manifest=plan.manifest.changed(settings=settings, inputs=inputs))
+
+
+def results_of(out):
+    found = read_manifest(out)
+    return {key: repr(getattr(found, key)) for key in RESULTS}
+
+
+@pytest.mark.parametrize(
+    "name", ["write_bytes", "save_trace", "run_jobs", "load_result", "_finish"]
+)
+def test_a_finished_run_that_is_resumed_and_killed_has_all_its_results(
+    plan, out, monkeypatch, name
+):
+    before = results_of(out)
+    monkeypatch.setattr(calibration, name, stop)
+    for _ in range(2):
+        with pytest.raises(_StopError):
+            calibrate(plan, out, lambda _: None)
+        assert results_of(out) == before
+        assert open_run(out).population.size > 0
+
+
+def test_a_finished_run_that_is_resumed_keeps_all_its_results(plan, out):
+    before = results_of(out)
+    calibrate(plan, out, lambda _: None)
+    assert results_of(out) == before
+    assert all((out / name).is_file() for name in (*OPTIONAL, *DRAWS))
+
+
+def test_a_run_under_other_laws_is_not_finished_until_it_is(plan, out, monkeypatch):
+    monkeypatch.setattr(calibration, "infer_population", stop)
+    with pytest.raises(_StopError):
+        calibrate(under_other_laws(plan), out, lambda _: None)
+    with pytest.raises(calibration.StoreError, match="is not finished"):
+        read_manifest(out)
+
+
+def test_what_is_not_written_again_does_not_stay_beside_other_laws(plan, out, monkeypatch):
+    monkeypatch.setattr(calibration, "infer_population", stop)
+    with pytest.raises(_StopError):
+        calibrate(under_other_laws(plan), out, lambda _: None)
+    assert not [name for name in OPTIONAL if (out / name).exists()]
+    assert all((out / name).is_file() for name in DRAWS)  # of the tests' posteriors, the same
+
+
+def test_draws_of_other_posteriors_do_not_stay(plan, out, monkeypatch):
+    (out / "tests/a/posterior.nc").unlink()
+    monkeypatch.setattr(calibration, "run_jobs", lambda *_: (_ for _ in ()))
+    monkeypatch.setattr(calibration, "infer_population", stop)
+    with pytest.raises(_StopError):
+        calibrate(plan, out, lambda _: None)
+    assert not [name for name in (*OPTIONAL, *DRAWS) if (out / name).exists()]
