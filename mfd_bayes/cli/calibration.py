@@ -182,10 +182,17 @@ def demo(
       mfd-bayes demo out --quick
     """
     effort = "quick" if quick else "standard"
-    resume = ["mfd-bayes", "calibrate", str(out / "campaign" / "campaign.toml"), "-o", str(out)]
-    resume += ["--effort", effort, "--seed", str(seed), "--resume"]
-    resume += ["--scheduler", scheduler] if scheduler else []
-    with mistakes(shlex.join(resume)):
+
+    def resume() -> str:
+        campaign, words = out / "campaign" / "campaign.toml", ["--seed", str(seed)]
+        words += ["--scheduler", scheduler] if scheduler else []
+        if not campaign.is_file():  # it is written last
+            quicker = ["--quick"] if quick else []
+            return shlex.join(["mfd-bayes", "demo", str(out), *quicker, *words, "--force"])
+        run = [str(campaign), "-o", str(out), "--effort", effort]
+        return shlex.join(["mfd-bayes", "calibrate", *run, *words, "--resume"])
+
+    with mistakes(resume):
         from mfd_bayes.pipeline.ready import get_ready
 
         get_ready()  # before the other imports

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
@@ -18,22 +18,26 @@ from mfd_bayes.jobs.signals import hinting
 
 
 @contextmanager
-def mistakes(resume: str = "") -> Iterator[None]:
+def mistakes(resume: str | Callable[[], str] = "") -> Iterator[None]:
     """Turn errors that a user can cause into one sentence and exit code 2.
 
     Parameters
     ----------
-    resume : str
-        Command that resumes this one where it is interrupted.
+    resume : str or callable
+        Command that resumes this one where it is interrupted, or what says it then.
     """
-    hint = f"; what is finished is kept, go on with: {clean(resume)}" if resume else ""
+
+    def hint() -> str:
+        command = resume() if callable(resume) else resume
+        return f"; what is finished is kept, go on with: {clean(command)}" if command else ""
+
     try:
         with hinting(hint):
             yield
     except MfdError as error:
         _fail(str(error))
     except MemoryError as error:
-        _fail(f"memory is too short{f': {error}' if str(error) else ''}{hint}")
+        _fail(f"memory is too short{f': {error}' if str(error) else ''}{hint()}")
     except CannotPrintError:
         raise
     except OSError as error:

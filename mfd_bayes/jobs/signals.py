@@ -34,11 +34,11 @@ def end_on_signals() -> Iterator[None]:
 
 
 @contextmanager
-def hinting(hint: str) -> Iterator[None]:
+def hinting(hint: Callable[[], str]) -> Iterator[None]:
     """Add a hint to the sentence, such as how to resume, where this process ends on a signal."""
 
     def end(number: int, _frame: FrameType | None) -> NoReturn:
-        _end(number, hint=hint)
+        _end(number, hint=hint())
 
     ours = [number for number in _SIGNALS if signal.getsignal(number) is _end]
     for number in ours:

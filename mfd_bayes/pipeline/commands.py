@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -34,8 +35,9 @@ from mfd_bayes.pipeline.ready import get_ready
 from mfd_bayes.pipeline.report import check, left_out_shown, report, write_report
 from mfd_bayes.reporting.forms import Forms
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
-from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.lock import OWNER, alone_in
 from mfd_bayes.runs.manifest import Truth, read_begun
+from mfd_bayes.store.files import PART, is_part
 
 __all__ = [
     "Forms",
@@ -70,6 +72,9 @@ __all__ = [
 ]
 
 Observe = Callable[[Step], None]
+
+_OF_DEMO = re.compile(r"campaign\.toml|p\d+_f[\d.]+\.csv|\..+\.part")
+"""Names of the files of a demo's campaign."""
 
 
 def calibrate_campaign(
@@ -114,14 +119,35 @@ def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     if used and not options.force:
         raise StoreError(f"{out} exists: give --force to replace it")
     with alone_in(out):
-        if used:
+        if used and not _is_begun(out):
             discard(out)
+        _remove_begun(out / "campaign")
         truth = write_campaign(out / "campaign", options.seed)
         options = replace(options, force=False, resume=False)
         plan = plan_campaign(out / "campaign" / "campaign.toml", options)
         manifest = plan.manifest.changed(truth=Truth(**truth))
         run = calibrate_locked(replace(plan, manifest=manifest), out, observe)
         return write_report(run, observe, jobs=options.jobs)
+
+
+def _is_begun(out: Path) -> bool:
+    """Whether a folder holds nothing but a demo's campaign, whole or not: no run was begun."""
+    campaign = out / "campaign"
+    others = [path for path in out.iterdir() if path != campaign]
+    return (
+        campaign.is_dir()
+        and all(p.name == OWNER or is_part(p, MANIFEST) or is_part(p, OWNER) for p in others)
+        and all(path.is_file() and _OF_DEMO.fullmatch(path.name) for path in campaign.iterdir())
+    )
+
+
+def _remove_begun(campaign: Path) -> None:
+    """Remove a demo's campaign file, which is written last, and files that are partly written."""
+    try:
+        for path in (campaign / "campaign.toml", *campaign.glob(f".*{PART}")):
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise StoreError(f"cannot remove {error.filename}: {error.strerror}") from error
 
 
 def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:

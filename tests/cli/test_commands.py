@@ -378,6 +378,46 @@ def test_a_run_folder_below_a_file_is_refused(folder):
     assert str(out) in sentence
 
 
+def begun(folder, *names):
+    """A folder as a demo leaves it that is interrupted in its first moments."""
+    (folder / "campaign").mkdir(parents=True)
+    for name in ("p0_f0.05.csv", ".p500_f0.05.csv.ab12cd.part", *names):
+        (folder / "campaign" / name).write_text("time_s,displacement_in,force_kip\n")
+    (folder / ".owner.json").write_text("{}")
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ("p500_f0.05.csv", "demo {} --quick --seed 3 --force"),
+        ("campaign.toml", "calibrate {}/campaign/campaign.toml -o {} --effort quick --seed 3"),
+    ],
+)
+def test_a_demo_says_how_to_go_on_from_its_first_moments(tmp_path, monkeypatch, written, said):
+    begun(tmp_path, "campaign.toml")
+
+    def write(folder, _):
+        assert [path.name for path in folder.iterdir()] == ["p0_f0.05.csv"]
+        (folder / written).write_text("")
+        raise MemoryError
+
+    monkeypatch.setattr(pipeline, "write_campaign", write)
+    assert "exists: give --force" in sentence_of(here("demo", tmp_path, "--quick"))
+    outcome = here("demo", tmp_path, "--quick", "--seed", 3, "--force")
+    assert f"go on with: mfd-bayes {said.format(tmp_path, tmp_path)}" in outcome.stderr
+
+
+@pytest.mark.parametrize("name", ["mine.csv", "campaign/mine.csv", "campaign/p500_f0.5.csv/a"])
+def test_a_demo_does_not_replace_a_campaign_that_is_not_its_own(tmp_path, name):
+    begun(tmp_path, "campaign.toml")
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
+    sentence = sentence_of(here("demo", tmp_path, "--quick", "--force"))
+    assert "is not a run folder" in sentence
+    assert (tmp_path / name).read_text() == "mine"
+    assert (tmp_path / "campaign" / "campaign.toml").is_file()
+
+
 @pytest.mark.parametrize("options", [(), ("--force",)])
 def test_a_demo_does_not_replace_what_is_no_run(tmp_path, options):
     (tmp_path / "thesis.txt").write_text("years of work")
