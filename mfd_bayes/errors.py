@@ -35,3 +35,9 @@ class StoreError(MfdError):
 
 class ReportError(MfdError):
     """A report cannot be made in the form that was asked for."""
+
+
+class NotThereError(MfdError, KeyError, IndexError):
+    """There is nothing of this name or number; as with a dict or a list, it is a KeyError too."""
+
+    __str__ = Exception.__str__  # a KeyError shows its sentence in quotes

@@ -121,6 +121,7 @@ CONTRACTS = {
     "mfd_bayes.runs.average.predict",
     "mfd_bayes.runs.run.predict",
     "mfd_bayes.runs.run.follow",
+    "mfd_bayes.runs.run.respond",
 }
 """Names of Python that other programs call as they are."""
 

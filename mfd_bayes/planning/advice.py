@@ -9,6 +9,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.errors import NotThereError
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.gain import Gain
 from mfd_bayes.planning.goal import Goal
@@ -61,8 +62,8 @@ class Row:
 
     @property
     def per_hour(self) -> float:
-        """Expected reduction by an hour of its cost."""
-        return self.reduction / self.cost
+        """Expected reduction by an hour of its cost; infinite where it costs nothing."""
+        return self.reduction / self.cost if self.cost > 0.0 else np.inf
 
 
 @dataclass(frozen=True)
@@ -132,9 +133,21 @@ class Advice(Sequence[Row]):
     def __getitem__(self, key: str) -> list[object]: ...
 
     def __getitem__(self, key: int | slice | str) -> object:
-        """A row by its number, some rows, or a column by its name."""
+        """A row by its number, some rows, or a column by its name.
+
+        Raises
+        ------
+        NotThereError
+            When there is no such row or column.
+        """
         if isinstance(key, str):
             if key not in COLUMNS:
-                raise KeyError(f"no column {key!r}: there are {', '.join(COLUMNS)}")
+                raise NotThereError(f"no column {key!r}: there are {', '.join(COLUMNS)}")
             return [getattr(row, key) for row in self.rows]
-        return self.rows[key]
+        try:
+            return self.rows[key]
+        except (IndexError, TypeError) as error:
+            raise NotThereError(
+                f"no row {key!r}: rows have the numbers 0 to {len(self.rows) - 1}, and columns the "
+                f"names {', '.join(COLUMNS)}"
+            ) from error

@@ -6,12 +6,12 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from numbers import Real
 
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.records.harmonic import MOST_CYCLES
+from mfd_bayes.records.numbers import real_number
 from mfd_bayes.units import ActuationUnit, measure, parse_actuation, parse_quantity
 
 SETUP = 0.25
@@ -29,15 +29,14 @@ _ALTERNATIVES = re.compile(r"\s*([^a-zA-Zµμ%°]*\|[^a-zA-Zµμ%°]*)(.*)", re.
 _LONGEST = 20_000
 
 
-def _check_number(
-    name: str, value: object, least: float, most: float = np.inf, *, above: bool = False
-) -> None:
-    """Refuse what is no number in a range."""
-    number = float(value) if isinstance(value, Real) else np.nan
-    if not (least <= number <= most and number < np.inf) or (above and number == least):
-        words = f"above {least:g}" if above else f"at least {least:g}"
-        also = f" and at most {most:g}" if np.isfinite(most) else ""
-        raise CampaignError(f"{name} must be a number {words}{also}, got {value!r}")
+_RANGES = {
+    "actuation": (0.0, np.inf),
+    "frequency": (0.0, np.inf),
+    "amplitude": (0.0, np.inf),
+    "cycles": (1.0, float(MOST_CYCLES)),
+    "price": (0.0, np.inf),
+}
+_ABOVE = ("frequency", "amplitude")
 
 
 @dataclass(frozen=True)
@@ -72,12 +71,11 @@ class Candidate:
         CampaignError
             When a number is none or out of its range, or the waveform is unknown.
         """
-        _check_number("actuation of a test", self.actuation, 0.0)
-        for name in ("frequency", "amplitude"):
-            _check_number(f"{name} of a test", getattr(self, name), 0.0, above=True)
-        _check_number("cycles of a test", self.cycles, 1.0, MOST_CYCLES)
-        if self.price is not None:
-            _check_number("price of a test", self.price, 0.0)
+        for name, bounds in _RANGES.items():
+            value, what = getattr(self, name), f"{name} of a test"
+            if name != "price" or value is not None:
+                number = real_number(what, value, CampaignError, bounds, inside=name in _ABOVE)
+                object.__setattr__(self, name, number)
         if self.waveform not in WAVEFORMS:
             raise CampaignError(
                 f"waveform of a test must be {' or '.join(WAVEFORMS)}, got {self.waveform!r}"
@@ -118,12 +116,22 @@ class Limits:
 
     def __post_init__(self) -> None:
         """Refuse what is no limit, by a CampaignError."""
-        for name, value in vars(self).items():
+        for name, value in dict(vars(self)).items():
             if value is not None:
-                _check_number(f"limit of the {name}", value, 0.0, above=True)
+                what, above = f"limit of the {name}", (0.0, np.inf)
+                number = real_number(what, value, CampaignError, above, inside=True)
+                object.__setattr__(self, name, number)
 
     def allow(self, candidate: Candidate) -> bool:
-        """Whether its motion is within the limits; its force is known only once simulated."""
+        """Whether its motion is within the limits; its force is known only once simulated.
+
+        Raises
+        ------
+        CampaignError
+            When it is no candidate.
+        """
+        if not isinstance(candidate, Candidate):
+            raise CampaignError(f"candidate must be a Candidate, got {candidate!r}")
         fast = self.velocity is not None and candidate.speed > self.velocity * (1 + 1e-9)
         long = self.stroke is not None and candidate.stroke > self.stroke * (1 + 1e-9)
         return not (fast or long)
@@ -193,7 +201,9 @@ def parse_tests(
     CampaignError
         When a part is not understood, or there are too many tests.
     """
-    whole = text if isinstance(text, str) else ";".join(map(str, text))
+    if not isinstance(text, str) and not all(isinstance(part, str) for part in text):
+        raise CampaignError(f"{of}: {FORM}, got {text!r}")
+    whole = text if isinstance(text, str) else ";".join(text)
     if len(whole) > _LONGEST:
         raise CampaignError(f"{of}: longer than {_LONGEST} characters")
     found: list[Parts] = []

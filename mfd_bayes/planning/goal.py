@@ -6,10 +6,12 @@ import difflib
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.candidate import Candidate, Parts, parse_tests
 from mfd_bayes.population.laws import default_laws
+from mfd_bayes.records.numbers import real_number
 from mfd_bayes.units import ActuationUnit
 
 AT_MOTIONS = {
@@ -47,12 +49,17 @@ class Goal:
     kind : {"device", "new_test"}
         Of the band: of the mean property, or with test-to-test scatter, of which no test can take
         anything away.
-    at : tuple of Parts
+    at : tuple of Parts or Candidate
         Motions and actuations; none for the campaign's range.
     probability : float
         Of the band.
     session : str
         Session that it is about, where the campaign declares several; "" for a new one.
+
+    Raises
+    ------
+    CampaignError
+        When a value is of another type, or the probability is not between 0 and 1.
     """
 
     quantity: str = "band"
@@ -61,6 +68,14 @@ class Goal:
     at: tuple[Parts, ...] = ()
     probability: float = 0.95
     session: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("quantity", "of", "kind", "session"):
+            if not isinstance(value := getattr(self, name), str):
+                raise CampaignError(f"{name} of a goal must be text, got {value!r}")
+        bounds = 0.0, 1.0
+        real_number("probability of a goal", self.probability, CampaignError, bounds, inside=True)
+        object.__setattr__(self, "at", _parts_of(self.at))
 
     def places(self, typical: Sequence[Candidate]) -> list[Candidate]:
         """Motions and actuations that it is about; the typical ones where it names none.
@@ -82,6 +97,19 @@ class Goal:
         return {"band": "band", GAP: "width of the gap"}.get(
             self.quantity, AT_MOTIONS.get(self.quantity, self.quantity)
         )
+
+
+def _parts_of(at: Any) -> tuple[Parts, ...]:
+    """Motions and actuations of a goal, checked."""
+    given = (at,) if isinstance(at, Parts | Candidate) else at
+    if not isinstance(given, list | tuple) or not all(
+        isinstance(one, Parts | Candidate) for one in given
+    ):
+        raise CampaignError(
+            f"at of a goal must be tests, each a Candidate, got {at!r}: in words they are a part "
+            "of the goal's text, such as 'energy at 1000 psi, 0.5 Hz, 1 in'"
+        )
+    return tuple(one if isinstance(one, Parts) else Parts(**vars(one)) for one in given)
 
 
 def parse_goal(text: str, unit: ActuationUnit, *, of: str = "--goal") -> Goal:
@@ -115,7 +143,7 @@ def check_goal(goal: Goal, *, of: str = "--goal") -> None:
     Raises
     ------
     CampaignError
-        When its quantity, its kind or its probability is unknown.
+        When its quantity or its kind is unknown.
     """
     known = (*AT_MOTIONS, GAP, *OF_LAWS)
     if goal.quantity not in known:
@@ -133,8 +161,6 @@ def check_goal(goal: Goal, *, of: str = "--goal") -> None:
             f"{of}: {goal.quantity} needs a quantity that follows the actuation, such as "
             f"'{goal.quantity} of {laws[0]}'; they are {', '.join(laws)}; got {goal.of!r}"
         )
-    if not 0.0 < goal.probability < 1.0:
-        raise CampaignError(f"{of}: probability must lie between 0 and 1, got {goal.probability}")
 
 
 def check_session(session: str, sessions: Collection[str], *, of: str = "goal.session") -> None:

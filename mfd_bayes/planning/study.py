@@ -84,8 +84,7 @@ class Effort:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if whole_number("draws", self.draws, 0, FitError) < FEWEST:
-            raise FitError(f"advice needs at least {FEWEST} draws, got {self.draws}")
+        whole_number("draws", self.draws, FEWEST, FitError)
         whole_number("seed", self.seed, 0, FitError)
 
 

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.extras import Extras
+from mfd_bayes.errors import FitError
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.shown import ShownBand
 from mfd_bayes.population.whole import whole_band
+from mfd_bayes.records.numbers import real_number
 
 Array = NDArray[np.float64]
 
@@ -63,6 +65,12 @@ class Band(ShownBand):
     extras: Extras | None = field(default=None, repr=False)
     given: Conditioned | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("lower", "median", "upper", "draws", "whole_lower", "whole_upper"):
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, read_only(values))
+
     @cached_property
     def whole(self) -> tuple[Array, Array]:
         """Lower and upper bound, (T,) each, kip, that hold the whole history of most of the draws.
@@ -77,8 +85,8 @@ class Band(ShownBand):
     def shares(self) -> Mapping[str, float]:
         """What makes the band wide: share of each source in the variance; their sum is 1.
 
-        They take as long as some 70 predictions, once. Empty for several models at once, and
-        where nothing varies. After a given part the sources depend on each other: what the part
+        They take as long as some 70 predictions, once. Empty for several models at once, of a
+        `Forecaster`, and where nothing varies. After a given part the sources depend on each other: what the part
         ties together is shared out between them.
         """
         return self.explained or (self.explain() if self.explain else {})
@@ -87,7 +95,13 @@ class Band(ShownBand):
         """The band of single samples, as many times as wide about its median.
 
         The band of the whole history is never inside it.
+
+        Raises
+        ------
+        FitError
+            When the factor is no number, 0 or more.
         """
+        factor = real_number("factor", factor, FitError, (0.0, np.inf))
         lower = self.median - factor * (self.median - self.lower)
         upper = self.median + factor * (self.upper - self.median)
         wide = replace(self, lower=lower, upper=upper)
@@ -99,6 +113,13 @@ class Band(ShownBand):
     def _around(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Bounds that are nowhere inside the band of single samples."""
         return np.minimum(lower, self.lower), np.maximum(upper, self.upper)
+
+
+def read_only(values: Array) -> Array:
+    """The same numbers, which cannot be changed by this name."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
 
 
 def band_of(

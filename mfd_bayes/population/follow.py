@@ -7,6 +7,7 @@ long the test has run. Where the weights can no longer be trusted, the draws are
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -17,6 +18,7 @@ from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.band import Band, band_of
+from mfd_bayes.population.checks import check_flag
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import (
@@ -40,7 +42,8 @@ from mfd_bayes.population.strokes import strokes_of
 from mfd_bayes.population.tempering import systematic
 from mfd_bayes.population.walk import Steps, Walk
 from mfd_bayes.population.zeros import NOTHING
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -57,7 +60,12 @@ class Forecaster:
     ----------
     time : float, s
         Of the last sample that it was given; NaN before the first.
+    complete : callable
+        Called with each band and with the motion from the first sample to the band's last; gives
+        the band with what the run says of such a motion.
     """
+
+    complete: Callable[[Band, Trace], Band]
 
     def __init__(
         self,
@@ -69,6 +77,8 @@ class Forecaster:
         refresh: bool = True,
     ) -> None:
         check_forecast(forecast)
+        check_flag("refresh", refresh)
+        self.complete = _as_it_is
         model = predictor.model
         if not (hasattr(model, "step") and hasattr(model, "start")):
             raise FitError(f"the model {model.name} has no steps, which following a test needs")
@@ -156,10 +166,11 @@ class Forecaster:
         Raises
         ------
         FitError
-            When the trace begins before the last sample, or too few have come in.
+            When it is no trace, begins before the last sample, or too few have come in.
         RecordError
             When a test that was planned without actuation shall have one.
         """
+        check_trace("trace", trace, FitError)
         if not self._incoming.count:
             raise FitError(
                 "a band needs some samples: a forecaster averages them over "
@@ -201,7 +212,9 @@ class Forecaster:
 
     def _check_actuation(self, actuation: ArrayLike) -> None:
         """Refuse an actuation where the laws say nothing of it."""
-        if self._level == 0.0 and np.any(np.asarray(actuation) > self._nothing):
+        if self._level > 0.0:
+            return
+        if np.any(real_numbers("actuation", actuation, RecordError) > self._nothing):
             raise RecordError(
                 "the test was planned without actuation, and now has one: give run.follow the "
                 "actuation of the test"
@@ -232,9 +245,10 @@ class Forecaster:
             force += values["offset"][:, None] + noise[:, new]
         told = self._told(weights, k)
         source = f"population laws with scatter, and {told.sentence}"
-        band = band_of(joined.time[new], force, forecast, source, values)
+        own = {name: value for name, value in values.items() if name in self._predictor.told}
+        band = band_of(joined.time[new], force, forecast, source, own)
         remarks = told.remarks if k <= LARGEST_K else (*told.remarks, _doubt(k))
-        return replace(band, given=told, remarks=remarks)
+        return self.complete(replace(band, given=told, remarks=remarks), joined)
 
     def _told(self, weights: Array, k: float) -> Conditioned:
         """What was given so far, and how it was taken in."""
@@ -255,6 +269,10 @@ class Forecaster:
         strokes = int(strokes_of(joined)[-1]) + 1
         levels = self._likelihood.draw_levels(sums, coefficients, tests, strokes, self._rng)
         return self._residual.discrepancy(joined, slip, coefficients), levels
+
+
+def _as_it_is(band: Band, motion: Trace) -> Band:
+    return band
 
 
 def _doubt(k: float) -> str:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.population.checks import check_flag, check_text
 from mfd_bayes.population.kinds import KINDS
 from mfd_bayes.population.sequel import Ending
-from mfd_bayes.records.numbers import whole_number
+from mfd_bayes.records.numbers import real_number, whole_number
 
 DRAWS = 500
 """Draws of a band where no other number is asked for."""
+
+FEWEST = 10
+"""Fewest draws of a band."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,8 @@ class Forecast:
     Raises
     ------
     FitError
-        When the kind is unknown, or the probability is not between 0 and 1.
+        When the kind is unknown, the probability is not between 0 and 1, the draws are fewer than
+        `FEWEST`, or a value is of another type than is said here.
     """
 
     kind: str = "new_test"
@@ -49,8 +54,8 @@ class Forecast:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-        if not 0.0 < self.probability < 1.0:
-            raise FitError(f"probability must lie between 0 and 1, got {self.probability}")
-        if whole_number("draws", self.draws, 0, FitError) < 10:
-            raise FitError(f"a band needs at least 10 draws, got {self.draws}")
+        real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
+        whole_number("draws", self.draws, FEWEST, FitError)
         whole_number("seed", self.seed, 0, FitError)
+        check_text("session", self.session)
+        check_flag("whole", self.whole)

@@ -83,6 +83,10 @@ def complete_laws(given: Mapping[str, str]) -> dict[str, str]:
     return laws
 
 
+TIED = {name: other for m in models.MODELS.values() for name, other in m.tied_laws.items()}
+"""Names that have the law of another quantity, and which."""
+
+
 def shapes_of(law: str) -> tuple[str, ...]:
     """What is inferred of a law by name besides its level; of "compare", those of every law."""
     return ("share", "exponent") if law == COMPARE else LAWS[law].shapes

@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.population import checks
 from mfd_bayes.population.beyond import unknown_beyond
-from mfd_bayes.population.laws import INTERCEPTS, ratio, ratios_along
+from mfd_bayes.population.laws import TIED, ratio, ratios_along
 from mfd_bayes.population.layout import Choice, Layout
 from mfd_bayes.population.parts import Expected, Parts
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.setting import Setting
 from mfd_bayes.population.starts import UNKNOWN, Standing, StartDensity, anywhere, fixed, learned
+from mfd_bayes.population.straight import StraightLaws
 
 Array = NDArray[np.float64]
 
 SHORTER = 0.9
 """Share of the smallest calibrated stroke below which a motion counts as shorter than all."""
 
-_STRAIGHT = ("proportional", "affine")
-
 
 @dataclass(frozen=True, eq=False)
-class Population:
+class Population(StraightLaws):
     """Draws of the hyperparameters, (chain, draw) first.
 
     Attributes
@@ -118,15 +118,36 @@ class Population:
         }
 
     def shapes(self, name: str) -> tuple[Array, Array]:
-        """Share and exponent of a quantity's law, (chain, draw) each."""
+        """Share and exponent of a quantity's law, (chain, draw) each.
+
+        Raises
+        ------
+        NotThereError
+            When it has no law.
+        """
+        checks.check_known("law of", name, self.layout.laws)
         shape = self.h.shape[:2]
         flat = self.h.reshape(self.size, -1), self.choice.reshape(self.size, -1)
         share, exponent = self.layout.law_shapes(*flat, name)
         return share.reshape(shape), exponent.reshape(shape)
 
     def ratio(self, name: str, actuation: Array) -> Array:
-        """Law's value at each actuation over that at the reference, (chain, draw, m)."""
-        relative = np.asarray(actuation) / self.layout.reference
+        """Law's value at each actuation over that at the reference, (chain, draw, m).
+
+        It is 1 for a quantity without a law. What follows another, such as static friction, has
+        its law.
+
+        Raises
+        ------
+        NotThereError
+            When there is no such quantity.
+        FitError
+            When an actuation is no number, 0 or more.
+        """
+        names = self.layout.names
+        checks.check_known("quantity", name, (*names, *(n for n in TIED if TIED[n] in names)))
+        name = name if name in names else TIED[name]
+        relative = checks.check_actuations(actuation) / self.layout.reference
         if name not in self.layout.laws:
             return np.ones((*self.h.shape[:2], relative.size))
         share, exponent = self.shapes(name)
@@ -143,41 +164,18 @@ class Population:
         return ratios_along(history / self.layout.reference, share, exponent)
 
     def median(self, name: str, actuation: Array) -> Array:
-        """Median over tests of a quantity at each actuation, (chain, draw, m)."""
+        """Median over tests of a quantity at each actuation, (chain, draw, m).
+
+        Raises
+        ------
+        NotThereError
+            When there is no such quantity.
+        FitError
+            When an actuation is no number, 0 or more.
+        """
+        checks.check_known("quantity", name, self.layout.names)
         level = self.layout.coordinates.values(self.levels.reshape(self.size, -1))[name]
         return level.reshape(*self.h.shape[:2], 1) * self.ratio(name, actuation)
-
-    @property
-    def slopes(self) -> dict[str, Array]:
-        """The paper's constants of those laws that are straight, and the laws' intercepts.
-
-        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of actuation;
-        what is left without actuation: `Fc_fwd_0` and its like in kip, `sigma0_0` in kip/in.
-        All are (chain, draw).
-        """
-        found: dict[str, Array] = {}
-        for side in ("fwd", "bwd"):
-            if self.layout.laws.get(f"Fc_{side}") not in _STRAIGHT:
-                continue
-            kinetic = self._slope(f"Fc_{side}")
-            found[f"K_c_{side}"] = kinetic
-            if f"static_excess_{side}" in self.layout.names:
-                at = np.array([self.layout.reference])
-                excess = self.median(f"static_excess_{side}", at)[..., 0]
-                found[f"K_s_{side}"] = kinetic * (1.0 + excess)
-        if self.layout.laws.get("sigma0") in _STRAIGHT:
-            found["alpha_sigma0"] = self._slope("sigma0")
-        nothing = np.zeros(1)
-        for name, law in self.layout.laws.items():
-            if law in ("affine", "residual_power") and f"{name}_0" in INTERCEPTS:
-                found[f"{name}_0"] = self.median(name, nothing)[..., 0]
-        return found
-
-    def _slope(self, name: str) -> Array:
-        """Slope of a straight law, (chain, draw)."""
-        p0 = self.layout.reference
-        ends = self.median(name, np.array([0.0, p0]))
-        return np.asarray((ends[..., 1] - ends[..., 0]) / p0)
 
     @property
     def law_weights(self) -> dict[str, dict[str, float]]:
@@ -231,7 +229,14 @@ class Population:
         *,
         scattered: bool = True,
     ) -> dict[str, Array]:
-        """Quantities of tests under a setting, by name, (n,) each; see `draw_parts`."""
+        """Quantities of tests under a setting, by name, (n,) each; see `draw_parts`.
+
+        Raises
+        ------
+        FitError
+            When the setting, a number of a draw or the generator is none.
+        """
+        checks.check_generator(rng)
         return self.values(self.draw_parts(setting, index, rng, scattered=scattered))
 
     def values(self, parts: Parts) -> dict[str, Array]:
@@ -269,6 +274,8 @@ class Population:
 
     def expected(self, setting: Setting, index: NDArray[np.intp]) -> Expected:
         """What draws of the hyperparameters, (n,) by number, say of a test under a setting."""
+        checks.check_setting(setting, self.layout.covariate_reference)
+        index = checks.check_draws(index, self.size)
         layout, h = self.layout, self.h.reshape(self.size, -1)[index]
         latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
         choice = self.choice.reshape(self.size, -1)[index]

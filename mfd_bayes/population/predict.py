@@ -43,6 +43,13 @@ class Predictor:
     model: Model
     noise: Noise
 
+    @property
+    def told(self) -> frozenset[str]:
+        """Names of what a band tells: quantities of the model and the noise, and the start."""
+        own = {quantity.name for quantity in (*self.model.quantities, *self.noise.quantities)}
+        shared = self.population.layout.names
+        return frozenset({"start", *shared, *self.model.parameters, *own})
+
     def predict(self, trace: Trace, forecast: Forecast) -> Band:
         """Band of the force under a motion and an actuation, tested or not.
 
@@ -151,7 +158,8 @@ class Predictor:
             drawn = replace(drawn, noise=self.draw_noise(rng, trace, values, drawn.levels))
         force, _ = self.total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
-        band = band_of(trace.time, force, forecast, told(source, forecast.before), values)
+        own = {name: value for name, value in values.items() if name in self.told}
+        band = band_of(trace.time, force, forecast, told(source, forecast.before), own)
         orders, seed = forecast.permutations, forecast.seed
         some = drawn.first(int(np.clip(VALUES // trace.samples, FEWEST, DRAWS)))
         explained = self._shares(trace, some, orders, seed) if orders else {}

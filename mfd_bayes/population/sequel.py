@@ -93,9 +93,10 @@ def left_by(
     """Place, as a `start` of it, at which a motion leaves a device with theta (1, p).
 
     The device goes straight back to the first displacement of the motion. None for a model that
-    does not say where a motion ends. `scales` are as in `Model.end`.
+    has no gap, or does not say where a motion ends. `scales` are as in `Model.end`.
     """
-    if type(model).end is Model.end:
+    own = type(model).end
+    if not model.has_gap or getattr(own, "__wrapped__", own) is Model.end:
         return None
     ended = Ending("", theta, model.end(theta, trace, scales=scales))
     ended = ended.moved(model, trace.displacement[[-1, 0]])

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Real
 
 import numpy as np
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.trace import Trace, check_trace
 
 SAME_LEVEL = 0.01
 """Tests whose actuation differs by less than this share are at one level."""
+
+_UNITS = {"actuation": "ksi or kip", "velocity": "in/s", "amplitude": "in"}
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,9 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
     Raises
     ------
     FitError
-        When the trace has no actuation.
+        When it is no trace, or has no actuation.
     """
+    check_trace("trace", trace, FitError)
     if not np.isfinite(trace.reference_actuation):
         raise FitError("a prediction needs the trace's actuation, in ksi (pressure) or kip (force)")
     covariates = {
@@ -71,18 +74,24 @@ def planned_setting(
     Raises
     ------
     FitError
-        When the actuation or a covariate is no number above zero.
+        When the actuation is no number, 0 or more, or a covariate is no number above zero.
     """
-    if not (isinstance(actuation, Real) and 0.0 <= actuation < np.inf):
-        raise FitError(f"the planned actuation must be 0 or more, in ksi or kip, got {actuation}")
+    level = _planned("actuation", actuation, least="0 or more")
     covariates = {}
     for name, value in planned.items():
         known = [s.covariates[name] for s in tested if s.covariates.get(name, 0.0) > 0.0]
         usual = float(np.exp(np.mean(np.log(known)))) if known else 1.0
-        covariates[name] = usual if value is None else value
-        if not (isinstance(covariates[name], Real) and 0.0 < covariates[name] < np.inf):
-            raise FitError(f"the planned {name} must be above zero, in in or in/s, got {value}")
-    return Setting(float(actuation), session, {k: float(v) for k, v in covariates.items()})
+        covariates[name] = usual if value is None else _planned(name, value)
+    return Setting(level, session, covariates)
+
+
+def _planned(name: str, value: float, least: str = "above zero") -> float:
+    """What is planned of a test, checked."""
+    try:
+        return real_number(name, value, FitError, (0.0, np.inf), inside=least == "above zero")
+    except FitError as error:
+        sentence = f"the planned {name} must be {least}, in {_UNITS[name]}, got {value!r}"
+        raise FitError(sentence) from error
 
 
 def same_level(actuation: float, other: float) -> bool:

@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mfd_bayes.errors import ReportError
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.runs import opening
 from mfd_bayes.runs.run import Run
 
@@ -48,8 +51,8 @@ class Notebook:
         fan = convert_fan(Fan(band.kind, band.median, (interval,)), self.system.factor("kip"))
         along = None
         if displacement is not None:
-            along = np.asarray(displacement, dtype=np.float64) * self.system.factor("in")
-        where = drawn.new_axes() if axes is None else axes
+            along = _along(band, displacement) * self.system.factor("in")
+        where = drawn.checked_axes(axes)
         return drawn.draw_band(where, fan, band.time, along, self.system)
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
@@ -59,10 +62,10 @@ class Notebook:
         from mfd_bayes.reporting.figures import axes as drawn
         from mfd_bayes.store.netcdf import load_groups
 
+        where = drawn.checked_axes(axes)
         force = load_groups(test.path)["posterior_predictive"]["force"].to_numpy()
         fan = fan_of("observation", force.reshape(-1, force.shape[-1]).astype(np.float64))
         shown = convert_fan(fan, self.system.factor("kip"))
-        where = drawn.new_axes() if axes is None else axes
         return drawn.draw_measured(
             where, convert_trace(test.trace, self.system), shown, self.system
         )
@@ -76,6 +79,19 @@ class Notebook:
             return arviz_data(_of_band(result))
         groups = load_groups(result.path)
         return arviz_data({**groups, "log_likelihood": _of_cycles(result)})
+
+
+def _along(band: Band, displacement: Any) -> NDArray[np.float64]:
+    """Displacement over which a band is drawn, (T,), in."""
+    found = real_numbers("displacement", displacement, ReportError)
+    if found.shape != band.time.shape:
+        raise ReportError(
+            f"displacement must have shape {band.time.shape}, a number for each sample of the "
+            f"band, got {found.shape}"
+        )
+    if not np.all(np.isfinite(found)):
+        raise ReportError("displacement must be finite")
+    return found
 
 
 def _of_band(band: Band) -> dict[str, Any]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError
+from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.regular import path_of
 from mfd_bayes.response.content import read_content
 from mfd_bayes.response.damping import damping_matrix
 from mfd_bayes.response.modes import Modes, modes_of
@@ -109,7 +112,14 @@ class Building:
         return tuple(f"storey {i + 1}" for i in range(len(self.drifts)))
 
     def at_level(self, actuation: float) -> Building:
-        """The building with all dampers at one constant actuation, ksi or kip."""
+        """The building with all dampers at one constant actuation, ksi or kip.
+
+        Raises
+        ------
+        BuildingError
+            When it is no number, 0 or more.
+        """
+        actuation = real_number("actuation", actuation, BuildingError, (0.0, np.inf))
         level = [replace(d, actuation=actuation, history=None) for d in self.devices]
         return replace(self, devices=tuple(level))
 
@@ -118,7 +128,7 @@ class Building:
         return replace(self, devices=())
 
 
-def read_building(path: str | Path) -> Building:
+def read_building(path: str | PathLike[str]) -> Building:
     """Building of a TOML file.
 
     Raises
@@ -127,7 +137,7 @@ def read_building(path: str | Path) -> Building:
         When the file, or a file that it names, cannot be read, or a value cannot be used; the
         key is named.
     """
-    path = Path(path)
+    path = path_of("building", path, BuildingError)
     return building_of(read_content(path), path)
 
 

@@ -10,6 +10,9 @@ from mfd_bayes.records.numbers import whole_number
 KINDS = ("new_test", "device")
 """With each damper's own scatter from test to test, or the mean property alone."""
 
+FEWEST = 10
+"""Fewest draws of a response."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -33,6 +36,5 @@ class Choice:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise BuildingError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-        if whole_number("draws", self.draws, 0, BuildingError) < 10:
-            raise BuildingError(f"a response needs at least 10 draws, got {self.draws}")
+        whole_number("draws", self.draws, FEWEST, BuildingError)
         whole_number("seed", self.seed, 0, BuildingError)

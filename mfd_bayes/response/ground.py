@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, MfdError, UnitError
+from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.regular import why_no_file
+from mfd_bayes.records.regular import path_of, why_no_file
 from mfd_bayes.records.roles import header_unit
 from mfd_bayes.response.measures import acceleration_factor
 from mfd_bayes.units import factor
@@ -40,12 +43,25 @@ class Ground:
     name : str
     step : float, s
     acceleration : (T,), in/s²
-        The first sample is at time 0.
+        The first sample is at time 0. A copy of what is given, which cannot be changed.
+
+    Raises
+    ------
+    BuildingError
+        When the name is no text, the step is not positive, or values are missing, not finite or
+        all zero.
     """
 
     name: str
     step: float
     acceleration: Array
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise BuildingError(f"name of a ground motion must be text, got {self.name!r}")
+        step = _checked_step(self.name, self.step)
+        object.__setattr__(self, "step", step)
+        object.__setattr__(self, "acceleration", _checked_values(self.name, self.acceleration))
 
     @property
     def time(self) -> Array:
@@ -58,12 +74,26 @@ class Ground:
         return float(np.max(np.abs(self.acceleration)))
 
     def scaled(self, by: float) -> Ground:
-        """The motion times a factor, which its name says."""
+        """The motion times a factor, which its name says.
+
+        Raises
+        ------
+        BuildingError
+            When the factor is no number, or zero.
+        """
+        by = real_number("factor", by, BuildingError)
         name = f"{self.name} × {by:.3g}"
         return replace(self, name=name, acceleration=by * self.acceleration)
 
     def with_peak(self, peak: float) -> Ground:
-        """The motion scaled to a peak, in/s²."""
+        """The motion scaled to a peak, in/s².
+
+        Raises
+        ------
+        BuildingError
+            When the peak is no number above zero.
+        """
+        peak = real_number("peak", peak, BuildingError, (0.0, np.inf), inside=True)
         return self.scaled(peak / self.peak)
 
 
@@ -73,11 +103,20 @@ def ground_of(name: str, step: float, acceleration: Sequence[float] | Array) -> 
     Raises
     ------
     BuildingError
-        When the step is not positive, or values are missing, not finite or all zero.
+        As `Ground` does.
     """
-    values = np.asarray(acceleration, dtype=np.float64)
-    if not (np.isfinite(step) and step > 0):
-        raise BuildingError(f"{name}: the step of a ground motion must be positive, got {step} s")
+    return Ground(name, step, acceleration)  # type: ignore[arg-type]
+
+
+def _checked_step(name: str, step: Any) -> float:
+    """Step of a ground motion, s."""
+    what = f"{name}: the step of a ground motion"
+    return real_number(what, step, BuildingError, (0.0, np.inf), inside=True)
+
+
+def _checked_values(name: str, acceleration: Any) -> Array:
+    """Accelerations of a ground motion as numbers of its own, (T,), in/s²."""
+    values = np.array(real_numbers(f"{name}: acceleration", acceleration, BuildingError))
     if values.ndim != 1 or not 2 <= values.size <= MOST:
         raise BuildingError(f"{name}: expected 2 to {MOST} values, got {values.size}")
     if not np.all(np.isfinite(values)):
@@ -85,10 +124,11 @@ def ground_of(name: str, step: float, acceleration: Sequence[float] | Array) -> 
         raise BuildingError(f"{name}: value {row} of the ground motion is no finite number")
     if not np.any(values):
         raise BuildingError(f"{name}: the ground does not move: all values are 0")
-    return Ground(name, float(step), values)
+    values.flags.writeable = False
+    return values
 
 
-def read_ground(path: str | Path, *, step: float | None = None, unit: str = "") -> Ground:
+def read_ground(path: str | PathLike[str], *, step: float | None = None, unit: str = "") -> Ground:
     """Ground motion of a file.
 
     Parameters
@@ -104,9 +144,13 @@ def read_ground(path: str | Path, *, step: float | None = None, unit: str = "") 
     Raises
     ------
     BuildingError
-        When the file cannot be read, or its step is not known.
+        When the file cannot be read, its step is not known, or a value is of another type.
     """
-    path = Path(path)
+    path = path_of("ground", path, BuildingError)
+    if step is not None:
+        step = _checked_step(path.name, step)
+    if not isinstance(unit, str):
+        raise BuildingError(f"unit must be text, such as 'g' or 'm/s^2', got {unit!r}")
     try:
         if reason := why_no_file(path):
             raise BuildingError(f"{path} {reason}")
@@ -197,7 +241,7 @@ def _step_of(path: Path, time: Array) -> float:
     return float((time[-1] - time[0]) / (time.size - 1))
 
 
-def parse_ground(text: str) -> tuple[Path, float | None, str]:
+def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None, str]:
     """File, step and unit of ``"Rinaldi.AT2:0.01s"`` or ``"a.txt:0.01s:cm/s^2"``.
 
     Raises
@@ -219,7 +263,7 @@ def parse_ground(text: str) -> tuple[Path, float | None, str]:
                 unit = part
         except (ValueError, UnitError) as error:
             raise BuildingError(
-                f"--ground {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {part!r}"
+                f"{of} {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {part!r}"
             ) from error
     return Path(name), step, unit
 

@@ -8,28 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.errors import NotThereError
+from mfd_bayes.population.checks import check_known
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.rows import PROBABILITIES, UNITS, Passing, Row
 from mfd_bayes.response.settling import Settled
 from mfd_bayes.units import GRAVITY
 
+__all__ = ["PROBABILITIES", "Passing", "Reference", "Response", "Row"]
+
 Array = NDArray[np.float64]
-
-UNITS = {
-    "drift ratio": "1",
-    "drift": "in",
-    "acceleration": "in/s^2",
-    "base shear": "kip",
-    "residual drift": "in",
-    "damper travel": "in",
-    "damper force": "kip",
-    "damper energy": "kip*in",
-}
-"""Internal unit of each quantity that rows tell of."""
-
-PROBABILITIES = (0.5, 0.9, 0.95)
-"""Of the equal-tailed bands."""
 
 OPEN = 0.005
 """Share of steps without equilibrium from which a draw is named."""
@@ -44,50 +34,6 @@ class Reference:
     base_shear: float
     residual: Array
     history: Array
-
-
-@dataclass(frozen=True)
-class Row:
-    """A peak and its bands.
-
-    Attributes
-    ----------
-    quantity : str
-    ground, place : str
-    unit : str
-        Internal, or "1" of a ratio.
-    median, mean : float
-    bands : tuple of (lower, upper)
-        For `PROBABILITIES`.
-    bare, plain : float
-        The same without dampers, and with plain friction of the median slip force; NaN where it
-        has no meaning.
-    """
-
-    quantity: str
-    ground: str
-    place: str
-    unit: str
-    median: float
-    mean: float
-    bands: tuple[tuple[float, float], ...]
-    bare: float = np.nan
-    plain: float = np.nan
-
-
-@dataclass(frozen=True)
-class Passing:
-    """Probability that a limit is passed somewhere in the building.
-
-    `error` is the Monte Carlo standard error of the probability.
-    """
-
-    quantity: str
-    ground: str
-    limit: float
-    unit: str
-    probability: float
-    error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,8 +133,12 @@ class Response:
         return len(self.drift)
 
     def usable(self, ground: int) -> NDArray[np.bool_]:
-        """Draws that did not run away, (n,)."""
-        return ~self.unstable[:, ground]
+        """Draws that did not run away, (n,), by the number of the ground motion."""
+        try:
+            return np.asarray(~self.unstable[:, ground])
+        except IndexError as error:
+            known = f"0 to {len(self.grounds) - 1}"
+            raise NotThereError(f"no ground motion {ground!r}: there are {known}") from error
 
     @property
     def drift_ratio(self) -> Array:
@@ -271,27 +221,28 @@ class Response:
 
     def _limited(self) -> Iterator[tuple[str, float, str, Array]]:
         asked = self.building.limits
+        residual = np.abs(self.residual) / self.building.heights
         quantities: Mapping[str, tuple[float | None, str, Array]] = {
             "drift ratio": (asked.drift, "1", self.drift_ratio),
             "acceleration": (asked.acceleration, "in/s^2", self.acceleration),
             "base shear": (asked.base_shear, "kip", self.base_shear[..., None]),
             "damper travel": (asked.travel, "in", self.travel),
-            "residual drift ratio": (
-                asked.residual,
-                "1",
-                np.abs(self.residual) / self.building.heights,
-            ),
+            "residual drift ratio": (asked.residual, "1", residual),
         }
         for name, (limit, unit, values) in quantities.items():
             if limit is not None and values.shape[-1]:
                 yield name, limit, unit, values
 
     def measure(self, name: str) -> Array:
-        """The largest of a quantity over the building, (n, g): "drift", in; "acceleration", g."""
-        values = {
+        """The largest of a quantity over the building, (n, g).
+
+        It is one of "drift", in; "acceleration", g; "base_shear", kip; "travel", in.
+        """
+        measures = {
             "drift": self.drift,
             "acceleration": self.acceleration / GRAVITY,
             "base_shear": self.base_shear[..., None],
             "travel": self.travel,
-        }[name]
-        return np.asarray(values.max(axis=-1))
+        }
+        check_known("measure", name, measures)
+        return np.asarray(measures[name].max(axis=-1))

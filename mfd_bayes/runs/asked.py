@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.band import Band
+from mfd_bayes.population.checks import check_text
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.kinds import THIS_TEST
 from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
 from mfd_bayes.population.sequel import Ending
 from mfd_bayes.population.setting import same_level
+from mfd_bayes.population.shares import PERMUTATIONS
+from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.systems import System
@@ -70,6 +74,7 @@ def this_test(
     FitError
         When the kind is another, or there is no calibrated test of this name.
     """
+    check_text("test", name)
     if forecast.kind != THIS_TEST:
         raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
     known = f"one of {', '.join(tests)}"
@@ -80,6 +85,36 @@ def this_test(
     if name not in tests:
         raise FitError(f"the run has no calibrated test {name!r}: {known}")
     return name
+
+
+def own_session(own: str, asked: str) -> str:
+    """Session of a calibrated test, where none or the same is asked for.
+
+    Raises
+    ------
+    FitError
+        When another is asked for.
+    """
+    if asked and asked != own:
+        made = f"session {own!r}" if own else "no session"
+        raise FitError(
+            f"session {asked!r} is for a new test: the kind this_test takes that of its test, "
+            f"which was made in {made}"
+        )
+    return own
+
+
+def permutations_of(explain: Any) -> int:
+    """Number of permutations for the shares of a band, where they are asked for; 0 for none.
+
+    Raises
+    ------
+    FitError
+        When it is neither True or False, nor such a number.
+    """
+    if isinstance(explain, bool | np.bool_):
+        return PERMUTATIONS if explain else 0
+    return whole_number("explain (True, False, or a number of permutations)", explain, 0, FitError)
 
 
 def check_level(name: str, own: Trace, asked: Trace, unit: str) -> None:

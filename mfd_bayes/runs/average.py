@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.conditioned import Conditioned
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.forecast import FEWEST, Forecast
 from mfd_bayes.population.kinds import THIS_TEST
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.numbers import whole_number
+from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.run import Run
 
 APART = 0.5
@@ -32,18 +34,19 @@ class ModelAverage:
     Attributes
     ----------
     runs : sequence of Run
-        Two or more.
+        Two or more; kept as a tuple.
 
     Raises
     ------
     FitError
-        When there are fewer than two runs, two of them have the same model and noise, or not the
-        same calibrated tests.
+        When there are fewer than two runs, one is no run, two of them have the same model and
+        noise, or not the same calibrated tests.
     """
 
     runs: Sequence[Run]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "runs", _checked(self.runs))
         if len(self.runs) < 2:
             raise FitError(f"an average of models needs at least two runs, got {len(self.runs)}")
         for one, other in pairwise(self.runs):
@@ -83,7 +86,7 @@ class ModelAverage:
         trace, kind, probability, seed, session, whole, given, after
             As in `Run.predict`; not of kind `this_test`.
         draws : int
-            Of all models together.
+            Of all models together, 10 or more for each.
 
         Returns
         -------
@@ -98,6 +101,9 @@ class ModelAverage:
         """
         if kind == THIS_TEST:
             raise FitError("an average of models predicts a new test, not the kind this_test")
+        check_trace("trace", trace, FitError)
+        least = FEWEST * len(self.runs)
+        whole_number(f"draws (of {len(self.runs)} runs together)", draws, least, FitError)
         forecast = Forecast(kind, probability, draws, seed, session, whole)
         bands = [
             run.predict(
@@ -119,6 +125,20 @@ class ModelAverage:
             given=_given([band.given for band in bands if band.given]),
             extras=self.runs[0].extras,
         )
+
+
+_NEEDED = ("tests", "manifest", "predict")
+
+
+def _checked(runs: Any) -> tuple[Run, ...]:
+    """The runs, when they are some."""
+    several = isinstance(runs, Iterable) and not isinstance(runs, str | bytes | Mapping)
+    found = tuple(runs) if several else ()
+    wrong = [one for one in found if not all(hasattr(one, name) for name in _NEEDED)]
+    if not several or wrong:
+        got = repr(wrong[0]) if wrong else type(runs).__name__
+        raise FitError(f"runs must be two or more runs, as open_run opens them, got {got}")
+    return found
 
 
 def _check_same(one: Run, other: Run) -> None:

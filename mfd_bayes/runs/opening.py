@@ -9,6 +9,7 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State
+from mfd_bayes.records.regular import path_of
 from mfd_bayes.runs.folder import PRIORS, check_links, check_stored, posterior_of, record_of
 from mfd_bayes.runs.manifest import Manifest, read_manifest
 from mfd_bayes.runs.reading import reading
@@ -25,7 +26,7 @@ def open_run(folder: str | Path) -> Run:
         When the folder is no finished run, a file in it is not what the run wrote, or another
         process changes it meanwhile.
     """
-    folder = Path(folder)
+    folder = path_of("folder", folder, StoreError)
     check_links(folder)
     manifest = read_manifest(folder)
     with reading(folder, manifest):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from os import PathLike, fspath
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.population.population import Population
-from mfd_bayes.records.numbers import whole_number
+from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.records.regular import path_of
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.choice import Choice
@@ -36,12 +37,12 @@ class Source:
     system: System
 
 
-Grounds = Sequence[Ground | str | Path] | Ground | str | Path
+Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
 
 
 def respond_of_run(
     source: Source,
-    building: Building | str | Path,
+    building: Building | str | PathLike[str],
     grounds: Grounds,
     *,
     draws: int = 300,
@@ -80,11 +81,12 @@ def respond_of_run(
     """
     choice = Choice(kind, draws, seed)
     whole_number("jobs", jobs, 0, BuildingError)
+    tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
+    if not callable(observe):
+        raise BuildingError(f"observe must be a function, got {observe!r}")
     built = building if isinstance(building, Building) else read_building(building)
     moved = grounds_of(grounds)
     check_actuation(source, built)
-    if not 0.0 < tolerance < 1.0:
-        raise BuildingError(f"tolerance must lie between 0 and 1, got {tolerance}")
     dampers = draw_dampers(source.population, source.model, built, choice)
     found = Analysis(built, moved, dampers, Accuracy(tolerance=tolerance)).respond(jobs, observe)
     remarks = (*remarks_of(source, found), *uncovered(built, moved), *found.faults)
@@ -92,17 +94,28 @@ def respond_of_run(
 
 
 def grounds_of(grounds: Grounds) -> list[Ground]:
-    """Ground motions of what is given."""
-    one = isinstance(grounds, Ground | str | Path)
-    given: Iterable[Ground | str | Path] = [grounds] if one else grounds  # type: ignore[list-item,assignment]
-    found = [g if isinstance(g, Ground) else _read(str(g)) for g in given]
+    """Ground motions of what is given.
+
+    Raises
+    ------
+    BuildingError
+        When there is none, or one is neither a ground motion nor a path of one.
+    """
+    if isinstance(grounds, Ground | str | PathLike):
+        grounds = [grounds]
+    elif isinstance(grounds, bytes | Mapping) or not isinstance(grounds, Iterable):
+        raise BuildingError(
+            f"grounds must be a Ground or a path, or several of them, got {grounds!r}"
+        )
+    found = [one if isinstance(one, Ground) else _read(one) for one in grounds]
     if not found:
         raise BuildingError("give at least one ground motion")
     return found
 
 
-def _read(text: str) -> Ground:
-    path, step, unit = parse_ground(text)
+def _read(given: str | PathLike[str]) -> Ground:
+    path_of("a ground motion", given, BuildingError)
+    path, step, unit = parse_ground(fspath(given), of="ground")
     return read_ground(path, step=step, unit=unit)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,46 +13,46 @@ import numpy as np
 from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.errors import FitError
 from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Effort
 from mfd_bayes.population.band import Band
+from mfd_bayes.population.checks import check_flag
 from mfd_bayes.population.follow import Forecaster
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.kinds import THIS_TEST
-from mfd_bayes.population.pace import Pace
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Predictor
 from mfd_bayes.population.sequel import Ending
 from mfd_bayes.population.setting import planned_setting
-from mfd_bayes.population.shares import PERMUTATIONS
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs import asked
 from mfd_bayes.runs.folder import POPULATION, check_stored
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.named import Named
 from mfd_bayes.runs.order import NO_GAP, Order, StoredPooled
 from mfd_bayes.runs.reading import reading
+from mfd_bayes.runs.steps import RunSteps
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
 from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given
-from mfd_bayes.store.cards import counted, grid
 
 if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(RunSteps):
     """A run folder.
 
     Attributes
     ----------
     tests : mapping of str to TestResult
-        Calibrated tests.
+        Calibrated tests; it cannot be changed.
     held_out : mapping of str to Trace
-        Tests with role "validate".
+        Tests with role "validate"; likewise.
     """
 
     folder: Path
@@ -62,12 +62,9 @@ class Run:
     held_out: Mapping[str, Trace]
     extras: Extras | None = field(default=None, repr=False)
 
-    def _repr_html_(self) -> str:
-        judged = self.manifest.verdicts
-        rows = ((name, judged.get(name, "")) for name in self.tests)
-        title = f"{self.manifest.title}: {counted(len(self.tests), 'calibrated test')}"
-        sentence = asked.sentence_of(self.manifest, self.system)
-        return grid(title, ("test", "may be used"), rows, sentence)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tests", Named("calibrated test", self.tests))
+        object.__setattr__(self, "held_out", Named("held-out test", self.held_out))
 
     @cached_property
     def population(self) -> Population:
@@ -112,18 +109,14 @@ class Run:
 
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
+        check_trace("trace", trace, FitError)
         unit = self.actuation_unit
         tested = range_of([self.tests[test].trace], unit) if test else self.tested
         return departures(tested, trace, unit)
 
-    @cached_property
-    def _pace(self) -> Pace:
-        """Rates at which the calibrated tests were fitted."""
-        return Pace.of(test.trace for test in self.tests.values())
-
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
-        return self.manifest.settings.tests[name].session
+        return Named("test", self.manifest.settings.tests)[name].session
 
     @cached_property
     def order(self) -> Order:
@@ -187,12 +180,14 @@ class Run:
         Raises
         ------
         FitError
-            When the trace has no actuation, kind, probability, test, given window or test before
-            is invalid, the trace has no force there, or the run cannot be used to recalibrate.
+            When the trace has no actuation, an option is of another type or unknown, the trace has
+            no force in the given window, or the run cannot be used to recalibrate.
         """
+        check_trace("trace", trace, FitError)
+        check_flag("recalibrate", recalibrate)
         if given is not None:
             asked.check_given(test, after, recalibrate=recalibrate)
-        permutations = PERMUTATIONS if explain is True else int(explain)
+        permutations = asked.permutations_of(explain)
         forecast = Forecast(kind, probability, draws, seed, session, whole, permutations)
         scores = asked.left_out_factors(self.manifest, self.folder, forecast) if recalibrate else ()
         predictor = self._predictor()
@@ -200,10 +195,7 @@ class Run:
         if given is not None:
             band = predict_given(predictor, trace, forecast, given, self._pace)
         elif kind == THIS_TEST or test:
-            name = asked.this_test(self.tests, self.held_out, forecast, test)
-            asked.check_level(name, self.tests[name].trace, trace, self.actuation_unit)
-            own = replace(forecast, session=self.session(name))
-            band = predictor.repeat(trace, own, self.tests[name].stored.values())
+            band = self._repeated(trace, forecast, test)
         else:
             band = predictor.predict(trace, forecast)
         left = self.departures(trace, test)
@@ -214,14 +206,24 @@ class Run:
         return asked.recalibrated(band, scores, self.manifest) if recalibrate else band
 
     def respond(
-        self, building: Any, grounds: Any, draws: int = 300, seed: int = 1, **settings: Any
+        self,
+        building: Any,
+        grounds: Any,
+        draws: int = 300,
+        seed: int = 1,
+        *,
+        kind: str = "new_test",
+        tolerance: float = 0.01,
+        jobs: int = 1,
+        observe: Callable[[Any], None] = lambda step: None,
     ) -> Response:
         """Response of a building with this device as its dampers; see `respond_of_run`."""
-        from mfd_bayes.runs.response import Source, respond_of_run
+        from mfd_bayes.runs.response import respond_of_run
 
-        model = next(iter(self.tests.values())).posterior.model
-        source = Source(self.population, model, self.actuation_unit, self.tested, self.system)
-        return respond_of_run(source, building, grounds, draws=draws, seed=seed, **settings)
+        how: dict[str, Any] = {"kind": kind, "tolerance": tolerance, "jobs": jobs}
+        return respond_of_run(
+            self._source(), building, grounds, draws=draws, seed=seed, observe=observe, **how
+        )
 
     def follow(
         self,
@@ -258,13 +260,15 @@ class Run:
         Raises
         ------
         FitError
-            When the actuation is none, or the model has no steps.
+            When an option is of another type or unknown, or the model has no steps.
         """
         tested = self.population.layout.settings
         planned = {"amplitude": amplitude, "velocity": velocity}
         setting = planned_setting(tested, actuation, session, planned)
         forecast = Forecast(kind, probability, draws, seed, session)
-        return Forecaster(self._predictor(), setting, forecast, self._pace, refresh=refresh)
+        found = Forecaster(self._predictor(), setting, forecast, self._pace, refresh=refresh)
+        found.complete = self._following(setting)
+        return found
 
     def next_test(
         self,
@@ -281,7 +285,7 @@ class Run:
         ----------
         goal : str or Goal, optional
             "energy at 1000 psi, 0.5 Hz, 1 in"; by default the campaign file's, or "band".
-        candidates : str or sequence, optional
+        candidates : str or Candidate, or several, optional
             "500|1350 psi, 0.5 Hz, 1 in"; by default a grid from the campaign's range.
         limits : str or Limits, optional
             Of the actuator, "10 in/s, 6 in, 20 kip".
@@ -289,12 +293,8 @@ class Run:
         Raises
         ------
         CampaignError
-            When a text is not understood, or the limits leave no candidate.
+            When an option is of another type or not understood, or the limits leave no candidate.
         """
         wanted = stored_wish(self.folder, self.manifest)
         wanted = with_given(wanted, self.manifest, goal, candidates, limits)
         return next_test(self.population, self.tests, self.manifest, wanted, Effort(draws, seed))
-
-    def _predictor(self) -> Predictor:
-        some = next(iter(self.tests.values())).posterior
-        return Predictor(self.population, some.model, some.noise)

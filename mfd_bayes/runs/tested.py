@@ -152,11 +152,16 @@ def departures(tested: Iterable[Span], trace: Trace, actuation_unit: str) -> tup
     A peak speed below those of the tests is none: every test passes through all speeds down to
     rest. A stroke below is one, for the damper may then not slip at all.
     """
-    asked = {span.name: span for span in reach_of(trace, actuation_unit)}
+    return leaving(tested, reach_of(trace, actuation_unit))
+
+
+def leaving(tested: Iterable[Span], asked: Iterable[Span]) -> tuple[Departure, ...]:
+    """Which of the conditions that are asked for lie outside what was tested."""
+    known = {span.name: span for span in asked}
     return tuple(
-        Departure(asked[span.name], span)
+        Departure(known[span.name], span)
         for span in tested
-        if span.name in asked and _leaves(asked[span.name], span)
+        if span.name in known and _leaves(known[span.name], span)
     )
 
 

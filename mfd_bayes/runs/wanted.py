@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,8 +18,9 @@ from mfd_bayes.planning.study import Effort, Situation, advise
 from mfd_bayes.population.population import Population
 from mfd_bayes.runs.folder import CAMPAIGN, check_stored
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.units import ActuationUnit
 
-Candidates = str | Sequence[str | Candidate]
+Candidates = str | Candidate | Iterable[str | Candidate]
 """Tests in words, or as they are."""
 
 
@@ -43,27 +44,41 @@ def with_given(
     Raises
     ------
     CampaignError
-        When a text is not understood.
+        When one of them is of another type, or a text is not understood.
     """
     unit = manifest.settings.actuation_unit
     if isinstance(goal, str):
-        goal = replace(parse_goal(goal, unit), session=wanted.goal.session)
-    elif goal is not None:
+        goal = replace(parse_goal(goal, unit, of="goal"), session=wanted.goal.session)
+    elif isinstance(goal, Goal):
         check_goal(goal, of="goal")
+    elif goal is not None:
+        raise CampaignError(f"goal must be text such as 'band', or a Goal, got {goal!r}")
     if isinstance(limits, str):
-        limits = parse_limits(limits)
-    chosen = wanted.candidates if candidates is None else _parsed(candidates, manifest)
+        limits = parse_limits(limits, of="limits")
+    elif not isinstance(limits, Limits | None):
+        raise CampaignError(
+            f"limits must be text such as '10 in/s, 6 in, 20 kip', or Limits, got {limits!r}"
+        )
+    chosen = wanted.candidates if candidates is None else _parsed(candidates, unit)
     return Wanted(goal or wanted.goal, chosen, limits or wanted.limits)
 
 
-def _parsed(candidates: Candidates, manifest: Manifest) -> list[Parts]:
-    unit = manifest.settings.actuation_unit
-    if isinstance(candidates, str):
-        return parse_tests(candidates, unit)
+def _parsed(candidates: Candidates, unit: ActuationUnit) -> list[Parts]:
+    if isinstance(candidates, bytes | Mapping) or not isinstance(candidates, Iterable | Candidate):
+        raise CampaignError(
+            f"candidates must be tests in words or Candidates, one or several, got {candidates!r}"
+        )
     found: list[Parts] = []
-    for one in candidates:
-        found += [Parts(**vars(one))] if isinstance(one, Candidate) else parse_tests(one, unit)
-    return found or parse_tests("", unit)
+    for one in [candidates] if isinstance(candidates, str | Candidate) else candidates:
+        if isinstance(one, Candidate):
+            found.append(Parts(**vars(one)))
+        elif isinstance(one, str):
+            found += parse_tests(one, unit, of="candidates")
+        else:
+            raise CampaignError(
+                f"candidates must be tests in words or Candidates, and there is {one!r} among them"
+            )
+    return found or parse_tests("", unit, of="candidates")
 
 
 def next_test(

@@ -149,11 +149,15 @@ def test_another_waveform_is_no_repeat():
     ("wrong", "said"),
     [
         ({"waveform": "sawtooth"}, "waveform of a test must be sine or triangle"),
-        ({"cycles": 0}, "cycles of a test must be a number at least 1 and at most 100"),
-        ({"cycles": 1e6}, "at most 100"),
-        ({"frequency": 0.0}, "frequency of a test must be a number above 0"),
-        ({"amplitude": "1"}, "amplitude of a test must be a number above 0"),
-        ({"price": -1.0}, "price of a test must be a number at least 0"),
+        ({"cycles": 0}, "cycles of a test must be a number from 1 to 100, got 0"),
+        ({"cycles": 1e6}, "from 1 to 100"),
+        ({"frequency": 0.0}, "frequency of a test must be a finite number above 0"),
+        ({"amplitude": "1"}, "amplitude of a test must be a finite number above 0"),
+        ({"price": -1.0}, "price of a test must be a finite number of at least 0"),
+        (
+            {"actuation": True},
+            "actuation of a test must be a finite number of at least 0, got True",
+        ),
     ],
 )
 def test_what_is_no_test_is_refused(wrong, said):
@@ -162,6 +166,23 @@ def test_what_is_no_test_is_refused(wrong, said):
 
 
 def test_what_is_no_limit_is_refused():
-    for wrong in ({"velocity": np.nan}, {"force": 0.0}, {"stroke": "6"}):
-        with pytest.raises(CampaignError, match="must be a number above 0"):
+    for wrong in ({"velocity": np.nan}, {"force": 0.0}, {"stroke": "6"}, {"stroke": True}):
+        with pytest.raises(CampaignError, match="must be a finite number above 0"):
             Limits(**wrong)
+
+
+def test_limits_allow_candidates_alone():
+    for wrong in (None, "500 psi, 0.5 Hz, 1 in"):
+        with pytest.raises(CampaignError, match="candidate must be a Candidate"):
+            Limits(velocity=1.0).allow(wrong)
+
+
+def test_numbers_of_any_kind_make_the_same_test():
+    made = Candidate(np.float32(1.0), np.int64(1), np.array(1.0))
+    assert made == Candidate(1.0, 1.0, 1.0)
+    assert hash(made) == hash(Candidate(1.0, 1.0, 1.0))
+
+
+def test_parts_of_a_list_of_tests_are_texts():
+    with pytest.raises(CampaignError, match="candidates: a test reads"):
+        parse_tests(["500 psi", 5], "ksi", of="candidates")

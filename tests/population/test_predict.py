@@ -272,7 +272,13 @@ def test_a_setting_is_what_the_trace_shows():
         ({"probability": 1.5}, "between 0 and 1, got 1.5"),
         ({"probability": 0.0}, "between 0 and 1"),
         ({"probability": float("nan")}, "between 0 and 1"),
-        ({"draws": 3}, "at least 10 draws, got 3"),
+        ({"probability": "0.9"}, "between 0 and 1, got '0.9'"),
+        ({"probability": None}, "between 0 and 1, got None"),
+        ({"probability": [0.9]}, r"between 0 and 1, got \[0.9\]"),
+        ({"draws": 3}, "draws must be a whole number, 10 or more, got 3"),
+        ({"draws": "20"}, "draws must be a whole number, 10 or more, got '20'"),
+        ({"session": ["a"]}, r"session must be text, got \['a'\]"),
+        ({"whole": "no"}, "whole must be True or False, got 'no'"),
     ],
 )
 def test_a_forecast_that_makes_no_sense_is_refused(fault, words):

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mfd_bayes.assessment.views import Array, Fan
+from mfd_bayes.errors import ReportError
 from mfd_bayes.records.motion import HYSTERESIS, turning_points
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
@@ -22,6 +23,21 @@ def new_axes() -> Axes:
     pyplot: Any = sys.modules.get("matplotlib.pyplot")
     figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
     axes: Axes = figure.add_subplot()
+    return axes
+
+
+def checked_axes(axes: Any) -> Axes:
+    """The axes that are given, or those of a new figure.
+
+    Raises
+    ------
+    ReportError
+        When something else is given.
+    """
+    if axes is None:
+        return new_axes()
+    if not isinstance(axes, Axes):
+        raise ReportError(f"axes must be axes of Matplotlib, got {axes!r}")
     return axes
 
 
