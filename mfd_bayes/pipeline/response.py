@@ -11,17 +11,8 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, StoreError
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.pipeline.outputs import write_picture
-from mfd_bayes.reporting.response_page import ResponseView, render_response
-from mfd_bayes.reporting.response_tables import (
-    draws_csv,
-    limits_csv,
-    peaks_csv,
-    peaks_tex,
-    response_json,
-    shares_csv,
-    sweep_csv,
-)
+from mfd_bayes.pipeline.response_files import MARKER, write_response
+from mfd_bayes.reporting.response_page import ResponseView
 from mfd_bayes.reporting.sweep_words import sweep_sentence
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.example import example_building, example_ground
@@ -34,13 +25,10 @@ from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.response import check_kind, grounds_of
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, SYSTEMS, US, System, named_system
+from mfd_bayes.runs.systems import SI, SYSTEMS, System, named_system
 from mfd_bayes.store.files import write_text
 
 Array = NDArray[np.float64]
-
-MARKER = "response.json"
-"""A folder with this file was written by this command, and may be written again."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +146,7 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
             sweep, told = _swept(levels, each, query)
             response = replace(response, remarks=(*response.remarks, *told))
     view = view_of(run, response, sweep, query, system)
-    _write(response, sweep, view, query, system)
+    write_response(query.folder, response, sweep, view, system)
     return Found(response, sweep, view, query.folder / "report.html")
 
 
@@ -209,8 +197,9 @@ def view_of(
     title = f"{response.building.title}: response with dampers"
     count = len(response.building.devices)
     about = (
-        f"{response.draws} draws of kind {query.kind} of the device in {run.folder.name}, "
-        f"{count} damper{'' if count == 1 else 's'}, {len(response.grounds)} ground "
+        f"{response.draws} draws of kind {query.kind} of the device in "
+        f"{run.folder.resolve().name}, {count} damper{'' if count == 1 else 's'}, "
+        f"{len(response.grounds)} ground "
         f"motion{'s' if several else ''}, fundamental period "
         f"{response.building.modes.periods[0]:.3g} s."
     )
@@ -271,30 +260,3 @@ def _verdict(response: Response, system: System) -> list[str]:
             f"{100 * one.probability:.3g} % (standard error {100 * one.error:.2g} %)."
         )
     return found
-
-
-def _write(
-    response: Response, sweep: Sweep | None, view: ResponseView, query: Query, system: System
-) -> None:
-    from mfd_bayes.reporting.figures import to_png
-    from mfd_bayes.reporting.figures.response import figures_of
-
-    folder = query.folder
-    about = {"title": view.title, "verdict": list(view.verdict), "remarks": list(view.remarks)}
-    write_text(folder / MARKER, response_json(view.rows, view.limits, dict(about)))
-    write_text(folder / "peaks.csv", peaks_csv(view.rows, system))
-    write_text(folder / "peaks.tex", peaks_tex(view.rows, system))
-    write_text(folder / "limits.csv", limits_csv(view.limits, system))
-    write_text(folder / "shares.csv", shares_csv({k: dict(v) for k, v in view.shares.items()}))
-    write_text(folder / "draws.csv", draws_csv(response, system))
-    if sweep is not None:
-        write_text(folder / "sweep.csv", sweep_csv(sweep, system))
-    images = {}
-    for of in SYSTEMS:
-        for name, figure in figures_of(response, sweep, of):
-            images[f"{name}_{of.name}"] = to_png(figure)
-            if of is system:
-                write_picture(folder / f"{name}.png", images[f"{name}_{of.name}"])
-    write_text(
-        folder / "report.html", render_response(replace(view, metric=system is not US), images)
-    )
