@@ -159,7 +159,7 @@ def _session(options: Options) -> dict[str, Any]:
     return {
         "status": Status.RUNNING,
         "format": FORMAT,
-        "command": options.command,
+        "command": options.command.encode(errors="backslashreplace").decode(),  # any path's name
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": options.seed,
         "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},

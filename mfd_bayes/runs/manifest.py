@@ -185,6 +185,9 @@ def check_readable(manifest: Manifest) -> None:
     CampaignError
         When a key has a value that the run folder may not hold, or another one once it is read.
     """
+    for name in manifest.inputs:
+        if any("\ud800" <= c <= "\udfff" for c in name):  # Python's sign of other bytes
+            raise CampaignError(f"the name of the file {name!r} is not UTF-8: rename it")
     written = json.loads(json_text(manifest.content))
     try:
         again = check(Manifest, written, "the manifest")

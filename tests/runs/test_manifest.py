@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 import time
 from contextlib import suppress
@@ -11,8 +12,9 @@ from types import ModuleType
 
 import pytest
 
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.commands import effort_of, report
+from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored
 from mfd_bayes.runs.manifest import read_begun, read_manifest
 from mfd_bayes.runs.opening import open_run
@@ -258,6 +260,24 @@ def test_settings_with_endless_names_are_told_in_a_sentence(resumed):
     with pytest.raises(StoreError, match=r"settings .*and more") as caught:
         resume(plan, out)
     assert len(str(caught.value)) < 1500
+
+
+def test_a_folder_whose_name_is_no_text_holds_a_campaign_as_any_other(benchmark_module, tmp_path):
+    seeds = benchmark_module("fuzz.seeds")
+    home = tmp_path / os.fsdecode(b"cam\xe9p")
+    home.mkdir()
+    (home / "campaign.toml").write_text(
+        '[campaign]\npriors = "own.toml"\nmodel = "lugre"\nnoise = "iid"\n'
+        '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n'
+    )
+    (home / "own.toml").write_bytes(seeds.priors())
+    (home / "a.csv").write_bytes(seeds.texts()[0])
+    command = f"mfd-bayes calibrate {home}/campaign.toml"
+    found = plan_campaign(home / "campaign.toml", Options(effort="quick", command=command))
+    assert found.manifest.command.endswith("cam\\udce9p/campaign.toml")
+    named = (home / "campaign.toml").rename(home / os.fsdecode(b"\xe9.toml"))
+    with pytest.raises(CampaignError, match=r"name of the file '\\udce9.toml' is not UTF-8"):
+        plan_campaign(named, Options(effort="quick"))
 
 
 def test_a_manifest_that_is_not_there_is_said_to_be_missing(tmp_path):
