@@ -235,10 +235,12 @@ def split_quantity(text: str, *, of: str = "", example: str = "500 psi") -> tupl
     UnitError
         When it is not a number and a unit.
     """
+    expected = f"{of + ': ' if of else ''}expected a number and a unit such as {example!r}"
+    if not isinstance(text, str):
+        raise UnitError(f"{expected}, got {text!r}")
     # The time of matching grows with the square of the number of blanks.
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     text = text if len(text) <= _LONGEST else f"{text[:40]}…"
-    expected = f"{of + ': ' if of else ''}expected a number and a unit such as {example!r}"
     if _GROUPED.match(text):
         raise UnitError(f"{expected}, got {text!r}; write the number without thousands separators")
     if match is None:
@@ -262,7 +264,7 @@ def _registry() -> UnitRegistry[Any]:
 def _parse(unit: str, named: str) -> Any:
     """Unit of a text, as pint has it."""
     unknown = f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
-    text = unit.strip().removesuffix(".")
+    text = unit.strip().removesuffix(".") if isinstance(unit, str) else ""
     if not text or len(text) > 60 or not _UNIT.fullmatch(text):
         raise UnitError(unknown)
     plain = re.sub(r"[A-Za-z_]+", lambda word: _spelled(word[0]), text)
@@ -277,10 +279,8 @@ def _parse(unit: str, named: str) -> Any:
 def _spelled(word: str) -> str:
     """Word of a unit in pint's spelling."""
     lower = word.lower()
-    if word in _SPELLINGS:
-        return _SPELLINGS[word]
-    if len(word) > 2 and lower in _SPELLINGS:
-        return _SPELLINGS[lower]
+    if known := _SPELLINGS.get(word) or (_SPELLINGS.get(lower) if len(word) > 2 else None):
+        return known
     # A longer word is no symbol but a name: "Newtons".
     return lower if len(word) > 4 else word
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.records.numbers import real_number, whole_number
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Length and targets of a sampling.
+    """Length and targets of a sampling; a FitError where one is no number that can be one.
 
     Attributes
     ----------
@@ -42,6 +44,14 @@ class Effort:
     kept: int = 3000
     starts: int = 24
 
+    def __post_init__(self) -> None:
+        for name in ("ess", "r_hat"):
+            value = getattr(self, name)
+            real_number(f"{name} of an effort", value, FitError, (0.0, inf), inside=True)
+        real_number("length of an effort", self.length, FitError, (0.0, inf))
+        for name in ("limit", "ensembles", "walkers", "kept", "starts"):
+            whole_number(f"{name} of an effort", getattr(self, name), 1, FitError)
+
 
 EFFORTS = {
     "quick": Effort(name="quick", ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
@@ -60,6 +70,6 @@ def find_effort(effort: str | Effort) -> Effort:
     """
     if isinstance(effort, Effort):
         return effort
-    if effort not in EFFORTS:
+    if not isinstance(effort, str) or effort not in EFFORTS:
         raise FitError(f"unknown effort {effort!r}: expected one of {', '.join(EFFORTS)}")
     return EFFORTS[effort]

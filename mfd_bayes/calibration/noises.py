@@ -31,6 +31,6 @@ def find_noise(name: str) -> Noise:
     FitError
         When there is none; the names that there are are listed.
     """
-    if name not in NOISES:
+    if not isinstance(name, str) or name not in NOISES:
         raise FitError(f"unknown noise {name!r}: expected one of {', '.join(NOISES)}")
     return NOISES[name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mfd_bayes.calibration.mask import first_slip
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.pivot import Pivot, find_pivots
@@ -19,10 +19,11 @@ from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import quantities_of_fit
 from mfd_bayes.calibration.shown import ShownPosterior
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.columns import columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.records.numbers import real_numbers, whole_number
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,7 @@ _UNSAMPLED = MappingProxyType({"gamma1": 1.0, "start": 0.5})
 """Values where these are not sampled. Every stored test has both, whatever its model."""
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True, init=False, eq=False)
 class Posterior(ShownPosterior):
     """Density of the parameters of one test, given its record (model.md section 5).
 
@@ -85,7 +86,7 @@ class Posterior(ShownPosterior):
         *,
         start: str = "sample",
     ) -> None:
-        if trace.force is None:
+        if check_trace("trace", trace, FitError).force is None:
             raise FitError("a posterior needs a trace with a measured force")
         chosen = find_model(model) if isinstance(model, str) else model
         if not isinstance(chosen, Model):
@@ -108,7 +109,7 @@ class Posterior(ShownPosterior):
             "priors": chosen_priors,
             "names": names,
             "pivots": find_pivots(trace, names, chosen_priors),
-            "first": _first_slip(trace, file, chosen) if start == "mask" else 0,
+            "first": first_slip(trace, file, chosen) if start == "mask" else 0,
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
@@ -132,14 +133,15 @@ class Posterior(ShownPosterior):
         Raises
         ------
         FitError
-            When the shape does not fit or q holds NaN.
+            When the shape does not fit, q holds NaN, or `least` is no number.
         """
         points = self._check(q)
+        limit = least if least == -np.inf else real_number("least", least, FitError)
         density = self.log_prior(points)
-        density[self._surely_below(points, density, least)] = -np.inf
+        density[self._surely_below(points, density, limit)] = -np.inf
         inside = np.isfinite(density)
         if np.any(inside):
-            density[inside] += self.log_likelihood(points[inside])
+            density[inside] += self._log_likelihood(points[inside])
         if np.any(np.isnan(density)):
             raise FitError("the log posterior is not a number: please report this as a bug")
         return density
@@ -167,18 +169,25 @@ class Posterior(ShownPosterior):
     def log_likelihood(self, q: ArrayLike) -> Array:
         """Log likelihood of q, (n, dim) -> (n,); −inf where the force is beyond all range.
 
-        Many points of a long record are computed some at a time, to bound the memory.
+        It is −inf too where the prior has no density, since a value there may be none of a damper.
         """
         points = self._check(q)
+        density = np.full(len(points), -np.inf)
+        inside = np.isfinite(self.log_prior(points))
+        density[inside] = self._log_likelihood(points[inside])
+        return density
+
+    def _log_likelihood(self, points: Array) -> Array:
+        """As `log_likelihood`; many points of a long record some at a time, to bound the memory."""
         if len(points) == 0:
             return np.empty(0)
         parts = -(-len(points) * self.trace.samples // AT_ONCE)
         if parts > 1:
             some = np.array_split(points, min(parts, len(points)))
-            return np.concatenate([self._log_likelihood(part) for part in some])
-        return self._log_likelihood(points)
+            return np.concatenate([self._likelihood_of_some(part) for part in some])
+        return self._likelihood_of_some(points)
 
-    def _log_likelihood(self, points: Array) -> Array:
+    def _likelihood_of_some(self, points: Array) -> Array:
         values = self.values(points)
         kept = slice(self.first, None)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -206,16 +215,17 @@ class Posterior(ShownPosterior):
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        chosen = self.trace if trace is None else trace
-        theta = self.theta(values)
-        return self.model.force_unbounded(theta, chosen, values["start"], scales=scales)
+        chosen = self.trace if trace is None else check_trace("trace", trace, FitError)
+        theta, start = self.theta(values), named_columns(values, ("start",))["start"]
+        return self.model.force_unbounded(theta, chosen, start, scales=scales)
 
     def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""
         if not self.noise.needs_travel:
             return None
-        chosen = self.trace if trace is None else trace
-        return self.model.travel(self.theta(values), chosen, values["start"])
+        chosen = self.trace if trace is None else check_trace("trace", trace, FitError)
+        theta, start = self.theta(values), named_columns(values, ("start",))["start"]
+        return self.model.travel(theta, chosen, start)
 
     def values(self, q: ArrayLike) -> dict[str, Array]:
         """Values of all quantities of q by name, (n,) each, internal units.
@@ -237,7 +247,8 @@ class Posterior(ShownPosterior):
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""
-        own = [self.priors[name].coordinate(values[name]) for name in self.names]
+        known = named_vectors(values, self.names)
+        own = [self.priors[name].coordinate(value) for name, value in known.items()]
         return self.from_own(np.stack(own, axis=1))
 
     def to_own(self, points: Array) -> Array:
@@ -264,36 +275,19 @@ class Posterior(ShownPosterior):
         Raises
         ------
         FitError
-            When n is no whole number, 0 or more.
+            When n is no whole number, 0 or more, or rng is no generator of random numbers.
         """
+        if not isinstance(rng, np.random.Generator | np.random.RandomState):
+            raise FitError(f"rng must be a generator, as np.random.default_rng(1), got {rng!r}")
         if whole_number("the number of draws", n, 0, FitError) == 0:
             return {name: values[:0] for name, values in self.draw_prior(rng, 1).items()}
         defaults = {k: np.full(n, v) for k, v in self._defaults.items()}
         return defaults | {name: prior.draw(rng, n) for name, prior in self.priors.items()}
 
     def _check(self, q: ArrayLike) -> Array:
-        points = real_numbers("q", q, FitError)
+        points = columns_in_order("q", q, self.names)
         if points.ndim != 2 or points.shape[1] != self.dim:
             raise FitError(f"q must have shape (n, {self.dim}), got {points.shape}")
         if np.any(np.isnan(points)):
             raise FitError("q holds NaN")
         return points
-
-
-def _first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
-    """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
-    gap = file.gap
-    if gap is None and not model.has_gap:
-        return 0
-    if gap is None:
-        raise FitError(
-            f"start = 'mask' needs the width of the gap: {file.path.name} has no priors of d2 and "
-            "d3, and none of gap"
-        )
-    for begin, end in itertools.pairwise([0, *trace.turning_points.tolist()]):
-        if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
-            return int(end)
-    raise FitError(
-        "start = 'mask' needs a record that goes on after a stroke of twice the prior's gap: what "
-        "comes before is not fitted"
-    )

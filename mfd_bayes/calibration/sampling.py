@@ -90,20 +90,23 @@ def sample(
     ----------
     effort : {"standard", "quick", "thorough"} or Effort
     seed : int or sequence of int
-        The same seed gives the same draws.
+        The same seed gives the same draws. A sequence of one number is that number.
     report : callable, optional
         Called with a `Progress` after every block of steps.
 
     Raises
     ------
     FitError
-        When the prior has no mass at any start, the effort is unknown or the seed is negative.
+        When the prior has no mass at any start, or an argument is none of those above.
     """
     from mfd_bayes.calibration.ensembles import sample_density  # emcee takes long to import
 
     began = time.perf_counter()
-    chosen = find_effort(effort)
-    rng = np.random.default_rng(check_seed(seed))
+    if not isinstance(posterior, Posterior):
+        raise FitError(f"posterior must be a Posterior, got {type(posterior).__name__}")
+    if report is not None and not callable(report):
+        raise FitError(f"report must be a function of one argument, a Progress, got {report!r}")
+    chosen, rng = find_effort(effort), generator_of(seed)
     modes = find_modes(posterior, rng, starts=chosen.starts)
     chains = sample_density(
         posterior.log_prob,
@@ -132,17 +135,24 @@ def sample(
     )
 
 
-def check_seed(seed: int | Sequence[int]) -> int | Sequence[int]:
-    """A seed, unchanged.
+def generator_of(seed: int | Sequence[int]) -> np.random.Generator:
+    """Random numbers of a seed.
+
+    NumPy takes [1, 0] for [1]: here the number of zeros at the end of a sequence counts too.
 
     Raises
     ------
     FitError
-        When it is neither a whole number, 0 or more, nor a sequence of such.
+        When it is neither a whole number, 0 or more, nor a sequence of such that is not empty.
     """
-    for one in seed if isinstance(seed, Sequence | np.ndarray) else (seed,):
-        whole_number("seed", one, 0, FitError)
-    return seed
+    several = isinstance(seed, Sequence) or (isinstance(seed, np.ndarray) and seed.ndim > 0)
+    if not several or isinstance(seed, int | str | bytes):
+        return np.random.default_rng(whole_number("seed", seed, 0, FitError))
+    words = [whole_number("seed", one, 0, FitError) for one in seed]
+    if not words:
+        raise FitError("seed must be a whole number, 0 or more, or some of them, got none")
+    zeros = len(words) - 1 - max((i for i, word in enumerate(words) if word), default=0)
+    return np.random.default_rng(np.random.SeedSequence(words, spawn_key=(zeros,) if zeros else ()))
 
 
 def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:

@@ -12,16 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.arrays import add_outer
+from mfd_bayes.friction.columns import named_columns
 from mfd_bayes.friction.course import Place, cut_few
-from mfd_bayes.friction.damper import SIDES, Damper
+from mfd_bayes.friction.damper import Damper
 from mfd_bayes.friction.driven import Drive, courses, follow, rows_of
+from mfd_bayes.friction.evaluation import check_start, check_state
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.paper import quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.single import Bent, advance_few
-from mfd_bayes.friction.three_stage import check_start
 from mfd_bayes.friction.yield_shares import (
     Shares,
+    check_level,
     check_reference,
     check_step,
     reference_of,
@@ -192,8 +194,8 @@ class BacklashLuGre(Model):
         """
         damper = _damper(self, theta)
         z = damper.begin(check_start(start, damper.size))
-        check_reference(reference_actuation)
-        return State(damper, reference_actuation, (z, *damper.spring.evaluate(z)))
+        reference = check_reference(reference_actuation)
+        return State(damper, reference, (z, *damper.spring.evaluate(z)))
 
     def step(
         self,
@@ -225,11 +227,13 @@ class BacklashLuGre(Model):
             When a number is not finite, dt not positive, the actuation negative, or a name
             or a value in `scales` does not fit.
         """
+        check_state(state, State, self.name)
         first = bool(np.isnan(state.displacement))
-        check_step(displacement, velocity, dt, first=first)
-        state = replace(state, reference=reference_of(state.reference, actuation))
+        displacement, velocity, dt = check_step(displacement, velocity, dt, first=first)
+        level = check_level(actuation)
+        state = replace(state, reference=reference_of(state.reference, level))
         size = state.damper.size
-        shares = step_shares(size, state.reference, actuation, scales, ACTUATED)
+        shares = step_shares(size, state.reference, level, scales, ACTUATED)
         after = replace(state, displacement=displacement, velocity=velocity, shares=shares)
         if not first:
             after = _moved(state, after, dt)
@@ -237,16 +241,17 @@ class BacklashLuGre(Model):
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap D, (n,), in."""
-        return values["gap"]
+        return named_columns(values, ("gap",))["gap"]
 
     def crossing(self, values: Mapping[str, Array]) -> Array:
         """Travel from slip to slip, D + F_c,fwd/k_f + F_c,bwd/k_b, (n,), in."""
-        ways = [values[f"Fc_{side}"] / values[f"k_{side}"] for side in SIDES]
-        return values["gap"] + ways[0] + ways[1]
+        c = named_columns(values, ("gap", "Fc_fwd", "Fc_bwd", "k_fwd", "k_bwd"))
+        return c["gap"] + c["Fc_fwd"] / c["k_fwd"] + c["Fc_bwd"] / c["k_bwd"]
 
     def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """Where the spring bears at most `LITTLE` of the slip force: see `Model.unloaded`."""
-        return Damper(dict(values)).unloaded
+        needed = ("k_fwd", "k_bwd", "gap", "ell", "k_0", "Fc_fwd", "Fc_bwd")
+        return Damper(named_columns(values, needed)).unloaded
 
     def stages(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
@@ -330,7 +335,7 @@ def _of(share: Array, chosen: NDArray[np.intp]) -> Array:
 
 def _damper(model: BacklashLuGre, theta: ArrayLike) -> Damper:
     """Dampers of theta, or a FitError that names what does not fit."""
-    values = np.ascontiguousarray(model.vectors(theta).T)
+    values = np.array(model.vectors(theta).T, order="C")  # not the caller's
     columns = dict(zip(model.parameters, values, strict=True))
     for q in model.quantities:
         column = columns[q.name]

@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.evaluation import check_start, check_state
 from mfd_bayes.friction.hysteresis import Curve
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.yield_shares import (
     ACTUATED,
     Shares,
+    check_level,
     check_reference,
     check_step,
     reference_of,
@@ -133,6 +135,7 @@ class BoucWen(Model):
         """
         columns = _check_theta(self, theta)
         n = columns["k"].size
+        check_start(start, n)
         shares = trace_shares(trace, n, scales)
         t, x, v = trace.time, trace.displacement, trace.velocity
         left, place, vertex = vertices(t, x, v)
@@ -150,6 +153,18 @@ class BoucWen(Model):
             strength = _strength(columns, sign, *ends)
             z[:, begin:end] = _advance(curve, columns["k"], strength, z[:, begin - 1], way)
         return _total(columns, z[:, rows], trace.displacement - trace.displacement[0], v)
+
+    def end(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """½, (n,), 1: there is no gap; see `Model.end`."""
+        trace_shares(trace, _check_theta(self, theta)["k"].size, scales)
+        return super().end(theta, trace, start)
 
     def start(
         self,
@@ -175,9 +190,10 @@ class BoucWen(Model):
             When a shape or a value does not fit.
         """
         columns = _check_theta(self, theta)
-        check_reference(reference_actuation)
+        check_start(start, columns["k"].size)
+        reference = check_reference(reference_actuation)
         curve = Curve.of(columns["exponent"], columns["beta"], _ratio(columns), wide=True)
-        return State(columns, curve, reference_actuation, np.zeros(columns["k"].size))
+        return State(columns, curve, reference, np.zeros(columns["k"].size))
 
     def step(
         self,
@@ -209,10 +225,12 @@ class BoucWen(Model):
             When a number is not finite, dt not positive, the actuation negative, or a name
             or a value in `scales` does not fit.
         """
+        check_state(state, State, self.name)
         first = state.origin is None
-        check_step(displacement, velocity, dt, first=first)
-        state = replace(state, reference=reference_of(state.reference, actuation))
-        shares = step_shares(state.z.size, state.reference, actuation, scales)
+        displacement, velocity, dt = check_step(displacement, velocity, dt, first=first)
+        level = check_level(actuation)
+        state = replace(state, reference=reference_of(state.reference, level))
+        shares = step_shares(state.z.size, state.reference, level, scales)
         after = replace(
             state,
             origin=displacement if first else state.origin,
@@ -291,7 +309,7 @@ def _ratio(columns: dict[str, Array]) -> Array:
 
 def _check_theta(model: BoucWen, theta: ArrayLike) -> dict[str, Array]:
     """Columns of theta by name, (n,) each, or a FitError that names what does not fit."""
-    values = np.ascontiguousarray(model.vectors(theta).T)
+    values = np.array(model.vectors(theta).T, order="C")  # not the caller's
     columns = dict(zip(model.parameters, values, strict=True))
     for q in model.quantities:
         column = columns[q.name]

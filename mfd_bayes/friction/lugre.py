@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.bristles import friction_of, slip_force
-from mfd_bayes.friction.paper import actuate, check_theta, quantities_of
+from mfd_bayes.friction.evaluation import check_start
+from mfd_bayes.friction.paper import actuate, check_along, check_theta, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.records.trace import Trace
@@ -40,8 +41,24 @@ class LuGre(Stepped):
 
         theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
         """
-        columns = actuate(check_theta(self, theta), trace, scales)
-        return slip_force(friction_of(columns), trace.path)[0].T
+        columns = check_theta(self, theta)
+        if start is not None:
+            check_start(start, columns["v_s"].shape[1])
+        return slip_force(friction_of(actuate(columns, trace, scales)), trace.path)[0].T
+
+    def end(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None = None,
+        *,
+        scales: Mapping[str, Array] | None = None,
+    ) -> Array:
+        """½, (n,), 1: there is no gap; see `Model.end`."""
+        n = check_theta(self, theta)["v_s"].shape[1]
+        if scales is not None:
+            check_along(scales, trace, n)
+        return super().end(theta, trace, start)
 
     def start(
         self,
@@ -52,6 +69,8 @@ class LuGre(Stepped):
         reference_actuation: float | None = None,
     ) -> State:
         """State before the first sample of a motion; see `ThreeStage.start`."""
-        friction = friction_of(check_theta(self, theta))
+        columns = check_theta(self, theta)
+        check_start(start, columns["v_s"].shape[1])
+        friction = friction_of(columns)
         damper = Damper(friction, direction=direction, reference=reference_actuation)
         return State.at_rest(damper)

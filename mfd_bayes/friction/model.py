@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.evaluation import checked
+from mfd_bayes.friction.columns import columns_in_order, named_vectors
+from mfd_bayes.friction.evaluation import check_start, checked, of_trace
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.records.numbers import real_numbers
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
 
@@ -55,12 +55,17 @@ class Model:
     slip_forces: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
-        """Let `force` and `travel` of every model take empty batches, and give numbers alone."""
+        """Let `force` and `travel` of every model take empty batches, and give numbers alone.
+
+        `end` takes traces alone, as both of them do.
+        """
         super().__init_subclass__()
         if "force" in cls.__dict__:
             cls.force = checked(cls.force)  # type: ignore[method-assign]
         if "travel" in cls.__dict__:
             cls.travel = checked(cls.travel)  # type: ignore[method-assign]
+        if "end" in cls.__dict__:
+            cls.end = of_trace(cls.end)  # type: ignore[method-assign]
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -110,16 +115,29 @@ class Model:
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
-        return travel_since_turn(self.vectors(theta), trace)
+        check_trace("trace", trace, FitError)
+        values = self._finite(theta)
+        check_start(start, len(values))
+        return travel_since_turn(values, trace)
 
     def vectors(self, theta: ArrayLike) -> Array:
-        """Theta as numbers, (n, p), or a FitError that says what does not fit."""
-        values = real_numbers("theta", theta, FitError)
+        """Theta as numbers, (n, p), or a FitError that says what does not fit.
+
+        Of a table with named columns, such as a DataFrame, those of `parameters` are taken.
+        """
+        values = columns_in_order("theta", theta, self.parameters)
         width = len(self.parameters)
         if values.ndim != 2 or values.shape[1] != width:
             raise FitError(
                 f"theta must have shape (n, {width}) for {self.name}, got {values.shape}"
             )
+        return values
+
+    def _finite(self, theta: ArrayLike) -> Array:
+        """As `vectors`, of finite numbers alone."""
+        values = self.vectors(theta)
+        if not np.all(np.isfinite(values)):
+            raise FitError(f"theta must hold finite numbers alone for {self.name}")
         return values
 
     def end(
@@ -147,7 +165,10 @@ class Model:
         """
         if self.has_gap:
             raise FitError(f"the model {self.name} does not say where in its gap a motion ends")
-        return np.full(len(self.vectors(theta)), 0.5)
+        check_trace("trace", trace, FitError)
+        values = self._finite(theta)
+        check_start(start, len(values))
+        return np.full(len(values), 0.5)
 
     def start_at(
         self,
@@ -171,7 +192,7 @@ class Model:
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p), of values by name, (n,) each."""
-        return np.stack([values[name] for name in self.parameters], axis=1)
+        return np.stack(list(named_vectors(values, self.parameters).values()), axis=1)
 
     def composed(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Parameters that are computed from several of the sampled quantities."""

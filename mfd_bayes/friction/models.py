@@ -41,7 +41,7 @@ def find_model(name: str) -> Model:
     FitError
         When there is none; the names that there are are listed.
     """
-    base, plus, ending = name.partition("+")
+    base, plus, ending = name.partition("+") if isinstance(name, str) else ("", "", "")
     if base not in MODELS or (plus and ending not in ENDINGS):
         raise FitError(f"unknown model {name!r}: expected one of {', '.join(MODELS)}")
     return Weakened(MODELS[base], ENDINGS[ending]) if plus else MODELS[base]

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.columns import columns_in_order, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.yield_shares import check_shares
-from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -106,11 +106,11 @@ class PaperModel(Model):
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p): F_s = F_c (1 + excess), γ2 = ℓ γ1."""
-        known = dict(values)
+        known = named_vectors(values, [q.name for q in self.quantities if q.sampled])
         for static, (kinetic, excess) in _EXCESS.items():
-            known[static] = values[kinetic] * (1.0 + values[excess])
+            known[static] = known[kinetic] * (1.0 + known[excess])
         if "gamma2" in self.parameters:
-            known["gamma2"] = values["ell"] * values["gamma1"]
+            known["gamma2"] = known["ell"] * known["gamma1"]
         return super().theta(known)
 
     def vectors(self, theta: ArrayLike) -> Array:
@@ -118,7 +118,7 @@ class PaperModel(Model):
 
         A model with fewer parameters takes its own from a theta in the paper's order, (n, 14), too.
         """
-        values = real_numbers("theta", theta, FitError)
+        values = columns_in_order("theta", theta, self.parameters)
         if values.ndim == 2 and values.shape[1] == len(PARAMETERS) != len(self.parameters):
             values = values[:, [PARAMETERS.index(name) for name in self.parameters]]
         return super().vectors(values)
@@ -137,7 +137,7 @@ def check_theta(model: Model, theta: ArrayLike) -> dict[str, Array]:
         When the shape does not fit, or a value is negative or not finite, or F_s < F_c.
     """
     values = model.vectors(theta)
-    columns = dict(zip(model.parameters, np.ascontiguousarray(values.T)[:, None], strict=True))
+    columns = dict(zip(model.parameters, np.array(values.T, order="C")[:, None], strict=True))
     if not np.all((values >= _least(model.parameters)) & (values < np.inf)):
         _refuse(columns)
     for static, (kinetic, _) in _EXCESS.items():
@@ -158,6 +158,11 @@ def _refuse(columns: dict[str, Array]) -> None:
         bad = ~((column >= _least((name,))) & (column < np.inf))
         if np.any(bad):
             raise FitError(f"parameter {name} must be finite and {least}, got {column[bad][0]}")
+
+
+def check_along(scales: Mapping[str, Array], trace: Trace, n: int) -> Mapping[str, Array]:
+    """Factors along a record, (n, T) or (1, T), or a FitError that says what does not fit."""
+    return check_shares(scales, ((n, trace.samples), (1, trace.samples)), ACTUATED)
 
 
 def actuate(
@@ -187,7 +192,7 @@ def actuate(
         share = np.asarray(trace.actuation)[None] / (reference if reference > 0 else 1.0)
         scales = dict.fromkeys(FRICTION_FORCES, share)
     n = next(iter(columns.values())).shape[1]
-    scales = check_shares(scales, ((n, trace.samples), (1, trace.samples)), ACTUATED)
+    scales = check_along(scales, trace, n)
     nearest, followed = trace.path.nearest, {}
     for name, factor in scales.items():
         along = factor.T.take(nearest, axis=0)

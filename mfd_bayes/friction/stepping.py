@@ -4,20 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bristles import Friction, Motion, advance
+from mfd_bayes.friction.evaluation import check_state
 from mfd_bayes.friction.gap import begin, turn
 from mfd_bayes.friction.paper import ACTUATED, FRICTION_FORCES, PaperModel
 from mfd_bayes.friction.recurrence import Blocks
 from mfd_bayes.friction.transitions import Crossing, Gap, blend
-from mfd_bayes.friction.yield_shares import check_reference, reference_of
+from mfd_bayes.friction.yield_shares import (
+    check_level,
+    check_reference,
+    check_scales,
+    check_step,
+    reference_of,
+)
 from mfd_bayes.records.motion import vertices
-from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.numbers import real_number, real_numbers
 
 Array = NDArray[np.float64]
 
@@ -47,7 +54,7 @@ class Damper:
     def __post_init__(self) -> None:
         if self.direction not in (None, 1, -1):
             raise FitError(f"direction must be 1 or -1, got {self.direction}")
-        check_reference(self.reference)
+        object.__setattr__(self, "reference", check_reference(self.reference))
 
 
 @dataclass(frozen=True)
@@ -108,14 +115,14 @@ class State:
         scales: Mapping[str, ArrayLike] | None = None,
     ) -> State:
         """State at the next sample; see `Stepped.step`."""
-        _check("displacement", displacement, isfinite(displacement), "finite, in inches")
-        _check("velocity", velocity, isfinite(velocity), "finite, in inches per second")
-        state = self._referred(actuation)
-        friction = _actuated(state.damper, actuation, scales)
-        if np.isnan(self.displacement):
-            _check("dt", dt, isfinite(dt) and dt >= 0, "0 or more, in seconds, at the first sample")
+        first = self.displacement != self.displacement  # NaN
+        displacement, velocity, dt = check_step(displacement, velocity, dt, first=first)
+        level = check_level(actuation)
+        state = self._referred(level)
+        friction = _actuated(state.damper, level, scales)
+        if first:
+            real_number("dt of a step", dt, FitError, (0.0, inf))
             return state._first(friction, displacement, velocity)
-        _check("dt", dt, isfinite(dt) and dt > 0, "finite and positive, in seconds")
         # the path to the sample, through the vertex if the motion turns before it
         t = np.array([0.0, dt])
         x = np.array([self.displacement, displacement])
@@ -218,6 +225,8 @@ class Stepped(PaperModel):
         FitError
             When a number is not finite, dt not positive, or actuation negative.
         """
+        own = isinstance(state, State) and (state.damper.gap is not None) == self.has_gap
+        check_state(state, State, self.name, own=own)
         state = state.step(displacement, velocity, dt, actuation, scales)
         return state.force, state
 
@@ -229,12 +238,12 @@ def _actuated(
     if scales is None:
         if actuation is None:
             return damper.friction
-        good = isfinite(actuation) and actuation >= 0
-        _check("actuation", actuation, good, "finite and not negative")
         share = actuation / (damper.reference or 1.0)
         if share == 1.0:
             return damper.friction
         scales = dict.fromkeys(FRICTION_FORCES, share)
+    else:
+        check_scales(scales)
     n = damper.friction.vectors
     columns = {}
     for name, factor in scales.items():
@@ -247,8 +256,3 @@ def _actuated(
             )
         columns[name] = getattr(damper.friction, name) * values
     return replace(damper.friction, **columns)
-
-
-def _check(name: str, value: float, good: bool, expected: str) -> None:
-    if not good:
-        raise FitError(f"{name} of a step must be {expected}, got {value}")

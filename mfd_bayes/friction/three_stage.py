@@ -9,14 +9,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bristles import friction_of, slip_force
+from mfd_bayes.friction.columns import named_columns
+from mfd_bayes.friction.evaluation import check_start
 from mfd_bayes.friction.gap import follow, place_at_end, travel
-from mfd_bayes.friction.paper import PARAMETERS, actuate, check_theta, quantities_of
+from mfd_bayes.friction.paper import PARAMETERS, actuate, check_along, check_theta, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.friction.transitions import Gap, Transitions, blend
-from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -76,6 +76,8 @@ class ThreeStage(Stepped):
         """
         columns = check_theta(self, theta)
         w0 = check_start(start, columns["k2"].shape[1])
+        if scales is not None:
+            check_along(scales, trace, w0.size)
         return place_at_end(_gap(columns), trace.path, w0)
 
     def start_at(
@@ -90,14 +92,15 @@ class ThreeStage(Stepped):
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap, D = d2 + d3, (n,), in."""
-        return values["d2"] + values["d3"]
+        own = named_columns(values, ("d2", "d3"))
+        return own["d2"] + own["d3"]
 
     def stages(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
     ) -> NDArray[np.int8]:
         """Stage at each sample, (n, T): 1 slip, 2 stick, 3 build-up; see `Model.stages`."""
         travel = self.travel(theta, trace, start)
-        d2, d3 = np.asarray(theta).T[[PARAMETERS.index(name) for name in ("d2", "d3")], :, None]
+        d2, d3 = self.vectors(theta).T[[PARAMETERS.index(name) for name in ("d2", "d3")], :, None]
         return np.select([travel >= d2 + d3, travel >= d2], [1, 3], 2).astype(np.int8)
 
     def start(
@@ -123,16 +126,6 @@ class ThreeStage(Stepped):
         w0 = check_start(start, columns["k2"].shape[1])
         damper = Damper(friction_of(columns), _gap(columns), w0, direction, reference_actuation)
         return State.at_rest(damper)
-
-
-def check_start(start: ArrayLike | None, n: int) -> Array:
-    """Place in the gap at the first sample, (n,), checked; its middle where none is given."""
-    if start is None:
-        return np.full(n, 0.5)
-    w0 = real_numbers("start", start, FitError)
-    if w0.shape not in ((), (n,)) or not np.all((w0 >= 0) & (w0 <= 1)):
-        raise FitError(f"start must be a fraction of the gap in [0, 1] with shape ({n},)")
-    return np.broadcast_to(w0, (n,))
 
 
 def _gap(columns: dict[str, Array]) -> Gap:

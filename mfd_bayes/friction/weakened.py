@@ -10,10 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.columns import named_vectors
+from mfd_bayes.friction.evaluation import check_state
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.weakening import ENDINGS, QUANTITIES, SIDES, Sliding, fall_along
-from mfd_bayes.friction.yield_shares import check_number, check_step, reference_of
+from mfd_bayes.friction.yield_shares import (
+    check_level,
+    check_reference,
+    check_scales,
+    check_step,
+    reference_of,
+)
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -153,8 +162,8 @@ class Weakened(Model):
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p)."""
-        own = [values[quantity.name] for quantity in self._own]
-        return np.column_stack([self.base.theta(values), *own])
+        own = named_vectors(values, [quantity.name for quantity in self._own])
+        return np.column_stack([self.base.theta(values), *own.values()])
 
     def composed(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Those of the base."""
@@ -197,9 +206,9 @@ class Weakened(Model):
         if not (hasattr(base, "start") and hasattr(base, "step")):
             raise FitError(f"the model {base.name} has no steps in time")
         own, weakening = self.parts(theta)
-        options = {"direction": direction, "reference_actuation": reference_actuation}
-        begun = base.start(own, start, **options)
-        return State(begun, weakening, reference_actuation, Sliding(direction or 0))
+        reference = check_reference(reference_actuation)
+        begun = base.start(own, start, direction=direction, reference_actuation=reference)
+        return State(begun, weakening, reference, Sliding(direction or 0))
 
     def step(
         self,
@@ -221,12 +230,15 @@ class Weakened(Model):
             When a number is not finite, dt not positive, the actuation negative, or a name
             or a value in `scales` does not fit.
         """
-        check_step(displacement, velocity, dt, first=not state.sliding.begun)
+        own = isinstance(state, State) and tuple(state.weakening) == self.sides
+        check_state(state, State, self.name, own=own)
+        begun = state.sliding.begun
+        displacement, velocity, dt = check_step(displacement, velocity, dt, first=not begun)
         sliding, reference = state.sliding.moved(displacement, velocity, dt), state.reference
-        if actuation is not None:
-            check_number("actuation", actuation, least=0.0)
-            reference = reference_of(reference, actuation)
-            scales = self._by_actuation(actuation, reference) if scales is None else scales
+        level = check_level(actuation)
+        if level is not None:
+            reference = reference_of(reference, level)
+            scales = self._by_actuation(level, reference) if scales is None else scales
         factors = {side: 1.0 + sliding.fall(side) * w for side, w in state.weakening.items()}
         base: Any = self.base
         force, moved = base.step(
@@ -243,7 +255,7 @@ class Weakened(Model):
             When the shape does not fit, or a w is not between -1 and 1.
         """
         values = self.vectors(theta)
-        weakening = dict(zip(self.sides, values.T[-len(self.sides) :], strict=True))
+        weakening = dict(zip(self.sides, values.T[-len(self.sides) :].copy(), strict=True))
         for side, w in weakening.items():
             bad = ~(np.abs(w) <= QUANTITIES[side].most)
             if np.any(bad):
@@ -253,11 +265,24 @@ class Weakened(Model):
         return values[:, : -len(self.sides)], weakening
 
     def scaled(self, scales: Given | None, factors: Mapping[str, Array]) -> dict[str, Array]:
-        """Factors of the base's parameters: those given, times those of each direction."""
-        found = {name: np.asarray(scale) for name, scale in (scales or {}).items()}
+        """Factors of the base's parameters: those given, times those of each direction.
+
+        Raises
+        ------
+        FitError
+            When they are not given by name, are no numbers, or a shape does not fit.
+        """
+        given = {} if scales is None else check_scales(scales)
+        found = {k: real_numbers(f"scales of {k}", scale, FitError) for k, scale in given.items()}
         for side, factor in factors.items():
             for name in self.friction(side):
-                found[name] = factor * found[name] if name in found else factor
+                try:
+                    found[name] = factor * found[name] if name in found else factor
+                except ValueError as error:
+                    raise FitError(
+                        f"scales of {name} must fit the shape {np.shape(factor)}, "
+                        f"got {found[name].shape}"
+                    ) from error
         return found
 
     def _by_actuation(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -20,22 +22,28 @@ ACTUATED = ("Fy_fwd", "Fy_bwd")
 Names = tuple[str, ...]
 
 
-def check_number(name: str, value: float, *, least: float = -np.inf) -> None:
-    """Refuse a number that is not finite or below its least value, by a FitError with its name."""
-    if not (np.isfinite(value) and value >= least):
-        words = "finite" if least < 0 else "finite and not negative"
-        raise FitError(f"{name} must be {words}, got {value}")
+def check_level(actuation: Any) -> float | None:
+    """Actuation of a step, finite and not negative; None where none is given."""
+    if actuation is None:
+        return None
+    return real_number("actuation of a step", actuation, FitError, (0.0, inf))
 
 
-def check_step(displacement: float, velocity: float, dt: float, *, first: bool) -> None:
-    """Refuse a sample that no step leads to; the time before the first does not matter."""
-    check_number("displacement", displacement)
-    check_number("velocity", velocity)
+def check_step(displacement: Any, velocity: Any, dt: Any, *, first: bool) -> tuple[Any, ...]:
+    """Displacement, velocity and dt of a step; the time before the first sample may be any."""
+    x = real_number("displacement of a step", displacement, FitError)
+    v = real_number("velocity of a step", velocity, FitError)
     if first:
-        return
-    check_number("dt", dt)
-    if dt <= 0:
-        raise FitError(f"dt must be positive, got {dt} s")
+        return x, v, dt
+    return x, v, real_number("dt of a step", dt, FitError, (0.0, inf), inside=True)
+
+
+def check_scales(scales: Any) -> Mapping[str, Any]:
+    """Factors by name, unchanged."""
+    if not isinstance(scales, Mapping):
+        kind = type(scales).__name__
+        raise FitError(f"scales must be a mapping from names of parameters to factors, got {kind}")
+    return scales
 
 
 def check_shares(
@@ -43,7 +51,8 @@ def check_shares(
 ) -> Shares:
     """Factors by name, checked: names, shapes, and that they are finite and not negative."""
     shares = {
-        name: real_numbers(f"scales of {name}", share, FitError) for name, share in scales.items()
+        name: real_numbers(f"scales of {name}", share, FitError)
+        for name, share in check_scales(scales).items()
     }
     expected = " or ".join(map(str, shapes))
     for name, share in shares.items():
@@ -74,10 +83,11 @@ def reference_of(known: float | None, actuation: float | None) -> float | None:
     return known or actuation or None
 
 
-def check_reference(actuation: float | None) -> None:
-    """Refuse a reference actuation that nothing can be in proportion to."""
-    if actuation is not None and not (np.isfinite(actuation) and actuation > 0):
-        raise FitError(f"reference_actuation must be finite and positive, got {actuation}")
+def check_reference(actuation: Any) -> float | None:
+    """A reference actuation, which something can be in proportion to; None where none is given."""
+    if actuation is None:
+        return None
+    return real_number("reference_actuation", actuation, FitError, (0.0, inf), inside=True)
 
 
 def step_shares(
@@ -87,11 +97,13 @@ def step_shares(
     scales: Mapping[str, ArrayLike] | None,
     names: Names = ACTUATED,
 ) -> Shares:
-    """Factors of `names` at a sample, (n,), (1,) or (); empty when they are constant."""
-    if actuation is not None:
-        check_number("actuation", actuation, least=0.0)
+    """Factors of `names` at a sample, (n,), (1,) or (); empty when they are constant.
+
+    They are the state's own, whatever the caller does with his arrays.
+    """
     if scales is not None:
-        return check_shares(scales, ((n,), (1,), ()), names)
+        shares = check_shares(scales, ((n,), (1,), ()), names)
+        return {name: share.copy() for name, share in shares.items()}
     if actuation is None:
         return {}
     return dict.fromkeys(names, np.array([actuation / (reference or 1.0)]))

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from numbers import Real
+from math import inf
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import RecordError, UnitError
+from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.motion import Array
+from mfd_bayes.records.numbers import real_number
 from mfd_bayes.units import parse_quantity
 
 SAMPLES = 20  # fewest samples that a record, or a window of it, may have
@@ -132,18 +133,26 @@ def clock_of(time: Array) -> Clock:
     return Clock(rate if pauses else 1.0 / step, jitter, pauses, float(steps.max()))
 
 
-def checked_window(window: object) -> tuple[float, float]:
-    """Two times, s, the first before the second.
+def checked_window(
+    window: object, name: str = "a window", error: type[MfdError] = RecordError
+) -> tuple[float, float]:
+    """Two times, s, the first before the second; either may be infinite.
 
     Raises
     ------
-    RecordError
-        When they are none.
+    MfdError
+        Of the kind `error`, when they are none.
     """
-    match window:
-        case (Real() as start, Real() as end) if start < end:
-            return float(start), float(end)
-    raise RecordError(f"a window must be two times in s, the earlier one first, got {window!r}")
+    expected = f"{name} must be two times in s, the earlier one first, got {window!r}"
+    if isinstance(window, str | bytes) or not isinstance(window, Sequence | np.ndarray):
+        raise error(expected)
+    try:
+        start, end = (t if t in (-inf, inf) else real_number(name, t, error) for t in window)
+    except (TypeError, ValueError, error) as fault:
+        raise error(expected) from fault
+    if not start < end:
+        raise error(expected)
+    return float(start), float(end)
 
 
 def parse_window(text: str, *, of: str = "") -> tuple[float, float]:

@@ -51,6 +51,11 @@ class MotionPath:
     samples: NDArray[np.intp]
     stretch: NDArray[np.intp]
 
+    def __post_init__(self) -> None:
+        for values in vars(self).values():
+            if isinstance(values, np.ndarray):
+                values.flags.writeable = False
+
 
 def motion_path(t: Array, x: Array, v: Array, hysteresis: float) -> MotionPath:
     """Path of a motion in s, in and in/s, (T,) each, with its turns above `hysteresis`, in."""

@@ -21,8 +21,8 @@ def real_numbers(name: str, values: ArrayLike, error: type[MfdError] = RecordErr
     Raises
     ------
     MfdError
-        Of the kind `error`, when it holds masked values, complex numbers, text or no numbers, or
-        has a unit: units would be lost.
+        Of the kind `error`, when it holds masked values, complex numbers, text or no numbers, is
+        true or false, or has a unit: units would be lost.
     """
     if type(values) is np.ndarray and values.dtype == np.float64:
         return values
@@ -31,6 +31,8 @@ def real_numbers(name: str, values: ArrayLike, error: type[MfdError] = RecordErr
         raise error(f"{name} holds masked values: fill them, or leave these samples out")
     try:
         found = np.asarray(values)
+        if found.ndim == 0 and found.dtype.kind == "b":
+            raise error(f"{name} must hold real numbers, got {values!r}")
         if found.dtype.kind in "biuf" or found.size == 0:
             return found.astype(np.float64)
         if found.dtype.kind == "O" and not any(isinstance(v, str | complex) for v in found.flat):
@@ -88,9 +90,10 @@ def _range_words(least: float, most: float, *, inside: bool) -> str:
 
 
 def _refuse_unit(name: str, value: Any, error: type[MfdError]) -> None:
-    """Refuse a quantity with a unit, such as one of pint."""
-    if hasattr(value, "magnitude") and hasattr(value, "units"):
-        raise error(f"{name} must be plain numbers without a unit, got one in {value.units}")
+    """Refuse a quantity with a unit, such as one of pint, and a list of such."""
+    for one in (value, *value) if isinstance(value, list | tuple) else (value,):
+        if hasattr(one, "magnitude") and hasattr(one, "units"):
+            raise error(f"{name} must be plain numbers without a unit, got one in {one.units}")
 
 
 def whole_number(name: str, value: Any, least: int, error: type[MfdError]) -> int:

@@ -24,13 +24,14 @@ from mfd_bayes.records.clock import (
     parse_window,
 )
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
+from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.regular import hash_file
+from mfd_bayes.records.regular import hash_file, path_of
 from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.roles import ROLES
 from mfd_bayes.records.signals import in_words, signals_of, sources_of, unused_of
 from mfd_bayes.records.sources import Source
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.units import ActuationUnit, parse_actuation
 
 Window = tuple[float, float]
@@ -109,13 +110,15 @@ class Record:
         First of what comes before the trace, since a time in s, then of what comes after it; empty
         where all of the record is in it.
         """
+        check_trace("trace", trace, RecordError)
+        after = since if since == -math.inf else real_number("since, in s,", since, RecordError)
         if self.fit is None:
             return (), ()
-        early = (self.time > since) & (self.time < trace.time[0])
+        early = (self.time > after) & (self.time < trace.time[0])
         parts = (early, self.time > trace.time[-1])
         left = [self.displacement[part] for part in parts]
-        before, after = (x[[0, *_turns(x), -1]] if x.size else x for x in left)
-        return tuple(before.tolist()), tuple(after.tolist())
+        ends = [x[[0, *_turns(x), -1]] if x.size else x for x in left]
+        return tuple(ends[0].tolist()), tuple(ends[1].tolist())
 
     def trace(
         self, rate: float | None = None, *, window: Window | None = None, gap: float | None = None
@@ -136,14 +139,17 @@ class Record:
         Raises
         ------
         RecordError
-            When the window or the rate leaves fewer than 20 samples, or the rate is not positive.
+            When the window or the rate leaves fewer than 20 samples, or the rate or the gap is not
+            positive.
         """
+        if gap is not None:
+            gap = real_number("gap, in inches,", gap, RecordError, (0.0, math.inf), inside=True)
+        if rate is not None:
+            rate = real_number("rate, in Hz,", rate, RecordError, (0.0, math.inf), inside=True)
         cut = _slice(self, self.fit if window is None else window)
         if rate is None and gap is not None:
             x = self.displacement[cut]
             rate = default_rate(self.time[cut], x, _turns(x), gap, rate=self.rate)
-        if rate is not None and not (math.isfinite(rate) and rate > 0):
-            raise RecordError(f"rate must be positive, got {rate:g} Hz")
         if rate is None or rate >= self.rate * (1 - 1e-9):
             return self._as_trace(self.time[cut], {k: v[cut] for k, v in self._signals().items()})
         return self._decimated(rate, float(self.time[cut][0]), float(self.time[cut][-1]))
@@ -219,9 +225,9 @@ def read_record(
     UnitError
         When a unit is unknown or does not measure what its column should.
     """
-    path = Path(path)
+    path = path_of("path", path, RecordError)
     table = read_table(path)
-    sources = sources_of(table, columns or {}, units or {}, actuation)
+    sources = sources_of(table, columns, units, actuation)
     signals, named, unit = signals_of(table, sources)
     check_increasing(path, signals["time"], table.place)
     window = parse_window(fit) if isinstance(fit, str) else fit

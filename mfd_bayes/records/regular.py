@@ -28,6 +28,8 @@ def why_no_file(path: Path) -> str:
     OSError
         When there is nothing at the path.
     """
+    if "\0" in str(path):
+        return "is no file: no name of one can hold the character NUL"
     mode = path.stat().st_mode
     return next((f"is {words}, not a file" for test, words in _KINDS if test(mode)), "")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from mfd_bayes.units import ActuationUnit, actuation_factor
 
 def sources_of(
     table: Table,
-    columns: Mapping[str, str | int | Source],
-    units: Mapping[str, str],
+    columns: Mapping[str, str | int | Source] | None,
+    units: Mapping[str, str] | None,
     actuation: str | None,
 ) -> dict[str, Source]:
     """Role to its source, with the column's name and its unit.
@@ -29,6 +30,8 @@ def sources_of(
     MfdError
         When a column or a unit is missing, or a role may not have what its source takes off.
     """
+    columns = _by_role("columns", columns, {"force": "load"})
+    units = _by_role("units", units, {"force": "kN"})
     given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
     stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units)
     roles = roles_of(table, {r: s.column for r, s in given.items()}, stated, actuation=actuation)
@@ -38,6 +41,13 @@ def sources_of(
         source.check(role, table.path)
         found[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
     return found
+
+
+def _by_role(name: str, given: Any, example: dict[str, str]) -> Mapping[str, Any]:
+    """A mapping from roles, checked; an empty one where none is given."""
+    if given is not None and not isinstance(given, Mapping):
+        raise RecordError(f"{name} must be a mapping such as {example}, got {given!r}")
+    return given or {}
 
 
 def signals_of(

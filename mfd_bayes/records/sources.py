@@ -21,6 +21,14 @@ from mfd_bayes.units import factor, measure, parse_mass, parse_quantity, split_q
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
 _ORDER = 3  # of the polynomial of the differentiator
 _PARTS = ("force", "displacement")  # roles of which something may be taken off
+_MINUS = "Subtracted('pressure', times='518.7 mm^2')"
+_EXAMPLES = {
+    "minus_mass": "3 kg",
+    "tare": "12 N",
+    "arm": "4 in",
+    "measured_at": "4 in",
+    "times": "518.7 mm^2",
+}
 
 
 @dataclass(frozen=True)
@@ -72,9 +80,10 @@ class Source:
 
         Raises
         ------
-        RecordError
-            When there is one.
+        MfdError
+            When there is one, or a part is of a kind that it cannot have.
         """
+        self._check_kinds(f"the {role} of {path}")
         if self.plain:
             return
         if role not in _PARTS:
@@ -89,6 +98,21 @@ class Source:
                 f"measured_at of the {role} of {path} needs an arm, the radius at "
                 "which it is wanted"
             )
+
+    def _check_kinds(self, of: str) -> None:
+        """Refuse parts that are no text, which a quantity is, or no column that is taken off."""
+        minus = self.minus
+        if not isinstance(minus, Subtracted | None):
+            raise RecordError(
+                f"minus of {of} must be a Subtracted, such as {_MINUS}, got {minus!r}"
+            )
+        given = {name: getattr(self, name) for name in _EXAMPLES if name != "times"}
+        given |= {} if minus is None else {"times": minus.times}
+        for name, value in given.items():
+            if not isinstance(value, str):
+                raise UnitError(
+                    f"{name} of {of} must be text such as {_EXAMPLES[name]!r}, got {value!r}"
+                )
 
     def words(self, name: str, unit: str) -> str:
         """What the signal is, in words, from the name and the unit that its column has."""

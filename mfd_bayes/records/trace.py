@@ -18,7 +18,7 @@ from mfd_bayes.records.motion import (
     smallest_turn,
     turning_points,
 )
-from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.numbers import real_number, real_numbers
 
 SMALLEST = 1e-20  # the largest force of a record is above it, kip, or the record has none
 LARGEST = 1e10  # largest number of a trace, in internal units; times since 1970 in s are below it
@@ -90,10 +90,12 @@ class Trace:
             raise RecordError(f"a trace needs at least 3 samples, got {t.size}")
         _check_increasing(t)
         v = _differences(t, x) if velocity is None else _column("velocity", velocity, t.size)
-        span = smallest_turn(x) if hysteresis is None else hysteresis
-        if not 0.0 <= span <= LARGEST:
-            raise RecordError(f"hysteresis must be a length in in, 0 or more, got {hysteresis}")
+        if hysteresis is None:
+            span = smallest_turn(x)
+        else:
+            span = real_number("hysteresis, in inches,", hysteresis, RecordError, (0.0, LARGEST))
         turns = turning_points(x, span)
+        turns.flags.writeable = False
         return cls(
             time=t,
             displacement=x,
@@ -152,6 +154,7 @@ def _differences(time: Array, displacement: Array) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):  # check_magnitude refuses what is infinite
         velocity = np.gradient(displacement, time)
     check_magnitude("velocity", velocity, LARGEST**2)
+    velocity.flags.writeable = False
     return velocity
 
 
@@ -163,7 +166,9 @@ def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
         raise RecordError(f"{name} must have {size} samples as time has, got {column.size}")
     if not np.all(np.isfinite(column)):
         at = int(np.argmax(~np.isfinite(column)))
-        raise RecordError(f"{name} must be finite; sample {at} is {column[at]}")
+        fill = "; fill it with 0 where it is not known, as after a given part"
+        hint = fill if name == "force" else ""
+        raise RecordError(f"{name} must be finite; sample {at} is {column[at]}{hint}")
     check_magnitude(name, column)
     column.flags.writeable = False
     return column
@@ -203,13 +208,14 @@ def check_size(name: str, role: str, values: Array) -> None:
 def _actuation(values: ArrayLike | None, size: int) -> float | Array:
     if values is None:
         return float("nan")
-    if np.ndim(values) == 0:
-        level = float(real_numbers("actuation", values))
+    found = real_numbers("actuation", values)
+    if found.ndim == 0:
+        level = float(found)
         if not np.isfinite(level) or level < 0:
             raise RecordError(f"actuation must be finite and not negative, got {level}")
         check_magnitude("actuation", np.array([level]))
         return level
-    history = _column("actuation", values, size)
+    history = _column("actuation", found, size)
     if np.any(history < 0):
         at = int(np.argmax(history < 0))
         raise RecordError(f"actuation must not be negative; sample {at} is {history[at]:g}")

@@ -395,19 +395,19 @@ def test_scales_that_do_not_fit_are_refused(scales):
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("displacement", np.nan, "finite"),
-        ("velocity", np.inf, "finite"),
-        ("dt", np.nan, "finite"),
-        ("dt", 0.0, "positive"),
-        ("dt", -0.01, "positive"),
-        ("actuation", np.nan, "finite and not negative"),
-        ("actuation", -1.0, "finite and not negative"),
+        ("displacement", np.nan, "a finite number"),
+        ("velocity", np.inf, "a finite number"),
+        ("dt", np.nan, "a finite number above 0"),
+        ("dt", 0.0, "a finite number above 0"),
+        ("dt", -0.01, "a finite number above 0"),
+        ("actuation", np.nan, "a finite number of at least 0"),
+        ("actuation", -1.0, "a finite number of at least 0"),
     ],
 )
 def test_steps_that_do_not_fit_are_refused_by_name(name, value, words):
     good = {"displacement": 0.0, "velocity": 0.0, "dt": 0.01, "actuation": 1.0}
     _, state = MODEL.step(MODEL.start(theta(), reference_actuation=1.0), **good)
-    with pytest.raises(FitError, match=f"{name} must be {words}, got {value}"):
+    with pytest.raises(FitError, match=f"{name} of a step must be {words}, got {value}"):
         MODEL.step(state, **good | {name: value})
 
 

@@ -43,13 +43,13 @@ def read_table(path: Path) -> Table:
         is larger than is read, or needs a library that is not installed.
     """
     suffix = path.suffix.lower()
-    if path.is_dir():
-        raise RecordError(f"{path} is a folder: give a test file or a campaign.toml")
-    if suffix not in FORMATS:
-        raise RecordError(
-            f"{path} has the unknown suffix {suffix!r}; expected {', '.join(SUFFIXES)}"
-        )
     try:
+        if path.is_dir():
+            raise RecordError(f"{path} is a folder: give a test file or a campaign.toml")
+        if suffix not in FORMATS:
+            raise RecordError(
+                f"{path} has the unknown suffix {suffix!r}; expected {', '.join(SUFFIXES)}"
+            )
         if reason := why_no_file(path):
             raise RecordError(f"{path} {reason}")
         if path.stat().st_size == 0:
