@@ -86,8 +86,8 @@ class Band(ShownBand):
         """What makes the band wide: share of each source in the variance; their sum is 1.
 
         They take as long as some 70 predictions, once. Empty for several models at once, of a
-        `Forecaster`, and where nothing varies. After a given part the sources depend on each other: what the part
-        ties together is shared out between them.
+        `Forecaster`, and where nothing varies. After a given part the sources depend on each
+        other: what the part ties together is shared out between them.
         """
         return self.explained or (self.explain() if self.explain else {})
 

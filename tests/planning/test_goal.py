@@ -88,3 +88,31 @@ def test_a_bad_goal_ends_in_one_sentence(text, said):
         parse_goal(text, "ksi")
     assert said in str(caught.value)
     assert str(caught.value).startswith("--goal: ")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"quantity": None}, "quantity of a goal must be text, got None"),
+        ({"quantity": 5}, "quantity of a goal must be text, got 5"),
+        ({"of": None}, "of of a goal must be text"),
+        ({"session": 5}, "session of a goal must be text, got 5"),
+        ({"probability": "0.9"}, "probability of a goal must be a number between 0 and 1"),
+        ({"probability": None}, "between 0 and 1, got None"),
+        ({"probability": 2}, "between 0 and 1, got 2"),
+        ({"at": "x"}, "at of a goal must be tests, each a Candidate, got 'x'"),
+        ({"at": None}, "at of a goal must be tests"),
+        ({"at": ["36 lbf"]}, "at of a goal must be tests"),
+    ],
+)
+def test_a_goal_of_other_types_is_refused(wrong, said):
+    with pytest.raises(CampaignError, match=said):
+        Goal(**wrong)
+
+
+def test_a_goal_is_at_candidates():
+    there = Candidate(0.8, 0.5, 1.0)
+    typical = [Candidate(0.5, 0.5, 2.0), Candidate(1.0, 0.5, 2.0)]
+    for at in (there, (there,), [there]):
+        assert Goal("energy", at=at).places(typical) == [there]
+    assert hash(Goal(at=[there])) == hash(Goal(at=(there,)))

@@ -141,3 +141,16 @@ def test_a_matrix_that_is_none_is_one_sentence(tmp_path, content):
 def test_a_limit_of_the_residual_drift_needs_heights_too():
     with pytest.raises(BuildingError, match=r"limits\.residual in b.toml needs the height"):
         made(GOOD.replace('height = "12 ft"\n', "") + '[limits]\nresidual = "1 %"\n')
+
+
+@pytest.mark.parametrize("level", [np.nan, "36 lbf", None, -1.0, np.inf, True])
+def test_a_level_of_all_dampers_is_a_number(level):
+    with pytest.raises(BuildingError, match="actuation must be a finite number of at least 0"):
+        made(GOOD).at_level(level)
+    assert {device.actuation for device in made(GOOD).at_level(0).devices} == {0.0}
+
+
+@pytest.mark.parametrize("path", [None, 5, b"b.toml", ["b.toml"], "a\0b"])
+def test_what_is_no_path_of_a_building_is_refused(path):
+    with pytest.raises(BuildingError, match="building must be a path"):
+        read_building(path)

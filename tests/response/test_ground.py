@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.response.ground import parse_ground, read_ground
+from mfd_bayes.response.ground import Ground, ground_of, parse_ground, read_ground
 from mfd_bayes.units import GRAVITY
 
 PEER = """PEER NGA STRONG MOTION DATABASE RECORD
@@ -83,3 +83,56 @@ def test_a_header_whose_step_is_no_number_does_not_say_it(tmp_path, step):
     path.write_text(PEER.replace("DT=   .0100", f"DT= {step}"))
     with pytest.raises(BuildingError, match="does not say its step"):
         read_ground(path)
+
+
+@pytest.mark.parametrize("step", [0.0, -0.02, np.nan, "0.02", None, True, [0.02]])
+def test_a_step_is_a_number_above_zero(step, tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("0.1 0.2 0.3")
+    for made in (Ground, ground_of):
+        with pytest.raises(BuildingError, match="step of a ground motion must be a finite number"):
+            made("g", step, np.ones(5))
+    with pytest.raises(BuildingError, match="step"):
+        read_ground(path, step=step)
+
+
+@pytest.mark.parametrize(
+    "values", ["x", ["a"], None, [1.0], [[1.0, 2.0]], [1.0, np.nan], [0.0, 0.0], 5.0]
+)
+def test_a_ground_motion_is_a_row_of_finite_numbers_that_are_not_all_zero(values):
+    for made in (Ground, ground_of):
+        with pytest.raises(BuildingError, match="g: "):
+            made("g", 0.02, values)
+
+
+def test_a_ground_motion_has_numbers_of_its_own():
+    given = np.array([1.0, -2.0, 1.5])
+    for made in (Ground, ground_of):
+        ground = made("g", 0.02, given)
+        assert not np.shares_memory(ground.acceleration, given)
+        with pytest.raises(ValueError, match="read-only"):
+            ground.acceleration[0] = 9.0
+        assert ground.scaled(2.0).peak == 4.0
+
+
+@pytest.mark.parametrize("by", ["2", None, np.nan, [2.0]])
+def test_a_ground_motion_is_scaled_by_a_number(by):
+    ground = Ground("g", 0.02, [1.0, -2.0, 1.5])
+    with pytest.raises(BuildingError, match="factor must be a finite number"):
+        ground.scaled(by)
+    with pytest.raises(BuildingError, match="peak must be a finite number above 0"):
+        ground.with_peak(by)
+
+
+@pytest.mark.parametrize("path", [None, 5, b"a.txt", ["a.txt"], "a\0b"])
+def test_what_is_no_path_of_a_ground_motion_is_refused(path):
+    with pytest.raises(BuildingError, match="ground must be a path"):
+        read_ground(path)
+
+
+def test_a_unit_is_text_and_a_wrong_end_of_a_path_is_named():
+    for unit in (5, None, ["g"]):
+        with pytest.raises(BuildingError, match="unit must be text"):
+            read_ground("a.txt", unit=unit)
+    with pytest.raises(BuildingError, match=r"^ground 'a\.txt:0\.02': expected FILE"):
+        parse_ground("a.txt:0.02", of="ground")
