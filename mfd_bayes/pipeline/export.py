@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,10 @@ from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.draws import draw_dampers
 from mfd_bayes.response.equivalent import Equivalent, equivalents
 from mfd_bayes.response.schema import Limits
+from mfd_bayes.runs.folder import POPULATION
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
-from mfd_bayes.store.files import write_json, write_text
+from mfd_bayes.store.files import read_json, write_json, write_text
 from mfd_bayes.units import parse_actuation
 
 Array = NDArray[np.float64]
@@ -25,6 +27,9 @@ FITS = 24
 """Draws to which a material is fitted."""
 
 ABOUT = "about.json"
+_MADE_BY = "mfd_bayes export"
+_OF_FITS = ("misfit", "best", "amplitude_in")
+"""Keys of what is said about materials."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +65,15 @@ def export(out: Path, asked: Export) -> list[str]:
     level = _level(run, asked.actuation)
     names, units, theta, start = _samples(run, level, asked)
     about = {
-        "made_by": "mfd_bayes export",
+        "made_by": _MADE_BY,
         "actuation": {"value": level, "unit": run.actuation_unit},
         "variables": dict(zip(names, units, strict=True)),
         "draws": asked.draws,
         "seed": asked.seed,
         "kind": "new_test",
+        "population_sha256": (run.manifest.files or {}).get(POPULATION),
     }
+    about = _tidied(folder, about)
     writers = {"csv": _write_csv, "quofem": _write_quofem}
     if asked.to in writers:
         said = writers[asked.to](folder, names, units, np.column_stack([theta, start]))
@@ -74,6 +81,33 @@ def export(out: Path, asked: Export) -> list[str]:
         said = _write_opensees(folder, run, theta[:FITS], start[:FITS], about)
     write_json(folder / ABOUT, about)
     return said
+
+
+def _tidied(folder: Path, about: dict[str, object]) -> dict[str, object]:
+    """What is said about the samples, of all their forms in the folder.
+
+    Where an earlier export is of other samples, its files are removed: nothing would say what they
+    are.
+    """
+    try:
+        earlier = read_json(folder / ABOUT)
+    except StoreError:  # there is none
+        return about
+    if earlier.get("made_by") != _MADE_BY:
+        return about
+    if all(earlier.get(key) == value for key, value in about.items()):
+        return about | {key: earlier[key] for key in _OF_FITS if key in earlier}
+    names = ["samples.csv", "randomVariables.json", "dakotaTab.out"]
+    for key, kind in (("variables", "txt"), ("misfit", "tcl")):
+        found = earlier.get(key)
+        words = found if isinstance(found, dict) else {}
+        names += [f"{word}.{kind}" for word in words if re.fullmatch(r"\w+", word)]
+    for name in names:
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise StoreError(f"cannot remove {folder / name}: {error.strerror or error}") from error
+    return about
 
 
 def _level(run: Run, actuation: str) -> float:

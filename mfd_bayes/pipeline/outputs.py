@@ -109,6 +109,21 @@ def known(output: Output) -> bool:
     return output.path.is_file() and output.ours(_beginning(output.path))
 
 
+def remove_known(output: Output) -> None:
+    """Remove an output that this program wrote there, if there is one.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be removed.
+    """
+    try:
+        if known(output):
+            output.path.unlink()
+    except OSError as error:
+        raise StoreError(f"cannot remove {output.path}: {error.strerror or error}") from error
+
+
 def _check_free(output: Output, inputs: Iterable[Path], *, force: bool) -> None:
     path = output.path
     for read in inputs:

@@ -12,7 +12,7 @@ from mfd_bayes.assessment.derived_rows import predicted_rows
 from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings, draws_of
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.pipeline.outputs import write_picture
+from mfd_bayes.pipeline.outputs import remove_known, write_picture
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
 from mfd_bayes.population.band import Band
 from mfd_bayes.population.forecast import DRAWS
@@ -163,8 +163,9 @@ def _write(question: Question, drawn: Trace, answer: Answer, told: Trace) -> Non
     derived = predicted_csv(answer.derived, question.actuation, question.probability)
     write_text(question.beside("derived.csv"), derived)
     if answer.design:
-        table = design_csv(answer.design, question.actuation)
-        write_text(question.beside("design.csv"), table)
+        write_text(question.bounds.path, design_csv(answer.design, question.actuation))
+    else:
+        remove_known(question.bounds)  # it is of an earlier question
     fans = [convert_fan(_fan(band), system.factor("kip"))]
     loops = draw_loops(title, convert_trace(drawn, system), fans, system)
     write_picture(question.picture, to_png(loops))

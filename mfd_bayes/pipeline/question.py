@@ -96,6 +96,11 @@ class Question:
         """PNG of the band."""
         return self.bands.with_suffix(".png")
 
+    @property
+    def bounds(self) -> Output:
+        """Table of mean and bounding properties."""
+        return Output(self.beside("design.csv"), table_with("property", "unit", "basis"))
+
     def beside(self, name: str) -> Path:
         """File beside the table, such as "bands_derived.csv" for "derived.csv"."""
         return self.bands.with_name(f"{self.bands.stem}_{name}")
@@ -119,8 +124,7 @@ def check_question(question: Question) -> None:
         Output(question.beside("derived.csv"), table_with("quantity", "unit", "mean")),
     ]
     if question.design:
-        table = table_with("property", "unit", "basis")
-        outputs.append(Output(question.beside("design.csv"), table))
+        outputs.append(question.bounds)
     check_outputs(outputs, inputs, force=question.force)
 
 

@@ -6,8 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline.outputs import Output, is_marked, known, table_with, write_picture
+from mfd_bayes.pipeline.outputs import Output, is_marked, remove_known, table_with, write_picture
 from mfd_bayes.reporting.response_page import ResponseView, render_response
 from mfd_bayes.reporting.response_tables import (
     draws_csv,
@@ -70,8 +69,5 @@ def _remove_earlier(folder: Path) -> None:
         return
     for path in sorted(folder.iterdir()):
         ours = is_marked if path.suffix == ".png" else table_with("actuation_")
-        if _SOMETIMES.fullmatch(path.name) and known(Output(path, ours)):
-            try:
-                path.unlink()
-            except OSError as error:
-                raise StoreError(f"cannot remove {path}: {error.strerror or error}") from error
+        if _SOMETIMES.fullmatch(path.name):
+            remove_known(Output(path, ours))

@@ -159,6 +159,16 @@ def test_a_prediction_in_other_units_or_with_the_measured_force_is_written_again
         assert predict(home, "band.csv", "--units", "si", "--design").exit_code == 0
 
 
+def test_bounds_of_an_earlier_prediction_do_not_stay_beside_another(home):
+    assert predict(home, "band.csv", "--design").exit_code == 0
+    assert (home / "band_design.csv").is_file()
+    assert predict(home, "band.csv").exit_code == 0
+    assert not (home / "band_design.csv").exists()
+    (home / "band_design.csv").write_text("a,b\n")  # of another program
+    assert predict(home, "band.csv").exit_code == 0
+    assert (home / "band_design.csv").read_text() == "a,b\n"
+
+
 def test_a_harmonic_motion_is_predicted_into_a_new_folder(home):
     bands = home / "new" / "bands.csv"
     asked = ("predict", home / "out", "--sine", "1 in, 0.5 Hz, 2 cycles", "--actuation", "500 psi")

@@ -1,0 +1,58 @@
+"""Samples for other programs: what an earlier export left beside them."""
+
+import json
+
+import pytest
+
+from mfd_bayes.pipeline.export import Export, export
+
+QUOFEM = {"randomVariables.json", "dakotaTab.out", "start.txt", "sigma0.txt"}
+
+
+@pytest.fixture(scope="module")
+def out(benchmark_module, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "out"
+    benchmark_module("fuzz.runs").write_run(folder)
+    return folder
+
+
+@pytest.fixture
+def folder(out, tmp_path):
+    """A folder with samples in columns, with materials, and with files of someone else."""
+    found = tmp_path / "samples"
+    export(out, Export("quofem", found, "700 psi", 10))
+    about = json.loads((found / "about.json").read_text())
+    fits = {"misfit": {"BoucWen": [0.1], "../mine": [0.1]}, "best": "BoucWen"}
+    (found / "about.json").write_text(json.dumps(about | fits))
+    for name in ("BoucWen.tcl", "mine.txt", "../mine.tcl"):
+        (found / name).write_text("mine")
+    return found
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_samples_of_another_actuation_do_not_stay_beside_new_ones(out, folder):
+    assert names(folder) >= {*QUOFEM, "BoucWen.tcl"}
+    export(out, Export("csv", folder, "800 psi", 10))
+    assert names(folder) == {"samples.csv", "about.json", "mine.txt"}
+    assert (folder.parent / "mine.tcl").is_file()
+    about = json.loads((folder / "about.json").read_text())
+    assert about["actuation"] == {"value": 0.8, "unit": "ksi"}
+    assert "misfit" not in about
+
+
+def test_the_same_samples_in_several_forms_stay_beside_each_other(out, folder):
+    before = names(folder)
+    export(out, Export("csv", folder, "700 psi", 10))
+    assert names(folder) == before | {"samples.csv"}
+    assert json.loads((folder / "about.json").read_text())["best"] == "BoucWen"
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"variables": {"mine": "1"}}', '{"variables": 3}'])
+def test_files_beside_anothers_about_stay(out, folder, content):
+    (folder / "about.json").write_text(content)
+    before = names(folder)
+    export(out, Export("csv", folder, "800 psi", 10))
+    assert names(folder) == before | {"samples.csv"}
