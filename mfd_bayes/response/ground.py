@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import path_of, why_no_file
 from mfd_bayes.records.roles import header_unit
+from mfd_bayes.response.ground_text import read_text
 from mfd_bayes.response.measures import acceleration_factor
 from mfd_bayes.units import factor
 
@@ -28,10 +30,8 @@ LARGEST = 64 * 2**20
 MOST = 200_000
 """Most samples of a ground motion."""
 
-_HEAD = 50  # lines in which a header may say the step
-_STEP = re.compile(r"\bDT\s*=\s*((\d+\.?\d*|\.\d+)(e[+-]?\d+)?)", re.IGNORECASE)
-_POINTS = re.compile(r"\bNPTS\s*=\s*(\d+)", re.IGNORECASE)
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+SAME_STEP = 5e-3
+"""Share by which a step that is given may differ from the file's, which is rounded there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +139,13 @@ def read_ground(path: str | PathLike[str], *, step: float | None = None, unit: s
     step : float, s, optional
         Where the file does not say it.
     unit : str, optional
-        Of the acceleration; "g" by default, but for a CSV whose header says it.
+        Of the acceleration, where the file does not say it; "g" by default, but for a CSV.
 
     Raises
     ------
     BuildingError
-        When the file cannot be read, its step is not known, or a value is of another type.
+        When the file cannot be read, its step is not known, a value is of another type, or the
+        file says another step or unit than is given.
     """
     path = path_of("ground", path, BuildingError)
     if step is not None:
@@ -167,45 +168,51 @@ def read_ground(path: str | PathLike[str], *, step: float | None = None, unit: s
 
 def _of_text(path: Path, step: float | None, unit: str) -> Ground:
     """Motion of PEER's format, or of numbers alone in rows."""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    said = next((i + 1 for i, line in enumerate(lines[:_HEAD]) if _STEP.search(line)), None)
-    head = said or next((i for i, line in enumerate(lines) if _is_data(line)), len(lines))
-    end = len(lines)
-    while end > head and not _is_data(lines[end - 1]):  # "*** End data ***"
-        end -= 1
-    values: list[float] = []
-    for number, line in enumerate(lines[head:end], start=head + 1):
-        for word in _words(line):
-            try:
-                values.append(float(word.replace("D", "E").replace("d", "e")))
-            except ValueError:
-                raise BuildingError(
-                    f"{path} line {number}: expected numbers, got {word[:40]!r}"
-                ) from None
-    if not values:
-        raise BuildingError(f"{path} holds no numbers")
-    header = "\n".join(lines[:head])
-    if match := _STEP.search(header):
-        step = float(match[1])
-    if (points := _POINTS.search(header)) and int(points[1]) != len(values):
-        raise BuildingError(
-            f"{path}: the header says NPTS = {points[1]}, and there are {len(values)} values"
-        )
+    text = read_text(path)
+    step = _agreed_step(path, text.step, step)
     if step is None:
         raise BuildingError(
             f"{path} does not say its step (NPTS= …, DT= … SEC): give it as FILE:0.01s, or "
             "step=0.01 in Python"
         )
-    return ground_of(path.name, step, np.array(values) * acceleration_factor(unit or "g"))
+    said = f"the header says 'UNITS OF {text.unit}'"
+    by = _agreed_factor(f"{path}: {said}", _in_header(text.unit), unit) if text.unit else None
+    return ground_of(path.name, step, text.values * (by or acceleration_factor(unit or "g")))
 
 
-def _words(line: str) -> list[str]:
-    return line.replace(",", " ").replace(";", " ").split()
+def _agreed_step(path: Path, own: float | None, given: float | None) -> float | None:
+    """Step of a file, s, or the one that is given where the file does not say it."""
+    if own is None or given is None or math.isclose(own, given, rel_tol=SAME_STEP):
+        return given if own is None else own
+    raise BuildingError(
+        f"{path}: the file's step is {own:.6g} s, and {given:.6g} s was given: leave the step out, "
+        "or correct the file"
+    )
 
 
-def _is_data(line: str) -> bool:
-    words = _words(line)
-    return bool(words) and all(_NUMBER.fullmatch(word) for word in words)
+def _agreed_factor(where: str, own: str, given: str) -> float:
+    """Factor of the unit that a file says to in/s²; `where` is the place at which it is said."""
+    wanted = acceleration_factor(given) if given else None
+    try:
+        by = acceleration_factor(own)
+    except UnitError as error:
+        if wanted is not None:
+            return wanted
+        raise BuildingError(
+            f"{where}, which is no acceleration such as 'g' or 'cm/s^2': give the unit as "
+            "FILE:cm/s^2, or unit='cm/s^2' in Python"
+        ) from error
+    if wanted is None or math.isclose(by, wanted, rel_tol=1e-6):
+        return by
+    raise BuildingError(
+        f"{where}, and {given!r} was given: leave the unit out, or correct the file"
+    )
+
+
+def _in_header(unit: str) -> str:
+    """A header's unit, in capitals as a rule, as units are written here: "CM/S2", "GAL"."""
+    lower = unit.lower()
+    return "cm/s^2" if lower == "gal" else re.sub(r"(?<=[a-z])2$", "^2", lower)
 
 
 def _of_table(path: Path, step: float | None, unit: str) -> Ground:
@@ -223,14 +230,16 @@ def _of_table(path: Path, step: float | None, unit: str) -> Ground:
         columns = table.columns([*moves, *times[:1]])
     except MfdError as error:
         raise BuildingError(str(error)) from error
-    own = unit or table.units.get(moves[0]) or header_unit(moves[0]) or ""
+    own = table.units.get(moves[0]) or header_unit(moves[0]) or unit
     if not own:
         raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
     if times:
-        step = _step_of(path, columns[times[0]] * factor(header_unit(times[0]) or "s", "time"))
+        time = columns[times[0]] * factor(header_unit(times[0]) or "s", "time")
+        step = _agreed_step(path, _step_of(path, time), step)
     if step is None:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
-    return ground_of(path.name, step, columns[moves[0]] * acceleration_factor(own))
+    by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
+    return ground_of(path.name, step, columns[moves[0]] * by)
 
 
 def _step_of(path: Path, time: Array) -> float:

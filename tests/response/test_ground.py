@@ -136,3 +136,68 @@ def test_a_unit_is_text_and_a_wrong_end_of_a_path_is_named():
             read_ground("a.txt", unit=unit)
     with pytest.raises(BuildingError, match=r"^ground 'a\.txt:0\.02': expected FILE"):
         parse_ground("a.txt:0.02", of="ground")
+
+
+@pytest.mark.parametrize("digits", [2, 4])
+@pytest.mark.parametrize("between", ["  ", ", ", ";"])
+@pytest.mark.parametrize("width", [2, 3])
+def test_columns_of_time_and_acceleration_are_not_read_as_one(tmp_path, digits, between, width):
+    path = tmp_path / "a.txt"
+    moves = np.sin(np.arange(40.0))
+    rows = [[f"{0.02 * i:.{digits}f}", *[f"{a:.4f}"] * (width - 1)] for i, a in enumerate(moves)]
+    path.write_text("time accel\n" + "\n".join(map(between.join, rows)))
+    with pytest.raises(BuildingError, match="looks like columns of time and acceleration: save"):
+        read_ground(path, step=0.02)
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 5])
+def test_accelerations_in_rows_are_read_along_the_rows(tmp_path, width):
+    path = tmp_path / "a.txt"
+    moves = np.sin(np.arange(30.0)).round(4)
+    path.write_text("\n".join(" ".join(map(str, row)) for row in moves.reshape(-1, width)))
+    assert np.allclose(read_ground(path, step=0.02).acceleration / GRAVITY, moves)
+    ramp = np.arange(1.0, 31.0)  # the header says that all of them are accelerations
+    lines = (" ".join(map(str, row)) for row in ramp.reshape(-1, width))
+    path.write_text("NPTS= 30, DT= .02 SEC\n" + "\n".join(lines))
+    assert np.allclose(read_ground(path).acceleration / GRAVITY, ramp)
+
+
+@pytest.mark.parametrize("header", ["CM/S/S", "cm/sec/sec.", "CM/S2", "CM/SEC**2", "cm/s^2", "GAL"])
+def test_a_header_says_the_unit_of_its_values(tmp_path, header):
+    path = tmp_path / "a.AT2"
+    path.write_text(PEER.replace("UNITS OF G", f"UNITS OF {header}"))
+    for unit in ("", "cm/s^2"):
+        ground = read_ground(path, unit=unit)
+        assert ground.acceleration[0] == pytest.approx(0.01 / 2.54)
+    with pytest.raises(BuildingError, match=r"a\.AT2: the header says 'UNITS OF .*, and 'g' was"):
+        read_ground(path, unit="g")
+
+
+def test_a_header_whose_unit_is_no_acceleration_is_refused(tmp_path):
+    path = tmp_path / "a.VT2"
+    path.write_text(PEER.replace("UNITS OF G", "UNITS OF CM/S"))
+    with pytest.raises(BuildingError, match=r"'UNITS OF CM/S', which is no acceleration"):
+        read_ground(path)
+    assert read_ground(path, unit="g").acceleration[0] == pytest.approx(0.01 * GRAVITY)
+
+
+def test_what_is_given_may_not_contradict_the_file(tmp_path):
+    path = tmp_path / "a.AT2"
+    path.write_text(PEER)
+    assert read_ground(path, step=0.01, unit="g").step == 0.01
+    with pytest.raises(BuildingError, match=r"a\.AT2: the file's step is 0\.01 s, and 0\.005 s"):
+        read_ground(path, step=0.005)
+    with pytest.raises(BuildingError, match=r"header says 'UNITS OF G', and 'cm/s\^2' was given"):
+        read_ground(path, unit="cm/s^2")
+    path.write_text(PEER.replace(".0100 SEC", ".0039 SEC"))
+    assert read_ground(path, step=1 / 256).step == 0.0039  # a header rounds
+
+
+def test_what_is_given_may_not_contradict_a_table(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,acceleration_g\n0,0.1\n0.02,0.2\n0.04,0.1\n")
+    assert read_ground(path, step=0.02, unit="g").step == pytest.approx(0.02)
+    with pytest.raises(BuildingError, match=r"a\.csv: the file's step is 0\.02 s, and 0\.01 s"):
+        read_ground(path, step=0.01)
+    with pytest.raises(BuildingError, match=r"'acceleration_g' .*'g', and 'm/s\^2' was given"):
+        read_ground(path, unit="m/s^2")
