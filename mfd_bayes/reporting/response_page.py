@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from mfd_bayes.errors import BuildingError
 from mfd_bayes.reporting.html import either, embedded_picture, page_environment, policy_of
 from mfd_bayes.reporting.response_tables import shown_unit
 from mfd_bayes.reporting.symbols import number, unit_text
@@ -30,6 +31,12 @@ class ResponseView:
         Shares of the sources, for each quantity.
     sweep : str
         The best actuation in a sentence; empty without a sweep.
+
+    Raises
+    ------
+    BuildingError
+        When there is nothing to show: every draw ran away under every ground motion, and there is
+        no sweep.
     """
 
     title: str
@@ -45,6 +52,13 @@ class ResponseView:
     dampers: int
     metric: bool
     provenance: Mapping[str, object]
+
+    def __post_init__(self) -> None:
+        if not self.rows and not self.sweep:
+            raise BuildingError(
+                f"every draw diverged under {', '.join(self.grounds)}: there is no response to "
+                "write; expected ground motions, and a building, that its dampers can bear"
+            )
 
     @property
     def sources(self) -> list[str]:

@@ -14,12 +14,17 @@ Array = NDArray[np.float64]
 ORDERS = 24
 """Orders in which sources are added; the share of each is its mean gain (LMG)."""
 
+FEWEST = 30
+"""Fewest draws, of those that ran away under no ground motion, of which there are shares."""
+
 RECORDS = "record to record"
 REST = "interactions and the rest"
 
 
 def influence(response: Response, quantity: str = "drift", seed: int = 0) -> dict[str, float]:
     """Shares of the sources in the variance of the largest of a quantity; their sum is 1.
+
+    Empty where there are fewer than `FEWEST` draws, or all are equal.
 
     The variance between ground motions is that of their mean peaks. Within a ground motion the
     peak is regressed on the dampers' values (linear and quadratic, as means over the dampers and
@@ -33,10 +38,12 @@ def influence(response: Response, quantity: str = "drift", seed: int = 0) -> dic
     """
     good = ~response.unstable.any(axis=1)
     values = response.measure(quantity)[good]
+    if len(values) < FEWEST:
+        return {}
     between = float(np.var(values.mean(axis=0))) if values.shape[1] > 1 else 0.0
     within = values - values.mean(axis=0)
     inner = float(np.mean(within**2))
-    if between + inner <= 0.0 or len(values) < 30:
+    if between + inner <= 0.0:
         return {}
     about = {name: _columns(column[good]) for name, column in response.dampers.about.items()}
     about = {name: columns for name, columns in about.items() if columns.shape[1]}

@@ -140,6 +140,24 @@ def test_shares_add_up_and_find_what_matters(run, path, ground):
     assert influence(planted)["gap"] > 0.7
 
 
+def test_draws_that_all_ran_away_have_no_shares(run, path, ground):
+    response = run.respond(path, ground, draws=30, kind="device", tolerance=0.2)
+    assert influence(response)  # the control
+    away = np.ones_like(response.unstable)
+    assert influence(replace(response, unstable=away)) == {}
+
+
+def test_what_runs_away_is_told_in_one_sentence_and_nothing_is_written(
+    finished_run, path, quake, tmp_path
+):
+    words = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
+    words += ["-o", str(tmp_path / "r"), "--draws", "10", "--jobs", "1", "--scale", "1e9"]
+    done = CliRunner().invoke(app, [*words, "--quiet"])
+    assert done.exit_code == 2
+    assert "every draw diverged under quake.csv" in done.output
+    assert not (tmp_path / "r").exists()
+
+
 def test_dampers_of_another_kind_of_actuation_are_refused(run, path, ground):
     path.write_text(BUILDING.replace("1000 psi", "40 lbf"))
     with pytest.raises(BuildingError, match="must be a pressure, as in the campaign"):
