@@ -105,7 +105,7 @@ def grounds_of(grounds: Grounds) -> list[Ground]:
         grounds = [grounds]
     elif isinstance(grounds, bytes | Mapping) or not isinstance(grounds, Iterable):
         raise BuildingError(
-            f"grounds must be a Ground or a path, or several of them, got {grounds!r}"
+            f"grounds must be a Ground or a path, or several of them, got {type(grounds).__name__}"
         )
     found = [one if isinstance(one, Ground) else _read(one) for one in grounds]
     if not found:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, ReportError
 from mfd_bayes.runs.opening import open_run as open_plain
 
 with warnings.catch_warnings():
@@ -66,6 +66,22 @@ def test_a_band_is_drawn_over_time_and_over_displacement(run, band):
     assert again is axes
     along = band.plot(displacement=trace.displacement)
     assert along.get_xlabel() == f"displacement, {run.system.length}"
+
+
+def test_what_cannot_be_drawn_is_named(run, band):
+    x = run.tests["a"].trace.displacement
+    for wrong, said in (
+        ("x", "displacement must hold real numbers"),
+        (5, "displacement must have shape"),
+        (x[:5], "displacement must have shape"),
+        (x[:, None], "displacement must have shape"),
+        (np.nan * x, "displacement must be finite"),
+    ):
+        with pytest.raises(ReportError, match=said):
+            band.plot(displacement=wrong)
+    for draw in (band.plot, run.tests["a"].plot_loops):
+        with pytest.raises(ReportError, match="axes must be axes of Matplotlib, got 'x'"):
+            draw("x")
 
 
 def test_the_loops_of_a_test_are_drawn_with_its_force(run):

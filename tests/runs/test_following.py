@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import mfd_bayes as mb
 from mfd_bayes.population.band import band_of
 from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.setting import Setting
@@ -57,3 +58,16 @@ def test_a_motion_beyond_the_tests_is_told_and_the_band_is_wider_only_where_it_w
     stroke, speed = said(25.0 * MOTION, amplitude=25.0, velocity=78.0)
     assert "is wider, by what slip force and gap may do" in stroke
     assert "is wider" in speed
+
+
+def test_a_band_of_a_test_under_way_is_drawn_and_says_where_it_leaves_the_tests(finished_run):
+    run = mb.open_run(finished_run.out)
+    trace = next(iter(run.tests.values())).trace
+    forecaster = run.follow(1000.0 * trace.reference_actuation, draws=20, refresh=False)
+    begun = slice(0, trace.samples // 2)
+    forecaster.update(trace.time[begun], trace.displacement[begun], None, trace.force[begun])
+    rest = Trace.from_arrays(trace.time[begun.stop :], trace.displacement[begun.stop :])
+    band = forecaster.band(rest)
+    assert any("the actuation, " in remark for remark in band.remarks)
+    assert band.plot().get_lines()[0].get_ydata().size == rest.samples
+    assert band.inference_data()["predictions"]["force"].shape == (1, 20, rest.samples)
