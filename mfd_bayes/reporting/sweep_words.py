@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from mfd_bayes.population.setting import SAME_LEVEL
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.systems import System
@@ -19,6 +21,8 @@ _WHAT = {
 def sweep_sentence(sweep: Sweep, tested: Sequence[Span], system: System) -> str:
     """The best actuation with its interval, and what to do where it lies at an end.
 
+    Where several levels are best alike, it says that none of them is better.
+
     Parameters
     ----------
     sweep : Sweep
@@ -31,10 +35,18 @@ def sweep_sentence(sweep: Sweep, tested: Sequence[Span], system: System) -> str:
         return system.words(levels, sweep.unit, 3, actuation=True)
 
     what = _WHAT[sweep.goal].format(sweep.quantity)
-    found = f"{what} is smallest at {words(sweep.best)} (90 % interval: {words(*sweep.interval)})."
+    ties, place = sweep.lowest, f"smallest at {words(sweep.best)}"
+    first = last = sweep.best
+    if ties.size > 1:
+        first, last = float(ties[0]), float(ties[-1])
+        alike, none = f"{ties.size} levels", f"{words(first, last)}: none of them is better"
+        if ties.size == np.isfinite(sweep.scores).sum():
+            return f"{what} is the same at all {alike}, {none}."
+        place = f"smallest at {alike} alike, {none}"
+    found = f"{what} is {place} (90 % interval: {words(*sweep.interval)})."
     span = next(one for one in tested if one.name == "actuation")
     low, high = span.lowest * (1.0 - SAME_LEVEL), span.highest * (1.0 + SAME_LEVEL)
-    if not low <= sweep.best <= high:
+    if not low <= first <= last <= high:
         return (
             f"{found} No test was made there (tests: {span.words(system)}): make one before you "
             "use this actuation."

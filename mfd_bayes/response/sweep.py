@@ -54,9 +54,10 @@ class Sweep:
     scores : (L,)
         What is made small, over all ground motions; infinite at levels that are left out.
     best : float
-        The actuation at which it is smallest.
+        The actuation at which it is smallest; NaN where it is so at several levels alike.
     interval : (float, float)
-        Equal-tailed 90 % interval of the best actuation, over resampled draws.
+        Equal-tailed 90 % interval of the best actuation, over resampled draws; levels that are
+        best alike are all in it.
     remarks : tuple of str
         What it leaves out.
     """
@@ -70,6 +71,11 @@ class Sweep:
     best: float
     interval: tuple[float, float]
     remarks: tuple[str, ...] = ()
+
+    @property
+    def lowest(self) -> Array:
+        """Levels that have the smallest score, (k,); several where they tie."""
+        return np.asarray(self.levels[self.scores == self.scores.min()])
 
 
 def parse_sweep(text: str) -> tuple[Array, str]:
@@ -106,7 +112,7 @@ def parse_sweep(text: str) -> tuple[Array, str]:
 def sweep_of(
     swept: tuple[Array, str], responses: list[Response], quantity: str, goal: str, seed: int = 0
 ) -> Sweep:
-    """The best actuation among the levels, between which a parabola is drawn.
+    """The best actuation among the levels, between which a parabola is drawn, if there is one.
 
     `swept` is the levels and their unit, as `parse_sweep` has them. Draws are the same at every
     level, so that resampling them compares like with like.
@@ -138,9 +144,11 @@ def sweep_of(
     scores = score(shown)
     rng = np.random.default_rng(seed)
     found = [_lowest(levels, score(shown[:, rng.integers(n, size=n)])) for _ in range(RESAMPLES)]
-    low, high = np.quantile(found, [0.05, 0.95])
-    best = _lowest(levels, scores)
-    interval = float(low), float(high)
+    firsts, lasts = np.transpose(found)
+    first, last = _lowest(levels, scores)
+    best, interval = first, (float(np.quantile(firsts, 0.05)), float(np.quantile(lasts, 0.95)))
+    if first < last:
+        best, interval = np.nan, (min(first, interval[0]), max(last, interval[1]))
     remarks = tuple(_remarks(int((~usable).sum()), len(usable), int(lost.sum())))
     return Sweep(levels, unit, values, quantity, goal, scores, best, interval, remarks)
 
@@ -180,14 +188,18 @@ def _against_limit(response: Response, quantity: str) -> Array:
     return np.asarray(found.max(axis=-1))
 
 
-def _lowest(levels: Array, scores: Array) -> float:
-    """Place of the minimum, by a parabola through the lowest level and its neighbours."""
+def _lowest(levels: Array, scores: Array) -> tuple[float, float]:
+    """First and last place of the minimum; they differ where levels have the same score.
+
+    One level's place is that of a parabola through it and its neighbours.
+    """
     k = int(np.argmin(scores))
-    if k in (0, len(levels) - 1):
-        return float(levels[k])
-    a, b, c = scores[k - 1 : k + 2]
-    if not np.isfinite(a + c):
-        return float(levels[k])
-    bend = a - 2.0 * b + c
-    shift = 0.5 * (a - c) / bend if bend > 0 else 0.0
-    return float(levels[k] + shift * (levels[1] - levels[0]))
+    if (ties := levels[scores == scores[k]]).size > 1:
+        return float(ties[0]), float(ties[-1])
+    place = float(levels[k])
+    if 0 < k < len(levels) - 1:
+        a, b, c = scores[k - 1 : k + 2]
+        bend = a - 2.0 * b + c
+        if np.isfinite(a + c) and bend > 0:
+            place += float(0.5 * (a - c) / bend * (levels[1] - levels[0]))
+    return place, place

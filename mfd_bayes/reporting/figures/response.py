@@ -197,7 +197,8 @@ def draw_sweep(sweep: Sweep, system: System) -> Figure:
         axes.set(xlabel=f"actuation, {unit}", ylabel=f"largest {name}, {of}")
         if name == sweep.quantity:
             axes.axvspan(by * sweep.interval[0], by * sweep.interval[1], color="#f6e3c0", zorder=0)
-            axes.axvline(by * sweep.best, color=colours.ORANGE, lw=1.4)
+            if np.isfinite(sweep.best):  # not where levels are best alike
+                axes.axvline(by * sweep.best, color=colours.ORANGE, lw=1.4)
         axes.set_ylim(bottom=0.0)
     return figure
 
