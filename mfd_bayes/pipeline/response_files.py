@@ -44,7 +44,7 @@ def write_response(
 
     _remove_earlier(folder)
     about = {"title": view.title, "verdict": list(view.verdict), "remarks": list(view.remarks)}
-    write_text(folder / MARKER, response_json(view.rows, view.limits, dict(about)))
+    write_text(folder / MARKER, response_json(view.rows, view.limits, dict(about), system))
     write_text(folder / "peaks.csv", peaks_csv(view.rows, system))
     write_text(folder / "peaks.tex", peaks_tex(view.rows, system))
     write_text(folder / "limits.csv", limits_csv(view.limits, system))

@@ -90,7 +90,7 @@ def draws_csv(response: Response, system: System) -> str:
 
 def sweep_csv(sweep: Sweep, system: System) -> str:
     """Drift and acceleration against the actuation as CSV."""
-    unit = sweep.unit
+    unit, by_level = shown_unit(sweep.unit, system)
     shown = {"drift": (system.length, system.factor("in")), "acceleration": ("g", 1.0)}
     head, by_score = [f"actuation_{unit}", f"{sweep.quantity}_{sweep.goal}"], 1.0
     if sweep.goal != "passing":  # a probability
@@ -100,7 +100,7 @@ def sweep_csv(sweep: Sweep, system: System) -> str:
         head += [f"{name}_{part}_{of}" for part in ("median", "mean", "lower_95", "upper_95")]
     lines: list[Sequence[object]] = [head]
     for i, level in enumerate(sweep.levels):
-        cells = [_number(float(level)), _number(by_score * float(sweep.scores[i]))]
+        cells = [_number(by_level * float(level)), _number(by_score * float(sweep.scores[i]))]
         for name, (_, by) in shown.items():
             flat = by * sweep.values[name][i].ravel()
             low, middle, high = np.quantile(flat, [0.025, 0.5, 0.975])
@@ -109,19 +109,28 @@ def sweep_csv(sweep: Sweep, system: System) -> str:
     return _csv(lines)
 
 
-def response_json(rows: Iterable[Row], found: Iterable[Passing], about: dict[str, object]) -> str:
-    """All rows and limits as JSON, in internal units: kip, in, s."""
-    peaks = [
-        {
-            **{key: getattr(row, key) for key in ("quantity", "ground", "place", "unit")},
-            **{key: getattr(row, key) for key in ("median", "mean", "bare", "plain")},
-            "bands": {
-                percent(p): list(band) for p, band in zip(PROBABILITIES, row.bands, strict=True)
-            },
-        }
-        for row in rows
-    ]
-    limits = [vars(one) for one in found]
+def response_json(
+    rows: Iterable[Row], found: Iterable[Passing], about: dict[str, object], system: System
+) -> str:
+    """All rows and limits as JSON, in the units of the tables."""
+    peaks = []
+    for row in rows:
+        unit, by = shown_unit(row.unit, system)
+        peaks.append(
+            {
+                **{key: getattr(row, key) for key in ("quantity", "ground", "place")},
+                "unit": unit,
+                **{key: by * getattr(row, key) for key in ("median", "mean", "bare", "plain")},
+                "bands": {
+                    percent(p): [by * end for end in band]
+                    for p, band in zip(PROBABILITIES, row.bands, strict=True)
+                },
+            }
+        )
+    limits = []
+    for one in found:
+        unit, by = shown_unit(one.unit, system)
+        limits.append({**vars(one), "limit": by * one.limit, "unit": unit})
     return json_text({**about, "peaks": peaks, "limits": limits}, indent=2) + "\n"
 
 
