@@ -13,7 +13,7 @@ from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.roles import header_unit
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import factor, measure, parse_actuation, same_unit
+from mfd_bayes.units import actuation_factor, factor, measure, parse_actuation, same_unit
 
 TOLERANCE = 0.1
 """A name and its record agree if they differ by no more than this share of the name's value."""
@@ -100,8 +100,12 @@ def _of_actuation(record: Record, trace: Trace) -> Iterator[Fault]:
         if internal == record.actuation_unit:
             found.append((match[0], value))
     level = float(np.mean(record.actuation))
-    source = "its column" if "actuation" in record.columns else "the campaign"
-    shown = f"{source} has an actuation of {level:.4g} {record.actuation_unit}"
+    if "actuation" in record.columns:
+        unit = record.columns["actuation"][1]
+        shown = f"its column has an actuation of {level / actuation_factor(unit)[0]:.4g} {unit}"
+    else:
+        words = record.given_actuation or f"{level:.4g} {record.actuation_unit}"
+        shown = f"the campaign has an actuation of {words}"
     yield from _fault(record, found, [level], shown)
 
 

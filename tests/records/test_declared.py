@@ -65,8 +65,8 @@ def test_a_name_that_its_motion_contradicts_is_named(tmp_path, name, said, shown
         ("36lb_a", "36 lbf", ""),
         ("0.16kN", "36 lbf", ""),
         ("36lb_a", "500 psi", ""),  # of another kind: not compared
-        ("30lb_a", "36 lbf", "says 30lb, but the campaign has an actuation of 0.036 kip"),
-        ("500psi", "3 MPa", "says 500psi, but the campaign has an actuation of 0.4351 ksi"),
+        ("30lb_a", "36 lbf", "says 30lb, but the campaign has an actuation of 36 lbf"),
+        ("500psi", "3 MPa", "says 500psi, but the campaign has an actuation of 3 MPa"),
         ("3.5MPa", "500 psi", ""),
         ("0.03kip_b", "60 lbf", "says 0.03kip, but the campaign"),
     ],
@@ -75,6 +75,17 @@ def test_an_actuation_that_the_name_does_not_have_is_named(tmp_path, name, actua
     found = contradictions(record_of(tmp_path, name, actuation=actuation))
     assert len(found) == bool(shown)
     assert all(shown in fault.sentence for fault in found)
+
+
+@pytest.mark.parametrize(("unit", "level"), [("MPa", 7.0), ("kPa", 7000.0), ("kN", 4.0)])
+def test_an_actuation_of_a_column_is_told_in_the_unit_of_the_column(tmp_path, unit, level):
+    name = "3kN" if unit == "kN" else "5MPa"
+    path = record_of(tmp_path, name).path
+    head, *rows = path.read_text().splitlines()
+    lines = [f"{head},actuation_{unit}", *(f"{row},{level:g}" for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    (fault,) = contradictions(read_record(path))
+    assert fault.sentence.endswith(f"but its column has an actuation of {level:g} {unit}")
 
 
 def test_a_motion_without_a_full_loop_is_not_compared(tmp_path):
