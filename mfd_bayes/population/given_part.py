@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.strokes import strokes_of
-from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.clock import checked_window
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -103,15 +102,7 @@ def _words(window: tuple[float, float]) -> str:
 
 def _checked(trace: Trace, window: tuple[float, float], step: float) -> tuple[float, float]:
     """Begin and end of a window that lies within a record with a force."""
-    expected = f"given must be two times in s, the first before the second, got {window!r}"
-    try:
-        if isinstance(window, str | bytes | Set | Mapping):  # letters, or in no order
-            raise FitError(expected)
-        begin, end = (real_number("a time", time, FitError) for time in window)
-    except (TypeError, ValueError, FitError) as error:
-        raise FitError(expected) from error
-    if not begin < end:
-        raise FitError(expected)
+    begin, end = checked_window(window, "given", FitError)
     if trace.force is None:
         raise FitError(
             f"the trace has no force: given {_words((begin, end))} needs the force measured there"

@@ -143,7 +143,7 @@ def test_a_band_of_the_whole_history_holds_with_it(tools, study, few):
 @pytest.mark.parametrize(
     ("window", "said"),
     [
-        ((2.0, 1.0), "given must be two times in s, the first before the second"),
+        ((2.0, 1.0), "given must be two times in s, the earlier one first"),
         ((0.0,), "given must be two times"),
         ((0.0, 9.0), "must lie within the record, which goes from 0 s to 3.96875 s"),
         ((-2.0, 1.0), "must lie within the record"),
