@@ -11,6 +11,7 @@ from mfd_bayes.assessment.views import (
     FREE_EXPONENT,
     IDENTIFIABILITY,
     NOISE,
+    PREDICTIVE,
     READING,
     CampaignView,
     Check,
@@ -97,11 +98,23 @@ def grid_of(checks: Iterable[Check]) -> Grid:
     """Checks as tables of tests against targets."""
     grid: Grid = {}
     for check in checks:
-        target, _, detail = check.target.partition(_DETAIL)
-        detail = f"observed {detail.removesuffix(')')}" if detail else ""
+        target, detail = _parts(check)
         targets = grid.setdefault((check.name, check.limit), {})
         targets.setdefault(target, {})[check.subject] = (check, detail)
     return grid
+
+
+def _parts(check: Check) -> tuple[str, str]:
+    """Target of a check, and what was observed, in words.
+
+    A p-value has no unit: that of its figure stands with what was observed.
+    """
+    target, _, detail = check.target.partition(_DETAIL)
+    unit = ""
+    if check.name == PREDICTIVE and ", " in target:
+        target, unit = target.rsplit(", ", 1)
+    parts = f"observed {detail.removesuffix(')')}".split(", ") if detail else []
+    return target, ", ".join(f"{part} {unit}".rstrip() for part in parts)
 
 
 def derived_of(view: CampaignView) -> dict[str, dict[str, DerivedRow]]:

@@ -341,6 +341,18 @@ def test_one_statistic_is_one_line_whatever_was_observed(campaign, images):
     assert "observed 3.5" in text
 
 
+def test_a_p_value_has_no_unit_and_what_was_observed_has_it(campaign, images):
+    target, verdict = "residual rms, kip (observed 0.15, expected 0.2)", Verdict.FAIL
+    check = Check("a", "posterior predictive p-value", target, 0.004, "0.01 to 0.99", verdict)
+    reading = Check("a", "share of samples inside a band", "of 50 %, all", 0.5, "0.4", verdict)
+    text = first(replace(campaign, checks=(check, reading), metric=False), images)
+    assert re.findall(r'class="sort">(residual rms[^<]*|of 50[^<]*)<', text) == [
+        "residual rms",
+        "of 50 %, all",  # the control: other values may have a unit
+    ]
+    assert 'title="observed 0.15 kip, expected 0.2 kip"' in text
+
+
 def test_checks_with_a_section_of_their_own_are_shown_once(campaign, images):
     note = Check("a", "prior variance removed", "k3", 0.1, ">= 0.5", Verdict.NOTE)
     text = first(replace(campaign, checks=(note,)), images)
