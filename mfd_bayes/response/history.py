@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import BuildingError, MfdError
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.roles import header_unit
+from mfd_bayes.response.beside import file_beside
 from mfd_bayes.response.building import Building, Device
 from mfd_bayes.units import actuation_factor, factor
 
@@ -50,7 +51,7 @@ def _read(device: Device, folder: Path) -> tuple[Array, Array]:
     history = device.history
     if history is None:
         raise BuildingError(f"damper at {device.name} has no history of its actuation")
-    path = folder / history.file
+    path = file_beside(folder, history.file, f"the actuation of {device.name}")
     try:
         table = read_table(path)
         times = [name for name in table.names if name.lower().startswith(("time", "t_", "t["))]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.records.regular import why_no_file
+from mfd_bayes.response.beside import file_beside
 from mfd_bayes.response.measures import MASS
 from mfd_bayes.response.schema import Content, Matrices
 from mfd_bayes.units import convert
@@ -76,7 +77,8 @@ def _from_files(given: Matrices, path: Path) -> Skeleton:
             factor = convert(given.units.get(key, units[key]), units[key])  # type: ignore[call-overload]
         except UnitError as error:
             raise BuildingError(f"matrices.units.{key} in {path}: {error}") from error
-        found[key] = factor * _matrix(path.parent / name, f"matrices.{key} in {path}")
+        where = f"matrices.{key} in {path}"
+        found[key] = factor * _matrix(file_beside(path.parent, name, where), where)
     n = len(found["mass"])
     if {m.shape for m in found.values()} != {(n, n)}:
         shapes = ", ".join(f"{key} {m.shape}" for key, m in found.items())
