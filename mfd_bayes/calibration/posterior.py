@@ -190,7 +190,7 @@ class Posterior(ShownPosterior):
     def _likelihood_of_some(self, points: Array) -> Array:
         values = self.values(points)
         kept = slice(self.first, None)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             residual = self.residual(points)[:, kept]
             travel = self.travel(values)
             density = self.noise.log_density(

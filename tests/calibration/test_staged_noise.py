@@ -1,6 +1,7 @@
 """Noise that is larger, and decorrelates faster, where the force builds up."""
 
 import itertools
+import warnings
 
 import numpy as np
 import pytest
@@ -196,3 +197,17 @@ def test_a_posterior_prefers_staged_noise_for_a_record_that_rings():
     residual = (force - model.force(theta, blank, 0.5))[0]
     rival = values | {"noise_sd": np.array([residual.std()])}
     assert best > plain.log_likelihood(plain.coordinates(rival))[0] + 100.0
+
+
+def test_noise_that_never_forgets_has_no_density_and_no_warning():
+    """Its time is so long that a sample tells the next one to the last digit."""
+    time = np.arange(200) / 25.0
+    force = np.tanh(4.0 * np.cos(np.pi * time))
+    posterior = Posterior(
+        Trace.from_arrays(time, np.sin(np.pi * time), 0.5, force), "mfd", "staged"
+    )
+    q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), 5))
+    q[:, posterior.names.index("noise_time")] += 36.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.all(np.isneginf(posterior.log_likelihood(q)))
