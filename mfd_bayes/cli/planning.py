@@ -79,6 +79,8 @@ def next_test(
             force,
         )
         told = pipeline.next_test(out, wish)
+    for remark in told.advice.remarks:
+        console.say(f"warning: {remark}", err=True)
     if not quiet:
         heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
         console.print_rows(

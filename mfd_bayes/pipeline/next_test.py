@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.assessment.next_test import (
@@ -25,7 +25,7 @@ from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System, named_system
+from mfd_bayes.runs.systems import System
 from mfd_bayes.store.files import json_text, write_text
 
 SHOWN = 10
@@ -106,7 +106,7 @@ def next_test(out: Path, wish: Wish) -> Told:
     table = out / ADVICE[0] if wish.table is None else wish.table
     files = _files(table, wish)
     candidates = _candidates(wish.candidates)
-    run = open_run(out)
+    run = replace(open_run(out), units=wish.units)
     with reading(run.folder, run.manifest):
         advice = run.next_test(
             wish.goal or None,
@@ -115,7 +115,7 @@ def next_test(out: Path, wish: Wish) -> Told:
             draws=wish.draws,
             seed=wish.seed,
         )
-    system = named_system(wish.units, run.system)
+    system = run.system
     if wish.table is None:
         with alone_in(out):
             _write(run, advice, files, system)

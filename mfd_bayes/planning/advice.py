@@ -94,6 +94,8 @@ class Advice(Sequence[Row]):
         The tests that were made.
     draws : int
         Draws of the population that all is computed from.
+    remarks : tuple of str
+        Where candidates that were asked for lie outside what was tested.
     """
 
     goal: Goal
@@ -104,6 +106,7 @@ class Advice(Sequence[Row]):
     ruled_out: tuple[tuple[Candidate, str], ...]
     tests: tuple[Candidate, ...]
     draws: int
+    remarks: tuple[str, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:

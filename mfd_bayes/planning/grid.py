@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -27,7 +27,19 @@ ALIKE = 0.1
 """A candidate within this share of a test's amplitude and frequency, at its level, repeats it."""
 
 
-def tested_of(trace: Trace) -> Candidate:
+NEAR, NEW = 0.005, 0.02
+"""Shares of its value by which a figure of a test that was made, or of a new one, is rounded."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Factors from internal units to those in which a campaign shows and rounds its tests."""
+
+    actuation: float = 1.0
+    length: float = 1.0
+
+
+def tested_of(trace: Trace, shown: Shown = Shown()) -> Candidate:  # noqa: PT028
     """The harmonic test with the actuation, half stroke and frequency of a record.
 
     One of which most loops are not at full stroke has that of the same peak speed instead.
@@ -40,7 +52,9 @@ def tested_of(trace: Trace) -> Candidate:
     else:  # an earthquake
         frequency = setting.covariates["velocity"] / (2.0 * np.pi * amplitude)
     cycles = float(np.clip(count_cycles(trace), 1, 100))
-    return Candidate(setting.actuation, _round(frequency), _round(amplitude), cycles)
+    return Candidate(
+        setting.actuation, _round(frequency, NEAR), _round(amplitude, NEAR, shown.length), cycles
+    )
 
 
 def typical_of(tests: Sequence[Candidate]) -> list[Candidate]:
@@ -48,7 +62,7 @@ def typical_of(tests: Sequence[Candidate]) -> list[Candidate]:
     levels = [test.actuation for test in tests]
     low, high = min(levels), max(levels)
     many = RANGE if high > low * (1.0 + SAME_LEVEL) else 1
-    middle = (_round(float(np.median([getattr(t, n) for t in tests]))) for n in _MOTION)
+    middle = (float(np.median([getattr(t, n) for t in tests])) for n in _MOTION)
     frequency, amplitude, cycles = middle
     return [
         Candidate(float(level), frequency, amplitude, max(1.0, round(cycles)))
@@ -59,29 +73,32 @@ def typical_of(tests: Sequence[Candidate]) -> list[Candidate]:
 _MOTION = ("frequency", "amplitude", "cycles")
 
 
-def grid_of(tests: Sequence[Candidate]) -> list[Candidate]:
+def grid_of(tests: Sequence[Candidate], shown: Shown = Shown()) -> list[Candidate]:
     """Every test once more, and candidates from the campaign's range and a little beyond it."""
     cycles = typical_of(tests)[0].cycles
-    levels = _levels([test.actuation for test in tests])
+    levels = _levels([test.actuation for test in tests], shown.actuation)
     frequencies = _values([test.frequency for test in tests])
-    amplitudes = _values([test.amplitude for test in tests])
+    amplitudes = _values([test.amplitude for test in tests], shown.length)
     new = [Candidate(*three, cycles) for three in product(levels, frequencies, amplitudes)]
-    again = [replace(test, cycles=cycles) for test in tests if test.actuation > 0.0]
-    return [*dict.fromkeys(again), *(c for c in new if not repeats(c, again))]
+    again: list[Candidate] = []
+    for test in tests:
+        if test.actuation > 0.0 and not repeats(test, again, NEW):
+            again.append(replace(test, cycles=cycles))
+    return [*again, *(c for c in new if not repeats(c, again))]
 
 
-def repeats(candidate: Candidate, tests: Iterable[Candidate]) -> bool:
+def repeats(candidate: Candidate, tests: Iterable[Candidate], within: float = ALIKE) -> bool:
     """Whether a candidate is like a test that was made."""
     return any(
         same_level(candidate.actuation, test.actuation)
         and candidate.waveform == test.waveform
-        and abs(candidate.frequency / test.frequency - 1.0) <= ALIKE
-        and abs(candidate.amplitude / test.amplitude - 1.0) <= ALIKE
+        and abs(candidate.frequency / test.frequency - 1.0) <= within
+        and abs(candidate.amplitude / test.amplitude - 1.0) <= within
         for test in tests
     )
 
 
-def _levels(tested: Sequence[float]) -> list[float]:
+def _levels(tested: Sequence[float], scale: float) -> list[float]:
     """Tested levels, one in the middle of each gap between them, and one beyond."""
     own: list[float] = []
     for level in sorted(tested):
@@ -90,19 +107,23 @@ def _levels(tested: Sequence[float]) -> list[float]:
     most = (LEVELS - 1) // 2
     if len(own) > most:
         own = [own[k] for k in np.unique(np.linspace(0, len(own) - 1, most).round().astype(int))]
-    between = [_round(0.5 * (a + b)) for a, b in pairwise(own)]
-    below = [_round(own[0] / BEYOND)] if len(own) == 1 else []
-    return sorted({*own, *between, *below, _round(BEYOND * own[-1])} - {0.0})
+    between = [_round(0.5 * (a + b), NEW, scale) for a, b in pairwise(own)]
+    below = [_round(own[0] / BEYOND, NEW, scale)] if len(own) == 1 else []
+    return sorted({*own, *between, *below, _round(BEYOND * own[-1], NEW, scale)} - {0.0})
 
 
-def _values(tested: Sequence[float]) -> list[float]:
+def _values(tested: Sequence[float], scale: float = 1.0) -> list[float]:
     """Smallest and largest tested value, and one beyond."""
     low, high = min(tested), max(tested)
     near = [low] if low > 0.9 * high else [low, high]
-    return [*near, _round(BEYOND * high)][:VALUES]
+    return [*near, _round(BEYOND * high, NEW, scale)][:VALUES]
 
 
-def _round(value: float) -> float:
-    """A value to two digits, as it is set on a frame; three where that is off by over 2 %."""
-    short = float(f"{value:.2g}")
-    return short if abs(short - value) <= 0.02 * abs(value) else float(f"{value:.3g}")
+def _round(value: float, within: float, scale: float = 1.0) -> float:
+    """A value to two digits in the unit of a scale, as it is set on a frame; else to three.
+
+    Three where two are off by more than a share of the value.
+    """
+    own = scale * value
+    short = float(f"{own:.2g}")
+    return (short if abs(short - own) <= within * abs(own) else float(f"{own:.3g}")) / scale

@@ -35,9 +35,9 @@ from mfd_bayes.runs.named import Named
 from mfd_bayes.runs.order import NO_GAP, Order, StoredPooled
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.steps import RunSteps
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.systems import System, named_system
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
-from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given
+from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given, with_remarks
 
 if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
@@ -53,6 +53,8 @@ class Run(RunSteps):
         Calibrated tests; it cannot be changed.
     held_out : mapping of str to Trace
         Tests with role "validate"; likewise.
+    units : {"", "us", "si"}
+        What its sentences are in; "" for the units of the records.
     """
 
     folder: Path
@@ -61,6 +63,7 @@ class Run(RunSteps):
     tests: Mapping[str, TestResult]
     held_out: Mapping[str, Trace]
     extras: Extras | None = field(default=None, repr=False)
+    units: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tests", Named("calibrated test", self.tests))
@@ -98,9 +101,9 @@ class Run(RunSteps):
 
     @cached_property
     def system(self) -> System:
-        """System of units that most records were measured in, of the size of their forces."""
+        """System of units that most records were measured in, or of `units`."""
         traces = [*(test.trace for test in self.tests.values()), *self.held_out.values()]
-        return self.manifest.system_of(traces)
+        return named_system(self.units, self.manifest.system_of(traces))
 
     @cached_property
     def tested(self) -> tuple[Span, ...]:
@@ -110,9 +113,8 @@ class Run(RunSteps):
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
         check_trace("trace", trace, FitError)
-        unit = self.actuation_unit
-        tested = range_of([self.tests[test].trace], unit) if test else self.tested
-        return departures(tested, trace, unit)
+        tested = range_of([self.tests[test].trace], self.actuation_unit) if test else self.tested
+        return departures(tested, trace, self.actuation_unit)
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
@@ -153,8 +155,7 @@ class Run(RunSteps):
             "this_test", instead of these: what is known of one calibrated test.
         probability : float
             Probability of the equal-tailed band at each sample.
-        draws : int
-        seed : int
+        draws, seed : int
         session : str
             Session of the test, where the campaign declares sessions.
         test : str
@@ -220,10 +221,8 @@ class Run(RunSteps):
         """Response of a building with this device as its dampers; see `respond_of_run`."""
         from mfd_bayes.runs.response import respond_of_run
 
-        how: dict[str, Any] = {"kind": kind, "tolerance": tolerance, "jobs": jobs}
-        return respond_of_run(
-            self._source(), building, grounds, draws=draws, seed=seed, observe=observe, **how
-        )
+        how: dict[str, Any] = {"draws": draws, "seed": seed, "kind": kind, "tolerance": tolerance}
+        return respond_of_run(self._source(), building, grounds, jobs=jobs, observe=observe, **how)
 
     def follow(
         self,
@@ -295,6 +294,7 @@ class Run(RunSteps):
         CampaignError
             When an option is of another type or not understood, or the limits leave no candidate.
         """
-        wanted = stored_wish(self.folder, self.manifest)
-        wanted = with_given(wanted, self.manifest, goal, candidates, limits)
-        return next_test(self.population, self.tests, self.manifest, wanted, Effort(draws, seed))
+        own, effort = stored_wish(self.folder, self.manifest), Effort(draws, seed)
+        wanted = with_given(own, self.manifest, goal, candidates, limits)
+        found = next_test(self.population, self.tests, self.manifest, wanted, effort)
+        return with_remarks(found, self.tested, self.system) if wanted.candidates else found

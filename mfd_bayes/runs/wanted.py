@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +13,13 @@ from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import MOST, Candidate, Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
-from mfd_bayes.planning.grid import grid_of, tested_of, typical_of
+from mfd_bayes.planning.grid import Shown, grid_of, tested_of, typical_of
 from mfd_bayes.planning.study import Effort, Situation, advise
 from mfd_bayes.population.population import Population
 from mfd_bayes.runs.folder import CAMPAIGN, check_stored
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.tested import Span, leaving
 from mfd_bayes.units import ActuationUnit
 
 Candidates = str | Candidate | Iterable[str | Candidate]
@@ -89,10 +91,12 @@ def next_test(
     effort: Effort,
 ) -> Advice:
     """Table of the wanted candidates, or of a grid from the campaign's range."""
+    system = manifest.system_of(test.trace for test in tests.values())
+    shown = Shown(system.factor(manifest.settings.actuation_unit), system.factor("in"))
     # an actuation that is next to nothing is zero there
     settings = population.layout.settings
     done = tuple(
-        replace(tested_of(test.trace), actuation=setting.actuation)
+        replace(tested_of(test.trace, shown), actuation=setting.actuation)
         for test, setting in zip(tests.values(), settings, strict=True)
     )
     sessions = tuple(manifest.settings.tests[name].session for name in tests)
@@ -108,5 +112,16 @@ def next_test(
     ]
     if len(asked) > MOST:
         raise CampaignError(f"more than {MOST} tests, the most of one question")
-    candidates = asked or grid_of(done)
+    candidates = asked or grid_of(done, shown)
     return advise(situation, wanted.goal, candidates, wanted.limits, effort)
+
+
+def with_remarks(advice: Advice, tested: Sequence[Span], system: System) -> Advice:
+    """Advice that says where its candidates lie outside what was tested."""
+    candidates = [row.candidate for row in advice]
+    asked = []
+    for span in tested:
+        values = [getattr(candidate, span.name) for candidate in candidates]
+        asked.append(Span(span.name, span.unit, min(values), max(values)))
+    outside = leaving(tested, asked)
+    return replace(advice, remarks=tuple(one.sentence(system) for one in outside))

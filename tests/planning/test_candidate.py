@@ -105,6 +105,33 @@ def test_a_record_is_known_by_its_harmonic_test():
     assert (found.actuation, found.frequency, found.amplitude) == (0.8, 0.5, 1.0)
 
 
+METRIC = of_grid.Shown(6.894757, 25.4)
+
+
+@pytest.mark.parametrize("amplitude", [25.0, 25.4, 24.8])
+def test_a_metric_record_is_rounded_in_mm_not_in_inches(amplitude):
+    trace = Harmonic(1.0004 * amplitude / 25.4, 0.5, 4).trace(7.0 / METRIC.actuation)
+    found = of_grid.tested_of(trace, METRIC)
+    assert found.amplitude * 25.4 == pytest.approx(amplitude, rel=1e-9)
+    rough = of_grid.tested_of(trace).amplitude * 25.4
+    assert (rough == pytest.approx(amplitude, rel=1e-9)) == (amplitude == 25.4)  # the control
+
+
+def test_new_levels_of_a_metric_campaign_are_round_in_mpa():
+    tests = [Candidate(p / METRIC.actuation, 0.5, 25 / 25.4) for p in (3.5, 7.0)]
+    grid = grid_of(tests, METRIC)
+    levels = sorted({c.actuation * METRIC.actuation for c in grid})
+    assert levels == pytest.approx([3.5, 5.2, 7.0, 8.8])
+    assert {round(c.amplitude * 25.4, 6) for c in grid} == {25.0, 31.0}
+
+
+def test_tests_that_differ_by_less_than_is_rounded_are_repeated_once():
+    tests = [Candidate(1.0, 0.5, a) for a in (1.0, 1.01, 0.99)]
+    assert sum(repeats(c, tests) for c in grid_of(tests)) == 1
+    apart = [Candidate(1.0, 0.5, a) for a in (1.0, 1.5)]
+    assert sum(repeats(c, apart) for c in grid_of(apart)) == 2
+
+
 def test_an_irregular_motion_has_the_frequency_of_its_peak_speed():
     time = np.arange(2001) / 100
     rise = np.exp(-(((time - 10) / 3) ** 2)) * np.sin(2 * np.pi * 0.7 * time)
