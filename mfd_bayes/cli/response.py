@@ -108,12 +108,16 @@ def export(
     draws: Annotated[int, typer.Option(min=10, max=20000)] = 1000,
     seed: arguments.Seed = 1,
     force: arguments.Replace = False,
+    extrapolate: Annotated[
+        bool, typer.Option("--extrapolate", help="Export also far outside of the tested range.")
+    ] = False,
 ) -> None:
     """Write joint samples of a new device's parameters for other programs.
 
     quofem: a column per variable without a header, grouped so that correlations are
     kept, and dakotaTab.out. opensees: a material fitted to predicted loops, with its
-    misfit. csv: one table with names and units.
+    misfit. csv: one table with names and units. All are in kip, in and ksi. Outside of
+    the tested actuations it warns, far outside it refuses.
 
     Example:
       mfd-bayes export out --to quofem --actuation "1000 psi" -o samples
@@ -121,7 +125,9 @@ def export(
     from mfd_bayes.pipeline import export as pipeline
 
     with mistakes():
-        question = pipeline.Export(to, folder, actuation, draws, seed, force)
-        said = pipeline.export(out, question)
-    for sentence in said:
+        question = pipeline.Export(to, folder, actuation, draws, seed, force, extrapolate)
+        found = pipeline.export(out, question)
+    for remark in found.remarks:
+        console.say(f"warning: {remark}", err=True)
+    for sentence in found.said:
         console.say(sentence)

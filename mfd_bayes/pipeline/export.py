@@ -18,6 +18,7 @@ from mfd_bayes.response.schema import Limits
 from mfd_bayes.runs.folder import POPULATION
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.tested import Span, far_sentences, leaving
 from mfd_bayes.store.files import read_json, write_json, write_text
 from mfd_bayes.units import parse_actuation
 
@@ -42,15 +43,25 @@ class Export:
     draws: int = 1000
     seed: int = 1
     force: bool = False
+    extrapolate: bool = False
 
 
-def export(out: Path, asked: Export) -> list[str]:
-    """Write the samples of a new device; sentences that say what was written.
+@dataclass(frozen=True)
+class Exported:
+    """Sentences that say what was written, and reasons to trust it less."""
+
+    said: list[str]
+    remarks: list[str]
+
+
+def export(out: Path, asked: Export) -> Exported:
+    """Write the samples of a new device.
 
     Raises
     ------
     MfdError
-        When the run or the actuation cannot be used, or the folder is not this command's.
+        When the run or the actuation cannot be used, the actuation lies far outside of what was
+        tested and is not asked for expressly, or the folder is not this command's.
     """
     folder = asked.folder
     used = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
@@ -63,6 +74,7 @@ def export(out: Path, asked: Export) -> list[str]:
         raise StoreError(f"{folder} is a run folder: give a folder of its own")
     run = open_run(out)
     level = _level(run, asked.actuation)
+    remarks = _remarks(run, level, asked)
     names, units, theta, start = _samples(run, level, asked)
     about = {
         "made_by": _MADE_BY,
@@ -72,7 +84,7 @@ def export(out: Path, asked: Export) -> list[str]:
         "seed": asked.seed,
         "kind": "new_test",
         "population_sha256": (run.manifest.files or {}).get(POPULATION),
-    }
+    } | ({"remarks": remarks} if remarks else {})
     about = _tidied(folder, about)
     writers = {"csv": _write_csv, "quofem": _write_quofem}
     if asked.to in writers:
@@ -80,7 +92,7 @@ def export(out: Path, asked: Export) -> list[str]:
     else:
         said = _write_opensees(folder, run, theta[:FITS], start[:FITS], about)
     write_json(folder / ABOUT, about)
-    return said
+    return Exported(said, remarks)
 
 
 def _tidied(folder: Path, about: dict[str, object]) -> dict[str, object]:
@@ -119,6 +131,16 @@ def _level(run: Run, actuation: str) -> float:
         kind = "pressure" if run.actuation_unit == "ksi" else "force"
         raise CampaignError(f"--actuation {actuation!r} must be a {kind}, as in the campaign")
     return level
+
+
+def _remarks(run: Run, level: float, asked: Export) -> list[str]:
+    """Where the actuation leaves what was tested."""
+    span = Span("actuation", run.actuation_unit, level, level)
+    outside = leaving(run.tested, [span])
+    far = far_sentences(outside, run.system)
+    if far and not asked.extrapolate:
+        raise CampaignError(f"{far}; give --extrapolate to export it all the same")
+    return [one.sentence(run.system) for one in outside]
 
 
 def _samples(run: Run, level: float, asked: Export) -> tuple[list[str], list[str], Array, Array]:

@@ -24,7 +24,7 @@ from mfd_bayes.runs.average import ModelAverage
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System, named_system
+from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import far_sentences
 from mfd_bayes.store.files import write_text
 from mfd_bayes.units import parse_actuation
@@ -65,11 +65,12 @@ def predict(out: Path, question: Question) -> Answer:
         )
     _check_combined(question)
     check_question(question)
-    run = open_run(out)
-    source = ModelAverage((run, *map(open_run, question.others))) if question.others else run
-    system = named_system(question.units, run.system)
+    run, *others = (_opened(folder, question.units) for folder in (out, *question.others))
+    source = ModelAverage((run, *others)) if others else run
+    system = run.system
+    level = _level(run, question)
     motion, thinned = motion_of(question)
-    told = replace(motion, actuation=_level(run, question))
+    told = replace(motion, actuation=level)
     trace = replace(told, force=None)
     _check_reach(run, trace, question)
     drawn = told if question.compare else trace
@@ -85,6 +86,12 @@ def predict(out: Path, question: Question) -> Answer:
     answer = Answer(band, derived, system, compared, design)
     _write(question, drawn, answer, told)
     return answer
+
+
+def _opened(folder: Path, units: str) -> Run:
+    """Run that tells everything in a system of units, where one is asked for."""
+    run = open_run(folder)
+    return replace(run, units=units) if units else run
 
 
 def _check_combined(question: Question) -> None:

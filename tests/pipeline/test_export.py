@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.export import Export, export
 
 QUOFEM = {"randomVariables.json", "dakotaTab.out", "start.txt", "sigma0.txt"}
@@ -56,3 +57,17 @@ def test_files_beside_anothers_about_stay(out, folder, content):
     before = names(folder)
     export(out, Export("csv", folder, "800 psi", 10))
     assert names(folder) == before | {"samples.csv"}
+
+
+def test_an_actuation_outside_what_was_tested_is_warned_of_and_far_outside_refused(out, folder):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(CampaignError, match=r"the actuation, 50000 psi, lies far .* --extrapolate"):
+        export(out, Export("csv", folder, "50000 psi", 10))
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    far = export(out, Export("csv", folder, "50000 psi", 10, extrapolate=True))
+    (remark,) = far.remarks
+    assert "lies far outside the tested range" in remark
+    assert json.loads((folder / "about.json").read_text())["remarks"] == [remark]
+    assert "outside" in export(out, Export("csv", folder, "1200 psi", 10)).remarks[0]
+    assert export(out, Export("csv", folder, "700 psi", 10)).remarks == []
+    assert "remarks" not in json.loads((folder / "about.json").read_text())

@@ -77,6 +77,8 @@ def test_fifty_kip_are_not_three_hundred_pounds(ask, tmp_path, tested):
     refused = ask("--motion", motion, "--actuation", "50 MPa")
     assert refused.exit_code == 2
     assert "the actuation, 7252 psi, lies far outside" in refused.stderr
+    metric = ask("--motion", motion, "--actuation", "7252 psi", "--units", "si")
+    assert "the actuation, 50 MPa, lies far outside the tested range, 3.4" in metric.stderr
 
 
 @pytest.mark.usefixtures("small_pictures")
