@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError, StoreError
+from mfd_bayes.errors import BuildingError, StoreError, UnitError
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.pipeline.outputs import Output, known
 from mfd_bayes.pipeline.response_files import MARKER, write_response
 from mfd_bayes.reporting.response_page import ResponseView
 from mfd_bayes.reporting.sweep_words import sweep_sentence
@@ -87,16 +88,28 @@ def init_building(path: Path, *, force: bool = False) -> Path:
     Raises
     ------
     BuildingError
-        When one exists and `force` is not given; nothing is written then.
+        When one exists and `force` is not given, or this command did not write it; nothing is
+        written then.
     """
     target = path / "building.toml" if path.is_dir() or path.suffix != ".toml" else path
     ground = target.with_name("ground.AT2")
-    for place in (target, ground):
+    texts = {target: example_building(), ground: example_ground()}
+    for place, text in texts.items():
+        if place.exists() and not known(Output(place, _begins_as(text))):
+            raise BuildingError(
+                f"{place} exists, and this command did not write it: give another name"
+            )
         if place.exists() and not force:
             raise BuildingError(f"{place} exists: give --force to replace it")
-    write_text(target, example_building())
-    write_text(ground, example_ground())
+    for place, text in texts.items():
+        write_text(place, text)
     return target
+
+
+def _begins_as(text: str) -> Callable[[bytes], bool]:
+    """Function that knows a file by the first line of a text."""
+    first = text.splitlines()[0].encode()
+    return lambda content: content.startswith(first)
 
 
 def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
@@ -114,7 +127,7 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
     levels = parse_sweep(query.sweep) if query.sweep else None
     building = read_building(query.building)
     grounds = _grounds(query)
-    run = open_run(out)
+    run = replace(open_run(out), units=query.units)
     system = named_system(query.units, SYSTEMS[run.system.name == "si"])
 
     if levels is not None:
@@ -182,7 +195,10 @@ def _grounds(query: Query) -> list[Ground]:
     if query.peak:
         if query.scale != 1.0:
             raise BuildingError("give either --scale or --peak")
-        peak = parse_acceleration(query.peak)
+        try:
+            peak = parse_acceleration(query.peak)
+        except UnitError as error:
+            raise BuildingError(f"--peak: {error}") from error
         if not peak > 0:
             raise BuildingError(f"--peak must be positive, got {query.peak!r}")
         return [ground.with_peak(peak) for ground in grounds]

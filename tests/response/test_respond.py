@@ -250,7 +250,22 @@ def test_a_first_building_file_is_written_once(tmp_path):
     assert done.exit_code == 0
     assert read_building(tmp_path / "building.toml").freedoms == 3
     assert read_ground(tmp_path / "ground.AT2").peak == pytest.approx(0.35 * GRAVITY)
-    assert CliRunner().invoke(app, ["init", str(tmp_path), "--building"]).exit_code == 2
+    again = ["init", str(tmp_path), "--building"]
+    assert CliRunner().invoke(app, again).exit_code == 2
+    path = tmp_path / "building.toml"
+    path.write_text(path.read_text().replace("Three storeys", "Mine"))
+    assert CliRunner().invoke(app, [*again, "--force"]).exit_code == 0
+    assert "Three storeys" in path.read_text()
+
+
+@pytest.mark.parametrize("name", ["campaign.toml", "ground.AT2"])
+def test_a_first_building_file_replaces_nothing_of_another_kind(tmp_path, name):
+    (tmp_path / name).write_text("[[test]]\n")
+    target = str(tmp_path / "campaign.toml")
+    done = CliRunner().invoke(app, ["init", target, "--building", "--force"])
+    assert done.exit_code == 2
+    assert f"{name} exists, and this command did not write it" in " ".join(done.stderr.split())
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["[[test]]\n"]
 
 
 @pytest.mark.parametrize("to", ["quofem", "csv", pytest.param("opensees", marks=pytest.mark.slow)])
