@@ -10,6 +10,8 @@ from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.file import Test
 from mfd_bayes.friction import models
+from mfd_bayes.friction.model import Model
+from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.swing import swing_of
 from mfd_bayes.records.declared import contradictions
@@ -74,6 +76,15 @@ def _of_settings(
 ) -> Iterator[tuple[str, Fault]]:
     """What a campaign asks for that the calibration of its tests does not do."""
     model = models.find_model(settings.model)
+    if lacking := laws_without(model, settings.laws):
+        yield (
+            "laws",
+            Fault(
+                "laws",
+                f"[laws] names {' and '.join(lacking)}, which the model {model.name} does not "
+                "have: it is not used",
+            ),
+        )
     unused = [name for name in settings.dependence or {} if name not in layout.names]
     if unused:
         yield (
@@ -96,6 +107,19 @@ def _of_settings(
                 "force at its mean actuation",
             ),
         )
+
+
+def laws_without(model: Model, laws: Mapping[str, str]) -> list[str]:
+    """Names whose law was given by the campaign, and which the model lacks."""
+    taken = {other for name, other in model.laws_from.items() if laws.get(name) == laws.get(other)}
+    used = {*model.laws, *model.tied_laws, *taken}
+    given = {name: law for name, law in laws.items() if name in used}
+    found = []
+    for name, law in laws.items():
+        if name not in given and complete_laws(given).get(name, law) != law:
+            found.append(name)
+            given[name] = law  # others that follow it were not given
+    return found
 
 
 def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:

@@ -11,8 +11,11 @@ from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.calibration.prior_files import find_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.friction.models import find_model
+from mfd_bayes.pipeline.findings import laws_without
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population import sampling
+from mfd_bayes.population.laws import complete_laws
 
 HEAD = '[campaign]\nmodel = "lugre"\nnoise = "iid"\nrate = "32 Hz"\n'
 
@@ -141,6 +144,30 @@ def test_what_the_calibration_does_not_do_is_told(tmp_path):
     assert (
         "names gap, which the tests of the model lugre do not share" in told["dependence"].sentence
     )
+    assert "laws" not in told
+
+
+@pytest.mark.parametrize(
+    ("model", "laws", "lacking"),
+    [
+        ("three_stage", {"Fy_fwd": "affine"}, "Fy_fwd"),
+        ("three_stage", {"Fy_fwd": "power", "Fc_fwd": "affine", "Fs_fwd": "affine"}, "Fy_fwd"),
+        (
+            "bouc_wen",
+            {"Fc_fwd": "power", "Fy_fwd": "affine", "sigma0": "power"},
+            "Fc_fwd and sigma0",
+        ),
+        ("bouc_wen", {"Fs_fwd": "power"}, "Fs_fwd"),
+        ("lugre", {"Fy_bwd": "constant"}, "Fy_bwd"),
+        ("three_stage", {"Fc_fwd": "affine"}, ""),
+        ("bouc_wen", {"Fy_fwd": "affine"}, ""),
+        ("bouc_wen", {"Fc_fwd": "affine"}, ""),  # of which Fy_fwd takes its law
+        ("lugre", {}, ""),
+    ],
+)
+def test_a_law_that_the_model_lacks_is_told(model, laws, lacking):
+    found = laws_without(find_model(model), complete_laws(laws))
+    assert " and ".join(found) == lacking
 
 
 def test_a_fixed_noise_is_refused_before_anything_is_calibrated(tmp_path):
