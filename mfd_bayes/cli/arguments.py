@@ -41,7 +41,8 @@ Force = Annotated[bool, typer.Option("--force", help="Replace a run that exists.
 Effort = Annotated[
     Literal["quick", "standard", "thorough"] | None,
     typer.Option(
-        help="How many draws to aim at; a resumed run keeps its own.", show_default="standard"
+        help="How many draws to aim at; with --resume leave it out: a run keeps its own.",
+        show_default="standard",
     ),
 ]
 Kind = Annotated[

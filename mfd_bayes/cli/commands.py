@@ -18,7 +18,7 @@ from mfd_bayes.cli.prediction import compare, crossvalidate, predict
 from mfd_bayes.cli.preparation import init, inspect, prior_check
 from mfd_bayes.cli.response import export, respond
 from mfd_bayes.cli.streams import checked_streams
-from mfd_bayes.cli.usage import OneSentence
+from mfd_bayes.cli.usage import NothingEmpty, OneSentence
 from mfd_bayes.jobs.signals import end_on_signals
 
 app = typer.Typer(
@@ -62,7 +62,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
 
 for _panel, _command, _next in _COMMANDS:
     _name = "next" if _command is next_test else None  # next is a word of Python
-    app.command(_name, rich_help_panel=_panel, epilog=f"Next: {_next}")(_command)
+    app.command(_name, cls=NothingEmpty, rich_help_panel=_panel, epilog=f"Next: {_next}")(_command)
 
 
 def _version(wanted: bool) -> None:

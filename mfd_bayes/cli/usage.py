@@ -7,12 +7,28 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from typer.core import TyperGroup
+from typer import BadParameter
+from typer.core import TyperCommand, TyperGroup
 
 from mfd_bayes.cli.console import say
 
 _VALUE = re.compile(r"Invalid value for '?(.+?)'?: (.*)", re.DOTALL)
 """How typer names an option or argument, and says what is wrong with it."""
+
+
+class NothingEmpty(TyperCommand):
+    """A command that refuses an empty text, as of a variable that is not set, for an option."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, when no option was given an empty text."""
+        for param in self.params:
+            value = ctx.params.get(param.name or "")
+            source = ctx.get_parameter_source(param.name or "")
+            typed = source is not None and source.name == "COMMANDLINE"
+            if typed and isinstance(value, str) and not value.strip():
+                name = next(reversed(param.opts), param.name)
+                raise BadParameter(f"{name}: got an empty text: give a value, or leave it out")
+        return super().invoke(ctx)
 
 
 class OneSentence(TyperGroup):

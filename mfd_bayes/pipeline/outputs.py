@@ -127,7 +127,8 @@ def remove_known(output: Output) -> None:
 def _check_free(output: Output, inputs: Iterable[Path], *, force: bool) -> None:
     path = output.path
     for read in inputs:
-        if path.resolve() == read.resolve() or (path.exists() and path.samefile(read)):
+        both = path.exists() and read.exists()
+        if path.resolve() == read.resolve() or (both and path.samefile(read)):
             raise StoreError(f"cannot write {path}: it is an input of this command, {read}")
     ours = known(output)
     name = name_in_run(path)

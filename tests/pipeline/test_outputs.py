@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
+from mfd_bayes.pipeline.outputs import Output, check_outputs, table_with
 from mfd_bayes.store.files import write_text
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -253,13 +254,36 @@ def test_a_run_does_not_replace_a_pipe_or_a_link_out_of_its_folder(home, name):
         ("prior-check", "campaign.toml", "-o", ""),
         ("predict", "out", "--motion", "", "--actuation", "1 ksi", "-o", "b.csv"),
         ("predict", "out", "--motion", "m.csv", "--actuation", "1 ksi", "-o", ""),
+        (
+            "predict",
+            "out",
+            "--motion",
+            "m.csv",
+            "--actuation",
+            "1 ksi",
+            "-o",
+            "b.csv",
+            "--given",
+            "",
+        ),
+        ("next", "out", "--goal", ""),
+        ("export", "out", "--to", "csv", "--actuation", " "),
     ],
     ids=" ".join,
 )
-def test_an_empty_path_is_not_this_folder(home, monkeypatch, arguments):
+def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch, arguments):
     monkeypatch.chdir(home)
     before = state(home)
     outcome = here(*arguments)
     assert outcome.exit_code == 2, outcome.output
     assert "got an empty text" in " ".join(outcome.stderr.split())
     assert state(home) == before
+
+
+def test_a_motion_that_is_not_there_is_named_also_where_the_output_is(tmp_path):
+    there = tmp_path / "bands.csv"
+    there.write_text("time_s,displacement_in,lower_kip\n")
+    output = Output(there, table_with("time_s"))
+    check_outputs([output], [tmp_path / "none.csv"], force=False)
+    with pytest.raises(StoreError, match="it is an input of this command"):  # the control
+        check_outputs([output], [there], force=False)
