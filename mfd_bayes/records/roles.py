@@ -13,7 +13,7 @@ from mfd_bayes.units import measure, same_unit
 ROLES = ("time", "displacement", "force", "velocity", "actuation")
 """What a column can be; a record needs a time and a displacement."""
 
-_EXAMPLES = {"time": "time_s", "displacement": "displacement_in"}
+_EXAMPLES = {"time": "time_s", "displacement": "displacement_mm"}
 _SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
 _BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
 
@@ -64,8 +64,9 @@ def roles_of(
         )
     if missing:
         raise RecordError(
-            f"no column for {missing[0]} in {table.path}: name one, or call it "
-            f"{_EXAMPLES[missing[0]]!r}; it has {', '.join(table.names[:20])}"
+            f"no column for {missing[0]} in {table.path}, which has {', '.join(table.names[:20])}: "
+            f"rename it in the file, as {_EXAMPLES[missing[0]]}, or name it in [columns] of a "
+            "campaign, or in Python by columns"
         )
     return {role: roles[role] for role in ROLES if role in roles}
 

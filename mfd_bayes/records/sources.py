@@ -191,6 +191,10 @@ def take_off(
         signal = signal - _subtracted(table, role, source.minus, raw)
     if source.minus_mass:
         mass = parse_mass(source.minus_mass, of=f"minus_mass of {of}")
+        if mass < 0.0:
+            raise UnitError(
+                f"minus_mass of {of}: expected a mass of 0 or more, got {source.minus_mass!r}"
+            )
         check_increasing(table.path, signals["time"], table.place)
         signal = signal - mass * acceleration(signals["time"], signals["displacement"])
     if " to " in source.tare:

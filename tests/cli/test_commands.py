@@ -592,7 +592,7 @@ def test_inspect_takes_a_motion_without_force(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("a.csv", "t,x\n0,1\n1,2\n", ("no column for time", "t, x")),
+        ("a.csv", "t,x\n0,1\n1,2\n", ("no column for time", "t, x", "rename it")),
         ("a.csv", "", ("a.csv", "empty")),
         ("a.xls", "x", ("'.xls'", ".xlsx")),
         ("a.xlsx", "PK", ("a.xlsx", "not an Excel workbook")),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import MfdError, RecordError
+from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.inspection import inspect_record
 from mfd_bayes.records.record import read_record
@@ -61,6 +61,12 @@ def test_inertia_is_taken_off(tmp_path, mass):
     found = force_of(path, minus_mass=mass)
     np.testing.assert_allclose(found[inside], FRICTION[inside], atol=0.01)
     assert np.max(np.abs(force_of(path) - FRICTION)) > 2.0
+
+
+def test_a_mass_below_zero_is_refused(tmp_path):
+    path = written(tmp_path, time_s=TIME, stroke_mm=TRAVEL, load_N=FRICTION + INERTIA)
+    with pytest.raises(UnitError, match=r"minus_mass of .* of 0 or more, got '-3 kg'"):
+        force_of(path, minus_mass="-3 kg")
 
 
 @pytest.mark.parametrize("factor", [0.0, 5e-324])
