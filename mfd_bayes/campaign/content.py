@@ -70,12 +70,19 @@ def _sentences(path: Path, raw: dict[str, Any], error: ValidationError) -> Itera
             yield _unknown_key(path, raw, loc)
         elif fault["type"] == "missing":
             yield f"{key} is missing in {path}"
+        elif fault["type"] == "tuple_type":
+            yield f"{key} in {path} should be a list{_as_list(fault['input'])}, got {came}"
         elif fault["msg"].startswith("Input should be"):
             expected = fault["msg"].removeprefix("Input ")
             yield f"{key} in {path} {expected}, got {came}"
         else:
             reason = fault["msg"].removeprefix("Value error, ")
             yield f"{key} in {path}: {reason}" + ("" if came in reason else f", got {came}")
+
+
+def _as_list(value: object) -> str:
+    """How a text is written as a list."""
+    return f' such as ["{value}"]' if isinstance(value, str) and value.isprintable() else ""
 
 
 def _cut(text: str) -> str:

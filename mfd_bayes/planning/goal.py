@@ -143,7 +143,7 @@ def check_goal(goal: Goal, *, of: str = "--goal") -> None:
     Raises
     ------
     CampaignError
-        When its quantity or its kind is unknown.
+        When its quantity or its kind is unknown, or it has a law that it has no use for.
     """
     known = (*AT_MOTIONS, GAP, *OF_LAWS)
     if goal.quantity not in known:
@@ -154,6 +154,11 @@ def check_goal(goal: Goal, *, of: str = "--goal") -> None:
         raise CampaignError(
             f"{of}: a band is of {' or '.join(KINDS)}, not of {goal.kind!r}: noise and offset of a "
             "record are no quantity of the population"
+        )
+    if goal.of and goal.quantity not in OF_LAWS:
+        raise CampaignError(
+            f"{of}: {goal.quantity} is not of a law, so leave out of = {goal.of!r}, which is for "
+            f"{' and '.join(OF_LAWS)} alone"
         )
     laws = tuple(default_laws())
     if goal.quantity in OF_LAWS and goal.of not in laws:

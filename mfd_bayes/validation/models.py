@@ -79,7 +79,12 @@ def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candid
             f"--noises must name noises of {', '.join(known)}, each once, got {got}"
         )
     chosen = tuple(name for name in known if name in noises)
-    several = check_models(names) if len(names) > 1 or len(noises) < 2 else tuple(names)
+    if len(noises) < 2 and len(names) < 2:
+        raise CampaignError(
+            f"there is nothing to compare: --noises must name two or more of {', '.join(known)}, "
+            f"got {noises[0]!r} alone, or --models two or more models"
+        )
+    several = check_models(names) if len(names) > 1 else tuple(names)
     if unknown := [name for name in several if name not in models.every_name()]:
         raise CampaignError(
             f"--models must be of {', '.join(models.MODELS)}, got {', '.join(map(repr, unknown))}"

@@ -195,6 +195,11 @@ def test_unknown_keys_name_the_nearest(folder, text, expected):
         ('[campaign]\narea = "3 in"\n' + TEST, "measures length"),
         ('[campaign]\narea = "3 in^2"\n' + TEST.replace("500 psi", "30 lbf"), "leave area out"),
         ('[laws]\nsigma0 = "cubic"\n' + TEST, "laws.sigma0"),
+        (
+            '[dependence]\nFc_fwd = "velocity"\n' + TEST,
+            'should be a list such as ["velocity"], got',
+        ),
+        ("[dependence]\nFc_fwd = 3\n" + TEST, "dependence.Fc_fwd in"),
         (TEST + 'fit = "60 s"\n', "0 s to 60 s"),
         (TEST + "fit = [0, 60]\n", "test 'p500_f0.05'.fit"),
         (TEST.replace("500 psi", "500 mm"), "measures length"),

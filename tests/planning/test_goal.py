@@ -7,7 +7,7 @@ import pytest
 from mfd_bayes.assessment.next_test import goal_words
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.candidate import Candidate
-from mfd_bayes.planning.goal import Goal, check_session, parse_goal
+from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
 from mfd_bayes.runs.systems import US
 
 
@@ -108,6 +108,14 @@ def test_a_bad_goal_ends_in_one_sentence(text, said):
 def test_a_goal_of_other_types_is_refused(wrong, said):
     with pytest.raises(CampaignError, match=said):
         Goal(**wrong)
+
+
+def test_a_law_that_a_goal_has_no_use_for_is_refused():
+    check_goal(Goal("slope", "Fc_fwd"))
+    with pytest.raises(
+        CampaignError, match=r"goal.of: band is not of a law, so leave out of = 'Fc"
+    ):
+        check_goal(Goal("band", "Fc_fwd"), of="goal.of")
 
 
 def test_a_goal_is_at_candidates():

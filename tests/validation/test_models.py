@@ -234,7 +234,8 @@ def test_candidates_are_every_model_with_every_noise(models, noises, expected):
     [
         ([], ["ou", "white"], "--noises must name noises of ou, iid"),
         ([], ["ou", "ou"], "each once"),
-        ([], ["ou"], "--models must name two or more"),
+        ([], ["ou"], "--noises must name two or more of ou, iid.* got 'ou' alone"),
+        (["lugre"], ["ou"], "--noises must name two or more"),
         (["lugree"], ["ou", "iid"], "--models must be of three_stage"),
         (["lugre", "lugre+travel"], [], "--models must name two or more"),
         (["lugre"], [], "--models must name two or more"),
