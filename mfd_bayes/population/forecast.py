@@ -9,6 +9,7 @@ from mfd_bayes.population.checks import check_flag, check_text
 from mfd_bayes.population.kinds import KINDS
 from mfd_bayes.population.sequel import Ending
 from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.units import percent
 
 DRAWS = 500
 """Draws of a band where no other number is asked for."""
@@ -59,3 +60,14 @@ class Forecast:
         whole_number("seed", self.seed, 0, FitError)
         check_text("session", self.session)
         check_flag("whole", self.whole)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A remark where the draws are too few for the probability."""
+        beyond = 0.5 * (1.0 - self.probability) * self.draws
+        if beyond >= 1.0 - 1e-9:
+            return ()
+        return (
+            f"{self.draws} draws are too few for a band of {percent(self.probability)} %: its ends "
+            "are about the smallest and the largest draw",
+        )

@@ -202,7 +202,7 @@ class Run(RunSteps):
         left = self.departures(trace, test)
         remarks = asked.remarks_of(left, self.manifest, self.system, widened=not test)
         remarks += (NO_GAP,) if after and forecast.before is None else ()
-        remarks += (*asked.new_session(self.manifest, session), *band.remarks)
+        remarks += (*asked.new_session(self.manifest, session), *forecast.remarks, *band.remarks)
         band = replace(band, remarks=remarks, extras=self.extras)
         return asked.recalibrated(band, scores, self.manifest) if recalibrate else band
 

@@ -598,23 +598,31 @@ def test_a_prediction_beyond_what_was_tested_is_told(out, run, motion, tmp_path)
 def test_a_prediction_of_a_run_that_failed_says_so(run):
     trace = mb.Trace.from_arrays(TIME, MOTION, 0.7)
     failed = run.manifest.changed(verdicts={"campaign": "not usable", "sentence": "It is bad."})
-    remarks = replace(run, manifest=failed).predict(trace, draws=20).remarks
+    remarks = replace(run, manifest=failed).predict(trace, draws=40).remarks
     assert remarks == ("the run is not usable as it is: It is bad.",)
     sentence = "energy per cycle 0.00198 kip·in where 0.000852 kip·in is expected"
     weak = replace(run, manifest=failed.changed(verdicts={**failed.verdicts, "sentence": sentence}))
     vars(weak)["system"] = SI_SMALL
-    told = weak.predict(trace, draws=20).remarks[-1]
+    told = weak.predict(trace, draws=40).remarks[-1]
     assert told.endswith("energy per cycle 224 N·mm where 96.3 N·mm is expected")
     assert "224 N·mm" in weak._repr_html_()
     older = run.manifest.changed(verdicts={"campaign": "fail", "sentence": "It is bad."})
-    assert replace(run, manifest=older).predict(trace, draws=20).remarks == remarks
+    assert replace(run, manifest=older).predict(trace, draws=40).remarks == remarks
     passed = run.manifest.changed(verdicts={"campaign": "usable", "sentence": "It is good."})
-    assert replace(run, manifest=passed).predict(trace, draws=20).remarks == ()
+    assert replace(run, manifest=passed).predict(trace, draws=40).remarks == ()
+
+
+def test_draws_that_are_too_few_for_a_probability_are_told(run):
+    trace = next(iter(run.tests.values())).trace
+    (remark,) = run.predict(trace, probability=0.9999, draws=100).remarks
+    assert remark.startswith("100 draws are too few for a band of 99.99 %")
+    assert run.predict(trace, probability=0.98, draws=100).remarks == ()  # the control
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (("--actuation", "5,5 MPa"), "of --actuation"),
         (("--actuation", "30 lbf"), "must be a pressure"),
         (("--actuation", "30 in"), "pressure"),
         (("--actuation", "1000"), "no unit"),
