@@ -37,7 +37,7 @@ from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.steps import RunSteps
 from mfd_bayes.runs.systems import System, named_system
 from mfd_bayes.runs.tested import Departure, Span, departures, range_of
-from mfd_bayes.runs.wanted import Candidates, next_test, stored_wish, with_given, with_remarks
+from mfd_bayes.runs.wanted import Candidates, next_test, wish_of, with_remarks
 
 if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
@@ -155,7 +155,8 @@ class Run(RunSteps):
             "this_test", instead of these: what is known of one calibrated test.
         probability : float
             Probability of the equal-tailed band at each sample.
-        draws, seed : int
+        draws : int
+        seed : int
         session : str
             Session of the test, where the campaign declares sessions.
         test : str
@@ -294,7 +295,6 @@ class Run(RunSteps):
         CampaignError
             When an option is of another type or not understood, or the limits leave no candidate.
         """
-        own, effort = stored_wish(self.folder, self.manifest), Effort(draws, seed)
-        wanted = with_given(own, self.manifest, goal, candidates, limits)
-        found = next_test(self.population, self.tests, self.manifest, wanted, effort)
+        wanted = wish_of(self.folder, self.manifest, goal, candidates, limits)
+        found = next_test(self.population, self.tests, self.manifest, wanted, Effort(draws, seed))
         return with_remarks(found, self.tested, self.system) if wanted.candidates else found

@@ -34,21 +34,21 @@ def stored_wish(folder: Path, manifest: Manifest) -> Wanted:
     return wanted_of(path, read_content(path).goal, manifest.settings.actuation_unit)
 
 
-def with_given(
-    wanted: Wanted,
+def wish_of(
+    folder: Path,
     manifest: Manifest,
     goal: str | Goal | None,
     candidates: Candidates | None,
     limits: str | Limits | None,
 ) -> Wanted:
-    """What is wanted, where it is not given otherwise.
+    """What is given, and for the rest what a run has stored.
 
     Raises
     ------
     CampaignError
         When one of them is of another type, or a text is not understood.
     """
-    unit = manifest.settings.actuation_unit
+    wanted, unit = stored_wish(folder, manifest), manifest.settings.actuation_unit
     if isinstance(goal, str):
         goal = replace(parse_goal(goal, unit, of="goal"), session=wanted.goal.session)
     elif isinstance(goal, Goal):
