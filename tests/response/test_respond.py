@@ -208,7 +208,7 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
         (["--sweep", "actuation=800 psi"], "expected actuation"),
         (["--sweep", "actuation=500 N to 1500 N"], "--sweep: the actuation must be a pressure"),
         (["--sweep", "actuation=1 psi to 2 psi in 300 steps"], "1 to 100 steps, got 300"),
-        (["--peak", "3 in"], "expected an acceleration"),
+        (["--peak", "3 in"], "--peak: expected an acceleration"),
         (["--ground", "nothing.AT2"], "cannot read nothing.AT2"),
         (["--building", "nothing.toml"], "cannot read nothing.toml"),
         (["--by", "q90"], "give --sweep too"),
