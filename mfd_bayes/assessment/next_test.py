@@ -148,6 +148,7 @@ def advice_content(advice: Advice, system: System, unit: str) -> dict[str, Any]:
         "width_now": advice.width * factor,
         "draws": advice.draws,
         "sentence": advice_sentence(advice, system, unit),
+        "remarks": list(advice.remarks),
         "candidates": advice_rows(advice, system, unit),
         "together": [_content(t, system, unit) for t in advice.together[:TOGETHER]],
         "curve": [

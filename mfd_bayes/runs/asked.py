@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.band import Band
 from mfd_bayes.population.checks import check_text
@@ -117,14 +118,14 @@ def permutations_of(explain: Any) -> int:
     return whole_number("explain (True, False, or a number of permutations)", explain, 0, FitError)
 
 
-def check_level(name: str, own: Trace, asked: Trace, unit: str) -> None:
+def check_level(test: TestResult, asked: Trace, unit: str, system: System) -> None:
     """Refuse an actuation (`unit` is ksi or kip) that is not that of the test."""
-    made, wanted = own.reference_actuation, asked.reference_actuation
+    made, wanted = test.trace.reference_actuation, asked.reference_actuation
     if np.isfinite(wanted) and not same_level(made, wanted):
-        unit = "psi" if unit == "ksi" else "lbf"
+        own, other = (system.words((one,), unit, 4, actuation=True) for one in (made, wanted))
         raise FitError(
-            f"test {name!r} was made at {1000 * made:.4g} {unit}, and the kind this_test knows "
-            f"nothing of {1000 * wanted:.4g} {unit}: take the kind new_test"
+            f"test {test.id!r} was made at {own}, and the kind this_test knows nothing of {other}: "
+            "take the kind new_test"
         )
 
 

@@ -55,7 +55,7 @@ class RunSteps:
     def _repeated(self: Any, trace: Trace, forecast: Forecast, test: str) -> Band:
         """Band of what is known of one calibrated test."""
         name = asked.this_test(self.tests, self.held_out, forecast, test)
-        asked.check_level(name, self.tests[name].trace, trace, self.actuation_unit)
+        asked.check_level(self.tests[name], trace, self.actuation_unit, self.system)
         own = replace(forecast, session=asked.own_session(self.session(name), forecast.session))
         band: Band = self._predictor().repeat(trace, own, self.tests[name].stored.values())
         return band

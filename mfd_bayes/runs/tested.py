@@ -88,7 +88,7 @@ class Departure:
         name = self.asked.name
         how = "far outside" if self.far else "outside"
         times = self.times
-        many = f" ({times:.2g} times the {'largest' if times > 1 else 'smallest'})"
+        many = f" ({float(f'{times:.2g}'):g} times the {'largest' if times > 1 else 'smallest'})"
         return (
             f"the {name}, {self.asked.words(system)}, lies {how} the tested range, "
             f"{self.tested.words(system)}{many}: there the band {_relies(name, widened=widened)}"

@@ -1,6 +1,7 @@
 """What is asked of a run in Python: a value of another type is refused in one sentence."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -170,3 +171,13 @@ def test_an_average_is_not_of_one_run(run):
         mb.ModelAverage(run)
     with pytest.raises(mb.MfdError, match="needs at least two runs, got 1"):
         mb.ModelAverage(one for one in [run])
+
+
+@pytest.mark.parametrize(
+    ("units", "said"),
+    [("us", "made at 500 psi, .* nothing of 1000 psi"), ("si", "3.447 MPa, .* of 6.895 MPa")],
+)
+def test_another_actuation_of_a_test_is_told_in_the_units_asked_for(run, trace, units, said):
+    other = replace(trace, actuation=1.0)
+    with pytest.raises(mb.MfdError, match=said):
+        replace(run, units=units).predict(other, kind="this_test", test="p500_f0.5")
