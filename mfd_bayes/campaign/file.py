@@ -26,6 +26,7 @@ from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.record import Record, Window, read_record
+from mfd_bayes.records.regular import file_inside
 from mfd_bayes.records.roles import header_unit
 from mfd_bayes.records.sources import Source, Subtracted
 from mfd_bayes.units import ActuationUnit, actuation_factor, measure, parse_actuation
@@ -211,8 +212,8 @@ def _inside(path: Path, folder: Path, entry: Entry) -> Path:
     """Path of a test's file, which must be in the campaign's folder once links are followed."""
     named = f"file {entry.file!r} of test {entry.id!r} in {path}"
     try:
-        found = (folder / entry.file).resolve()
-        if Path(entry.file).is_absolute() or not found.is_relative_to(folder):
+        found = file_inside(folder, entry.file)
+        if found is None:
             raise CampaignError(f"{named} lies outside the campaign's folder")
         if not found.is_file():
             raise CampaignError(f"{named} does not exist")

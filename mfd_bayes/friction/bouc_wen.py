@@ -154,17 +154,9 @@ class BoucWen(Model):
             z[:, begin:end] = _advance(curve, columns["k"], strength, z[:, begin - 1], way)
         return _total(columns, z[:, rows], trace.displacement - trace.displacement[0], v)
 
-    def end(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """½, (n,), 1: there is no gap; see `Model.end`."""
-        trace_shares(trace, _check_theta(self, theta)["k"].size, scales)
-        return super().end(theta, trace, start)
+    def _sound(self, theta: ArrayLike) -> int:
+        """As `Model._sound`, of dampers within the limits of their quantities."""
+        return int(_check_theta(self, theta)["k"].size)
 
     def start(
         self,

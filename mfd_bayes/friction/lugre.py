@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.friction.bristles import friction_of, slip_force
 from mfd_bayes.friction.evaluation import check_start
-from mfd_bayes.friction.paper import actuate, check_along, check_theta, quantities_of
+from mfd_bayes.friction.paper import actuate, check_theta, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.records.trace import Trace
@@ -45,20 +45,6 @@ class LuGre(Stepped):
         if start is not None:
             check_start(start, columns["v_s"].shape[1])
         return slip_force(friction_of(actuate(columns, trace, scales)), trace.path)[0].T
-
-    def end(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """½, (n,), 1: there is no gap; see `Model.end`."""
-        n = check_theta(self, theta)["v_s"].shape[1]
-        if scales is not None:
-            check_along(scales, trace, n)
-        return super().end(theta, trace, start)
 
     def start(
         self,

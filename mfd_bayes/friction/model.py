@@ -13,6 +13,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
 from mfd_bayes.friction.evaluation import check_start, checked, of_trace
 from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.yield_shares import shares_along
 from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
@@ -140,6 +141,10 @@ class Model:
             raise FitError(f"theta must hold finite numbers alone for {self.name}")
         return values
 
+    def _sound(self, theta: ArrayLike) -> int:
+        """Number of vectors of theta, or a FitError that says which is none of a damper."""
+        return len(self._finite(theta))
+
     def end(
         self,
         theta: ArrayLike,
@@ -166,9 +171,11 @@ class Model:
         if self.has_gap:
             raise FitError(f"the model {self.name} does not say where in its gap a motion ends")
         check_trace("trace", trace, FitError)
-        values = self._finite(theta)
-        check_start(start, len(values))
-        return np.full(len(values), 0.5)
+        n = self._sound(theta)
+        check_start(start, n)
+        if scales is not None:
+            shares_along(scales, trace, n, (*self.laws, *self.tied_laws))
+        return np.full(n, 0.5)
 
     def start_at(
         self,

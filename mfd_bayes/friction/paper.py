@@ -14,7 +14,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.yield_shares import check_shares
+from mfd_bayes.friction.yield_shares import shares_along
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -123,6 +123,10 @@ class PaperModel(Model):
             values = values[:, [PARAMETERS.index(name) for name in self.parameters]]
         return super().vectors(values)
 
+    def _sound(self, theta: ArrayLike) -> int:
+        """As `Model._sound`, of dampers that `check_theta` takes."""
+        return int(check_theta(self, theta)["v_s"].size)
+
     def composed(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Static friction, where its excess is sampled."""
         return tuple(static for static, (_, excess) in _EXCESS.items() if excess in names)
@@ -160,11 +164,6 @@ def _refuse(columns: dict[str, Array]) -> None:
             raise FitError(f"parameter {name} must be finite and {least}, got {column[bad][0]}")
 
 
-def check_along(scales: Mapping[str, Array], trace: Trace, n: int) -> Mapping[str, Array]:
-    """Factors along a record, (n, T) or (1, T), or a FitError that says what does not fit."""
-    return check_shares(scales, ((n, trace.samples), (1, trace.samples)), ACTUATED)
-
-
 def actuate(
     columns: dict[str, Array], trace: Trace, scales: Mapping[str, Array] | None
 ) -> dict[str, Array]:
@@ -192,7 +191,7 @@ def actuate(
         share = np.asarray(trace.actuation)[None] / (reference if reference > 0 else 1.0)
         scales = dict.fromkeys(FRICTION_FORCES, share)
     n = next(iter(columns.values())).shape[1]
-    scales = check_along(scales, trace, n)
+    scales = shares_along(scales, trace, n, ACTUATED)
     nearest, followed = trace.path.nearest, {}
     for name, factor in scales.items():
         along = factor.T.take(nearest, axis=0)

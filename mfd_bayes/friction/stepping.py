@@ -19,12 +19,12 @@ from mfd_bayes.friction.transitions import Crossing, Gap, blend
 from mfd_bayes.friction.yield_shares import (
     check_level,
     check_reference,
-    check_scales,
+    check_shares,
     check_step,
     reference_of,
 )
 from mfd_bayes.records.motion import vertices
-from mfd_bayes.records.numbers import real_number, real_numbers
+from mfd_bayes.records.numbers import real_number
 
 Array = NDArray[np.float64]
 
@@ -242,17 +242,6 @@ def _actuated(
         if share == 1.0:
             return damper.friction
         scales = dict.fromkeys(FRICTION_FORCES, share)
-    else:
-        check_scales(scales)
-    n = damper.friction.vectors
-    columns = {}
-    for name, factor in scales.items():
-        values = real_numbers(f"scales of {name}", factor, FitError)
-        fine = np.all(np.isfinite(values) & (values >= 0))
-        if name not in ACTUATED or values.shape not in ((), (n,)) or not fine:
-            raise FitError(
-                f"scales of a step may hold {', '.join(ACTUATED)}, each one factor or "
-                f"{n}, not negative, got {name} = {factor!r}"
-            )
-        columns[name] = getattr(damper.friction, name) * values
+    shares = check_shares(scales, ((), (damper.friction.vectors,)), ACTUATED)
+    columns = {name: getattr(damper.friction, name) * share for name, share in shares.items()}
     return replace(damper.friction, **columns)

@@ -13,10 +13,11 @@ from mfd_bayes.friction.bristles import friction_of, slip_force
 from mfd_bayes.friction.columns import named_columns
 from mfd_bayes.friction.evaluation import check_start
 from mfd_bayes.friction.gap import follow, place_at_end, travel
-from mfd_bayes.friction.paper import PARAMETERS, actuate, check_along, check_theta, quantities_of
+from mfd_bayes.friction.paper import ACTUATED, PARAMETERS, actuate, check_theta, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.stepping import Damper, State, Stepped
 from mfd_bayes.friction.transitions import Gap, Transitions, blend
+from mfd_bayes.friction.yield_shares import shares_along
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -77,7 +78,7 @@ class ThreeStage(Stepped):
         columns = check_theta(self, theta)
         w0 = check_start(start, columns["k2"].shape[1])
         if scales is not None:
-            check_along(scales, trace, w0.size)
+            shares_along(scales, trace, w0.size, ACTUATED)
         return place_at_end(_gap(columns), trace.path, w0)
 
     def start_at(

@@ -66,12 +66,17 @@ def check_shares(
     return shares
 
 
+def shares_along(scales: Mapping[str, ArrayLike], trace: Trace, n: int, names: Names) -> Shares:
+    """Factors of `names` along a record, (n, T) or (1, T) each, checked."""
+    return check_shares(scales, ((n, trace.samples), (1, trace.samples)), names)
+
+
 def trace_shares(
     trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None, names: Names = ACTUATED
 ) -> Shares:
     """Factors of `names` at each sample, (n, T) or (1, T); empty when they are constant."""
     if scales is not None:
-        return check_shares(scales, ((n, trace.samples), (1, trace.samples)), names)
+        return shares_along(scales, trace, n, names)
     if not trace.varying:
         return {}
     share = np.asarray(trace.actuation)[None] / (trace.reference_actuation or 1.0)

@@ -37,7 +37,7 @@ from mfd_bayes.reporting.forms import Forms
 from mfd_bayes.runs.folder import MANIFEST, check_links, discard
 from mfd_bayes.runs.lock import OWNER, alone_in
 from mfd_bayes.runs.manifest import Truth, read_begun
-from mfd_bayes.store.files import PART, is_part
+from mfd_bayes.store.files import PART, is_part, remove_file
 
 __all__ = [
     "Forms",
@@ -143,11 +143,8 @@ def _is_begun(out: Path) -> bool:
 
 def _remove_begun(campaign: Path) -> None:
     """Remove a demo's campaign file, which is written last, and files that are partly written."""
-    try:
-        for path in (campaign / "campaign.toml", *campaign.glob(f".*{PART}")):
-            path.unlink(missing_ok=True)
-    except OSError as error:
-        raise StoreError(f"cannot remove {error.filename}: {error.strerror}") from error
+    for path in (campaign / "campaign.toml", *campaign.glob(f".*{PART}")):
+        remove_file(path)
 
 
 def effort_of(out: Path, asked: str | None, *, resume: bool) -> str:

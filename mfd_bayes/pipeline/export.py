@@ -19,7 +19,7 @@ from mfd_bayes.runs.folder import POPULATION
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested import Span, far_sentences, leaving
-from mfd_bayes.store.files import read_json, write_json, write_text
+from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 from mfd_bayes.units import parse_actuation
 
 Array = NDArray[np.float64]
@@ -115,10 +115,7 @@ def _tidied(folder: Path, about: dict[str, object]) -> dict[str, object]:
         words = found if isinstance(found, dict) else {}
         names += [f"{word}.{kind}" for word in words if re.fullmatch(r"\w+", word)]
     for name in names:
-        try:
-            (folder / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise StoreError(f"cannot remove {folder / name}: {error.strerror or error}") from error
+        remove_file(folder / name)
     return about
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.runs.folder import is_of_run, name_in_run
-from mfd_bayes.store.files import check_place, write_bytes
+from mfd_bayes.store.files import cannot_remove, check_place, write_bytes
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MARK = b"Software\0mfd-bayes"
@@ -121,7 +121,7 @@ def remove_known(output: Output) -> None:
         if known(output):
             output.path.unlink()
     except OSError as error:
-        raise StoreError(f"cannot remove {output.path}: {error.strerror or error}") from error
+        raise cannot_remove(output.path, error) from error
 
 
 def _check_free(output: Output, inputs: Iterable[Path], *, force: bool) -> None:

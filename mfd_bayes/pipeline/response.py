@@ -26,7 +26,7 @@ from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.response import check_kind, grounds_of
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, SYSTEMS, System, named_system
+from mfd_bayes.runs.systems import SI, SYSTEMS, System
 from mfd_bayes.store.files import write_text
 
 Array = NDArray[np.float64]
@@ -128,7 +128,7 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
     building = read_building(query.building)
     grounds = _grounds(query)
     run = replace(open_run(out), units=query.units)
-    system = named_system(query.units, SYSTEMS[run.system.name == "si"])
+    system = SYSTEMS[run.system.name == "si"]
 
     if levels is not None:
         check_kind("--sweep: the actuation", levels[1], run.actuation_unit)

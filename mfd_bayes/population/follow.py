@@ -245,7 +245,7 @@ class Forecaster:
             force += values["offset"][:, None] + noise[:, new]
         told = self._told(weights, k)
         source = f"population laws with scatter, and {told.sentence}"
-        own = {name: value for name, value in values.items() if name in self._predictor.told}
+        own = self._predictor.told(values)
         band = band_of(joined.time[new], force, forecast, source, own)
         remarks = told.remarks if k <= LARGEST_K else (*told.remarks, _doubt(k))
         return self.complete(replace(band, given=told, remarks=remarks), joined)

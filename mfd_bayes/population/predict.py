@@ -43,12 +43,11 @@ class Predictor:
     model: Model
     noise: Noise
 
-    @property
-    def told(self) -> frozenset[str]:
-        """Names of what a band tells: quantities of the model and the noise, and the start."""
+    def told(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """Those of some quantities that a band tells: of the model and the noise, and the start."""
         own = {quantity.name for quantity in (*self.model.quantities, *self.noise.quantities)}
-        shared = self.population.layout.names
-        return frozenset({"start", *shared, *self.model.parameters, *own})
+        own |= {"start", *self.population.layout.names, *self.model.parameters}
+        return {name: value for name, value in values.items() if name in own}
 
     def predict(self, trace: Trace, forecast: Forecast) -> Band:
         """Band of the force under a motion and an actuation, tested or not.
@@ -158,8 +157,8 @@ class Predictor:
             drawn = replace(drawn, noise=self.draw_noise(rng, trace, values, drawn.levels))
         force, _ = self.total(trace, drawn, damper)
         check_magnitude("the predicted force", force)
-        own = {name: value for name, value in values.items() if name in self.told}
-        band = band_of(trace.time, force, forecast, told(source, forecast.before), own)
+        source = told(source, forecast.before)
+        band = band_of(trace.time, force, forecast, source, self.told(values))
         orders, seed = forecast.permutations, forecast.seed
         some = drawn.first(int(np.clip(VALUES // trace.samples, FEWEST, DRAWS)))
         explained = self._shares(trace, some, orders, seed) if orders else {}

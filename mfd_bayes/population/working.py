@@ -83,12 +83,14 @@ class WorkingLikelihood:
 
     def scales(self, x: Array) -> dict[str, Array] | None:
         """Factors along the record of what follows a changing actuation, (n, T) each."""
-        return None if self.swing is None else self.swing.scales(self._shapes(x))
+        if self.swing is None:
+            return None
+        return self.swing.scales(self._shapes(x[:, len(self.order) :]))
 
     def _shapes(self, x: Array) -> Array:
-        """Coordinates of the swing's shapes, (n, K)."""
+        """Coordinates of the swing's shapes, (n, K), from prior units."""
         k = len(self.order)
-        return np.asarray(self.middle[k:] + self.scale[k:] * x[:, k:])
+        return np.asarray(self.middle[k:] + self.scale[k:] * x)
 
     def noise_sd(self, x: Array) -> Array:
         """Standard deviation of the noise, (n,), kip."""
@@ -104,9 +106,7 @@ class WorkingLikelihood:
             q = self.middle[d + i] + self.scale[d + i] * own[:, i]
             total += self.posterior.priors[name].log_density(q)
         if self.swing is not None:
-            k = len(self.order)
-            q = self.middle[k:] + self.scale[k:] * own[:, k - d :]
-            total += self.swing.log_prior(q)
+            total += self.swing.log_prior(self._shapes(own[:, len(self.own) :]))
         return total
 
     def __call__(self, x: Array) -> Array:

@@ -49,6 +49,19 @@ def path_of(name: str, value: Any, error: type[MfdError]) -> Path:
     return Path(found)
 
 
+def file_inside(folder: Path, name: str) -> Path | None:
+    """Path of a file that a text in a folder names, links followed; None where it lies outside.
+
+    Raises
+    ------
+    OSError, RuntimeError, ValueError
+        When the name can be that of no file, or its links lead nowhere.
+    """
+    found = (folder / name).resolve()
+    inside = not Path(name).is_absolute() and found.is_relative_to(folder.resolve())
+    return found if inside else None
+
+
 def hash_file(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal.
 

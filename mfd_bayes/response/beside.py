@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mfd_bayes.errors import BuildingError
+from mfd_bayes.records.regular import file_inside
 
 
 def file_beside(folder: Path, name: str, key: str) -> Path:
@@ -16,11 +17,10 @@ def file_beside(folder: Path, name: str, key: str) -> Path:
         When it lies outside the folder once links are followed, or its name is none of a file.
     """
     try:
-        found = (folder / name).resolve()
-        inside = not Path(name).is_absolute() and found.is_relative_to(folder.resolve())
+        found = file_inside(folder, name)
     except (OSError, RuntimeError, ValueError) as error:
         raise BuildingError(f"{key}: the file {name!r} cannot be found: {error}") from error
-    if not inside:
+    if found is None:
         raise BuildingError(
             f"{key}: the file {name!r} lies outside the folder of the building file"
         )

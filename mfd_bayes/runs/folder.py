@@ -11,7 +11,7 @@ from typing import Any
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.records.regular import hash_file
-from mfd_bayes.store.files import PART, check_place
+from mfd_bayes.store.files import PART, cannot_remove, check_place, remove_file
 
 MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"
@@ -215,7 +215,7 @@ def discard(out: Path) -> None:
             (out / name).unlink(missing_ok=True)
         begun.unlink()
     except OSError as error:
-        raise _cannot_remove(out, error) from error
+        raise cannot_remove(out, error) from error
 
 
 def remove_folder(path: Path) -> None:
@@ -232,7 +232,7 @@ def remove_folder(path: Path) -> None:
         elif path.exists():
             shutil.rmtree(path)
     except OSError as error:
-        raise _cannot_remove(path, error) from error
+        raise cannot_remove(path, error) from error
 
 
 def remove_stale(out: Path, *, draws: bool) -> None:
@@ -251,14 +251,7 @@ def remove_stale(out: Path, *, draws: bool) -> None:
         When something cannot be removed.
     """
     for name in (*_ASKED_FOR, *(_DRAWS if draws else ())):
-        try:
-            (out / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise _cannot_remove(out / name, error) from error
-
-
-def _cannot_remove(path: Path, error: OSError) -> StoreError:
-    return StoreError(f"cannot remove {error.filename or path}: {error.strerror or error}")
+        remove_file(out / name)
 
 
 def remove_partial_files(out: Path) -> None:

@@ -78,6 +78,25 @@ def is_part(path: Path, name: str) -> bool:
     return path.name.startswith(f".{name}.") and path.suffix == PART
 
 
+def remove_file(path: Path) -> None:
+    """Remove a file if it is there.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise cannot_remove(path, error) from error
+
+
+def cannot_remove(path: Path, error: OSError) -> StoreError:
+    """Error that says what cannot be removed, and why."""
+    return StoreError(f"cannot remove {error.filename or path}: {error.strerror or error}")
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
     write_bytes(path, text.encode())
