@@ -124,6 +124,19 @@ class JoinedSquares(Joined):
         return self.log_likelihood.by_squares(self.apart.join(x), squares)
 
 
+@dataclass(frozen=True, eq=False)
+class JoinedPrior:
+    """Log prior density of a test's own coordinates (n, D − d + K), (n,)."""
+
+    apart: Apart
+    log_own_prior: Callable[[Array], Array]
+
+    def __call__(self, x: Array) -> Array:
+        """Log density, (n,)."""
+        end = x.shape[1] - len(self.apart.columns)
+        return self.log_own_prior(x[:, :end]) + self.apart.log_prior(x[:, end:])
+
+
 def set_apart(layout: Layout, tests: Sequence[TestLikelihood]) -> list[TestLikelihood]:
     """The tests' likelihoods, without what does not inform the population."""
     aparts = [Apart.of(layout, j) for j in range(len(tests))]
@@ -131,12 +144,7 @@ def set_apart(layout: Layout, tests: Sequence[TestLikelihood]) -> list[TestLikel
 
 
 def _one(apart: Apart, test: TestLikelihood) -> TestLikelihood:
-    extra = len(apart.columns)
     draws = apart.split(_draws(test))
-
-    def log_own_prior(x: Array) -> Array:
-        end = x.shape[1] - extra
-        return test.log_own_prior(x[:, :end]) + apart.log_prior(x[:, end:])
 
     told = np.setdiff1d(np.arange(draws.shape[1]), apart.columns)
     mean, covariance = np.zeros(draws.shape[1]), np.eye(draws.shape[1]) / LEAST_INFORMATION
@@ -146,7 +154,7 @@ def _one(apart: Apart, test: TestLikelihood) -> TestLikelihood:
         likelihood: Joined = JoinedSquares(apart, whole)
     else:
         likelihood = Joined(apart, whole)
-    return TestLikelihood(likelihood, log_own_prior, mean, covariance)
+    return TestLikelihood(likelihood, JoinedPrior(apart, test.log_own_prior), mean, covariance)
 
 
 def _draws(test: TestLikelihood) -> Array:

@@ -35,8 +35,8 @@ class Chains:
         Levels, then the effects' independent parts.
     x : list of (n, D)
         Coordinates of each test in prior units: the d shared ones first, then its own.
-    log_likelihood : list of (n,)
-        Of each test at its coordinates.
+    log_density : list of (n,)
+        Of each test at its coordinates: its likelihood and the prior of those of its own.
     choice : (n, L) int
         Law of each quantity that follows the actuation.
     weight : (n, J, d)
@@ -48,7 +48,7 @@ class Chains:
     h: Array
     latent: Array
     x: list[Array]
-    log_likelihood: list[Array]
+    log_density: list[Array]
     choice: Choice
     weight: Array
     ensemble: Index
@@ -57,14 +57,14 @@ class Chains:
         """Coordinate k of every test, (n, J)."""
         return np.stack([x[:, k] for x in self.x], axis=1)
 
-    def take(self, others: Chains, log_likelihood: Sequence[Array], picks: Index) -> None:
+    def take(self, others: Chains, log_density: Sequence[Array], picks: Index) -> None:
         """Give each chain the state of one of the others, by number, (n,); its law stays.
 
-        `log_likelihood` is that of each test at the others' coordinates, (n,) each.
+        `log_density` is that of each test at the others' coordinates, (n,) each.
         """
         self.h, self.latent = others.h[picks], others.latent[picks]
         self.weight, self.x = others.weight[picks], [x[picks] for x in others.x]
-        self.log_likelihood = [density[picks] for density in log_likelihood]
+        self.log_density = [density[picks] for density in log_density]
 
     def partners(self, rng: np.random.Generator) -> list[tuple[Index, Index, Index]]:
         """Halves of the chains, each with two different partners from its ensemble's other half."""

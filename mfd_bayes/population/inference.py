@@ -201,7 +201,9 @@ def _sampled(
 ) -> JointDraws:
     """Draws of the population and its tests."""
     effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
-    with several_processes([t.log_likelihood for t in problem.tests], settings.jobs) as evaluate:
+    shared = len(problem.layout.names)
+    densities = [test.density(shared) for test in problem.tests]
+    with several_processes(densities, settings.jobs) as evaluate:
         return sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
 
 

@@ -30,7 +30,7 @@ FAR = 15.0
 
 
 class Points(Protocol):
-    """Some points of one test, whose likelihoods are wanted."""
+    """Some points of one test, at which its density is wanted."""
 
     @property
     def j(self) -> int:
@@ -57,6 +57,12 @@ class Conditional:
 
     means: Array
     scatter: Array
+
+    def log_density(self, j: int, x: Array, chains: Index) -> Array:
+        """That of test j at coordinates (n, D) of some of the chains (n,), without constants."""
+        standard = x[:, : self.means.shape[2]] - self.means[chains, j]
+        standard /= self.scatter[chains, j]
+        return np.asarray(-0.5 * np.einsum("nk,nk->n", standard, standard))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +116,8 @@ class Joint:
     layout : Layout
     tests : sequence of TestLikelihood
     evaluate : callable, optional
-        Computes the tests' likelihoods, in several processes; without it, one after the other.
+        Computes what is the tests' own (`TestLikelihood.density`), in several processes; without
+        it, one after the other.
     """
 
     def __init__(
@@ -120,15 +127,15 @@ class Joint:
         evaluate: Evaluate[Array, Array] | None = None,
     ) -> None:
         self.layout, self.tests = layout, tests
-        self.evaluate = evaluate or in_turn([test.log_likelihood for test in tests])
         self.d = len(layout.names)
+        self.evaluate = evaluate or in_turn([test.density(self.d) for test in tests])
         self.design = layout.design()  # (J, m)
         self.columns = layout.columns()  # (d, p)
         parts = np.swapaxes(self.design.T[self.columns], 1, 2)  # (d, J, p)
         self.parts, self.products_of_parts = parts, parts[..., :, None] * parts[..., None, :]
 
-    def with_likelihoods(self, wanted: Iterable[T]) -> Iterator[tuple[T, Array]]:
-        """Each of the wanted, in order, with the log likelihoods of its points, (…,)."""
+    def with_densities(self, wanted: Iterable[T]) -> Iterator[tuple[T, Array]]:
+        """Each of the wanted, in order, with the log densities of its points, (…,)."""
         waiting: deque[T] = deque()
 
         def points() -> Iterator[tuple[int, Array]]:
@@ -153,13 +160,6 @@ class Joint:
         means = self.layout.offsets(chains.h, chains.choice) + self.design @ chains.latent
         scatter = self.layout.scatter(chains.h)[:, None] / np.sqrt(chains.weight)
         return Conditional(np.asarray(means), scatter)
-
-    def log_prior_of_test(self, j: int, x: Array, mean: Array, scatter: Array) -> Array:
-        """Log density of a test's coordinates (n, D) given its mean and scatter (n, d), (n,)."""
-        standard = (x[:, : self.d] - mean) / scatter
-        density = -0.5 * np.einsum("nk,nk->n", standard, standard) - np.log(scatter).sum(axis=1)
-        own: Array = density + self.tests[j].log_own_prior(x[:, self.d :])
-        return own
 
     def latent_posterior(self, given: Given, h: Array) -> LatentPosterior:
         """Conditional density of the latent given h and what is given of the tests."""

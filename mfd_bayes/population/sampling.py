@@ -19,12 +19,9 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.population.residual import Residual
 from mfd_bayes.population.sweep import Sampler
 from mfd_bayes.population.test_likelihood import TestLikelihood
-from mfd_bayes.population.warm_up import warm_up
+from mfd_bayes.population.warm_up import WALKERS, warm_up
 
 Array = NDArray[np.float64]
-
-WALKERS = 32
-"""Chains of each ensemble."""
 
 KEPT = 1500
 """Least number of draws of each ensemble that are kept, about."""
@@ -101,8 +98,7 @@ def sample_joint(
     evaluate : callable, optional
         Computes the tests' likelihoods, in several processes.
     """
-    size = effort.ensembles * WALKERS, effort.ensembles
-    run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, size, rng, evaluate))
+    run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, effort, rng, evaluate))
     for end in _looks(most_sweeps(effort)):
         run.sweep_until(end)
         dropped, convergence = run.converge()
@@ -180,7 +176,7 @@ def _looks(limit: int) -> list[int]:
     """Numbers of sweeps at which convergence is measured, each half as many again as the last."""
     looks = [min(20, limit)]
     while looks[-1] < limit:
-        looks.append(min(looks[-1] + max(20, looks[-1] // 2), limit))
+        looks.append(min(looks[-1] + looks[-1] // 2, limit))
     return looks
 
 

@@ -131,19 +131,19 @@ class Sampler:
         for test in joint.tests:
             near = GaussianConditional.of(test, (mean, scatter), rng, 1)
             chains.x.append(near.mean + near.noise[0])
-            chains.log_likelihood.append(test.log_likelihood(chains.x[-1]))
+            chains.log_density.append(test.density(joint.d)(chains.x[-1]))
         draw_latent(joint, chains, rng)
         return chains
 
     def take_over(self, chains: Chains) -> None:
         """Go on with chains that sampled another density of the same layout."""
         for j, test in enumerate(self.joint.tests):
-            density = test.log_likelihood(chains.x[j])
+            density = test.density(self.joint.d)(chains.x[j])
             lost = ~np.isfinite(density)
             if np.any(lost):  # a Gaussian also covers points without any likelihood
                 picks = self.rng.choice(np.flatnonzero(~lost), size=int(lost.sum()))
                 chains.x[j][lost], density[lost] = chains.x[j][picks], density[picks]
-            chains.log_likelihood[j] = density
+            chains.log_density[j] = density
 
     def sweep(self, chains: Chains) -> None:
         """One sweep over everything, in place."""
@@ -159,7 +159,7 @@ class Sampler:
             self._note(glide(*given))
         for _ in range(self.plan.shifts):
             self._note(shift(*given, self.slopes))
-        self._note(rescale(*given))
+        self._note(rescale(*given, self.slopes))
         for _ in range(self.plan.together):
             self.move_together(chains)
         if self.companions:

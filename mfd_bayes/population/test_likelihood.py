@@ -69,10 +69,35 @@ class TestLikelihood:
 
         def log_likelihood(x: Array) -> Array:
             away = x - self.mean
-            density: Array = -0.5 * np.einsum("ni,ij,nj->n", away, self.precision, away)
+            density: Array = -0.5 * np.sum(away @ self.precision * away, axis=1)
             return density
 
         return replace(self, log_likelihood=log_likelihood, gaussian=True)
+
+    def density(self, shared: int) -> OwnDensity:
+        """Likelihood and prior of the coordinates of its own; the first ones are shared."""
+        return OwnDensity(self.log_likelihood, self.log_own_prior, shared)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnDensity:
+    """What is a test's own in the joint density; a process can be sent it.
+
+    Attributes
+    ----------
+    log_likelihood, log_own_prior : callable
+        As in `TestLikelihood`.
+    shared : int
+        Number of the shared coordinates.
+    """
+
+    log_likelihood: Callable[[Array], Array]
+    log_own_prior: Callable[[Array], Array]
+    shared: int
+
+    def __call__(self, x: Array) -> Array:
+        """Log likelihood and log prior density of a test's own coordinates at (n, D), (n,)."""
+        return self.log_likelihood(x) + self.log_own_prior(x[:, self.shared :])
 
 
 def without_prior(draws: Array) -> tuple[Array, Array]:

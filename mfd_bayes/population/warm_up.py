@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from mfd_bayes.calibration.diagnostics import tempering
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.jobs.likelihoods import Evaluate
 from mfd_bayes.population.chains import Chains
 from mfd_bayes.population.joint import Joint
@@ -26,10 +27,13 @@ from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
+WALKERS = 32
+"""Chains of each ensemble."""
+
 GAUSSIAN = 40
 """Sweeps with Gaussians in place of the likelihoods, which are cheap."""
 
-SETTLE = 10
+SETTLE = 5
 """Further sweeps where there are no surrogates."""
 
 FIRST = 5
@@ -47,11 +51,15 @@ LAST = 4
 EFFECTIVE = 0.5
 """Share of the chains that is effective, by their weights, where surrogates are near enough."""
 
-MOST_TESTS = 100
-"""With more tests the errors of their surrogates add up, and no exchange would be accepted."""
+MOST_TESTS = 15
+"""With more tests companions cost more than they bring: the errors of the tests' surrogates add up,
+and fewer exchanges are accepted."""
+
+LEAST_SIZE = 400
+"""Effective sample size that must be asked for if companions are to repay their warm-up."""
 
 LOST = 500.0
-"""A chain is lost where the log likelihood of all tests is this far below the chains' median. It
+"""A chain is lost where the log density of all tests is this far below the chains' median. It
 would not reach the posterior, and surrogates fitted to it would be wrong for the other chains."""
 
 WORTH = 0.1
@@ -61,16 +69,13 @@ WORTH = 0.1
 def warm_up(
     layout: Layout,
     tests: Sequence[TestLikelihood],
-    size: tuple[int, int],
+    effort: Effort,
     rng: np.random.Generator,
     evaluate: Evaluate[Array, Array] | None,
 ) -> tuple[Sampler, Chains]:
-    """A tuned sampler and its chains, with companions where the tests have surrogates.
-
-    The size is the number of chains and that of their ensembles.
-    """
+    """A tuned sampler and its chains, with companions where they are worth it."""
     sampler = Sampler(Joint(layout, [test.approximated() for test in tests]), rng, NEAR)
-    chains = sampler.start(*size)
+    chains = sampler.start(effort.ensembles * WALKERS, effort.ensembles)
     _sweep(sampler, chains, GAUSSIAN)
     if all(test.gaussian for test in tests):
         sampler.plan = ALONE
@@ -80,7 +85,8 @@ def warm_up(
     sampler.take_over(chains)
     _sweep(sampler, chains, FIRST)
     rescue(chains, rng)
-    if _accompany(sampler, chains):
+    few = len(tests) <= MOST_TESTS
+    if few and effort.ess >= LEAST_SIZE and _accompany(sampler, chains):
         sampler.plan = ACCOMPANIED
         _sweep(sampler, chains, LAST)
         if np.mean(sampler.accepted["exchange"]) > WORTH:
@@ -102,8 +108,6 @@ def _sweep(sampler: Sampler, chains: Chains, sweeps: int) -> None:
 def _accompany(sampler: Sampler, chains: Chains) -> bool:
     """Give the chains companions, and move them where the companions went; whether there are."""
     joint, rng, states = sampler.joint, sampler.rng, chains.x
-    if len(joint.tests) > MOST_TESTS:
-        return False
     for turn in range(ROUNDS):
         surrogates = surrogates_of(joint.tests, states, rng)
         if surrogates is None:
@@ -119,7 +123,7 @@ def _accompany(sampler: Sampler, chains: Chains) -> bool:
             companion.sweep(ahead)
             visited.append([x.copy() for x in ahead.x])
         true = list(joint.evaluate(enumerate(ahead.x)))
-        log_weights = np.sum(true, axis=0) - np.sum(ahead.log_likelihood, axis=0)
+        log_weights = np.sum(true, axis=0) - np.sum(ahead.log_density, axis=0)
         log_weights[np.isnan(log_weights) | _lost(true)] = -np.inf
         if not np.any(np.isfinite(log_weights)):
             return False
@@ -136,15 +140,15 @@ def _accompany(sampler: Sampler, chains: Chains) -> bool:
 
 def rescue(chains: Chains, rng: np.random.Generator) -> None:
     """Let chains that are lost go on from others, of their own ensemble if it has any."""
-    lost = _lost(chains.log_likelihood)
+    lost = _lost(chains.log_density)
     others = _resampled(np.where(lost, -np.inf, 0.0), chains.ensemble, rng)
     picks = np.where(lost, others, np.arange(lost.size))
-    chains.take(chains, chains.log_likelihood, picks)
+    chains.take(chains, chains.log_density, picks)
 
 
-def _lost(log_likelihood: Sequence[Array]) -> NDArray[np.bool_]:
-    """Chains that are lost, by the log likelihood of each test, (n,) each."""
-    total = np.sum(log_likelihood, axis=0)
+def _lost(log_density: Sequence[Array]) -> NDArray[np.bool_]:
+    """Chains that are lost, by the log density of each test, (n,) each."""
+    total = np.sum(log_density, axis=0)
     known = np.where(np.isnan(total), -np.inf, total)
     return np.asarray(~(known > np.median(known) - LOST))
 

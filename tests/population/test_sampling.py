@@ -215,7 +215,7 @@ def test_as_many_states_are_kept_as_are_asked_for(make_linear, priors, monkeypat
 
 
 def test_convergence_is_looked_at_now_and_then_and_at_the_limit():
-    assert sampling._looks(160) == [20, 40, 60, 90, 135, 160]
+    assert sampling._looks(160) == [20, 30, 45, 67, 100, 150, 160]
     assert sampling._looks(30) == [20, 30]
 
 

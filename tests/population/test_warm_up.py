@@ -18,7 +18,7 @@ def chains_of(log_likelihood):
         h=state.copy(),
         latent=state[..., None].copy(),
         x=[state.copy(), 10.0 * state],
-        log_likelihood=[half.copy(), half.copy()],
+        log_density=[half.copy(), half.copy()],
         choice=np.arange(16)[:, None],
         weight=state[..., None].copy(),
         ensemble=ENSEMBLE,
@@ -33,7 +33,7 @@ def rescued(log_likelihood):
     np.testing.assert_array_equal(chains.x[1][:, 0], 10.0 * now)
     np.testing.assert_array_equal(chains.latent[:, 0, 0], now)
     np.testing.assert_array_equal(chains.weight[:, 0, 0], now)
-    np.testing.assert_array_equal(chains.log_likelihood[0], 0.5 * log_likelihood[now.astype(int)])
+    np.testing.assert_array_equal(chains.log_density[0], 0.5 * log_likelihood[now.astype(int)])
     np.testing.assert_array_equal(chains.choice[:, 0], np.arange(16))  # its law stays
     return now.astype(int)
 

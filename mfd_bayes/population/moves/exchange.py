@@ -45,13 +45,13 @@ def exchange(
     for one, other in pairs:
         one[yes], other[yes] = other[yes], one[yes]
     for j, found in enumerate(true):
-        chains.log_likelihood[j][yes] = found[yes]
-        companions.log_likelihood[j][yes] = near[j][yes]
+        chains.log_density[j][yes] = found[yes]
+        companions.log_density[j][yes] = near[j][yes]
     return [("exchange", yes)]
 
 
 def _gain(true: list[Array], chains: Chains, near: list[Array], companions: Chains) -> Array:
     """Log density of both after an exchange less that before, (n,)."""
     after = np.sum(true, axis=0) + np.sum(near, axis=0)
-    before = np.sum(chains.log_likelihood, axis=0) + np.sum(companions.log_likelihood, axis=0)
+    before = np.sum(chains.log_density, axis=0) + np.sum(companions.log_density, axis=0)
     return np.asarray(after - before)

@@ -147,11 +147,10 @@ class _Frame:
         return _Momentum(_times(self.root, level), free)
 
     def log_prior(self, at: _Point) -> Array:
-        """Log density of levels and tests given the population, without likelihoods, (n,)."""
+        """Log density of levels and shared coordinates given the population, (n,)."""
         total, some = -0.5 * np.sum(at.level**2, axis=1), slice(self.shared.size)
-        for j, (block, x) in enumerate(zip(self.blocks, at.x, strict=True)):
+        for j, block in enumerate(self.blocks):
             total -= 0.5 * np.sum((block.prior * self._away(j, at) ** 2)[:, some], axis=1)
-            total += self.joint.tests[j].log_own_prior(x[:, self.joint.d :])
         return np.asarray(total)
 
     def _away(self, j: int, at: _Point) -> Array:
@@ -179,13 +178,13 @@ def glide(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
             momentum = momentum.kicked(frame.slopes(at), size if step < STEPS - 1 else 0.5 * size)
         gain += frame.log_prior(at) - momentum.energy
     found = list(joint.evaluate(enumerate(at.x)))
-    for likelihood, before in zip(found, chains.log_likelihood, strict=True):
-        gain += likelihood - before
+    for density, before in zip(found, chains.log_density, strict=True):
+        gain += density - before
     yes = np.isfinite(gain) & (np.log(rng.random(len(gain))) < gain)
     chains.latent[yes, 0] = at.level[yes]
-    for j, likelihood in enumerate(found):
+    for j, density in enumerate(found):
         chains.x[j][yes] = at.x[j][yes]
-        chains.log_likelihood[j][yes] = likelihood[yes]
+        chains.log_density[j][yes] = density[yes]
     return [("glide", yes)]
 
 

@@ -9,7 +9,7 @@ its likelihood. Lines and Gaussians depend on nothing that a move changes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -108,10 +108,9 @@ def _covariances(tests: Sequence[TestLikelihood], scatter: Array) -> list[Array]
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """Test j at values t of a quantity (…, n): its coordinates x (…, n, D)."""
+    """Test j at coordinates x (n, D)."""
 
     j: int
-    t: Array
     x: Array
 
 
@@ -192,24 +191,20 @@ class Lines:
         weight = self.chains.weight[..., self.k]
         return np.asarray(-0.5 * weight * standard**2 - log_scale[:, None])
 
-    def log_prior_of_others(self, j: int, x: Array) -> Array:
-        """Log prior density of a test's coordinates (…, n, D) other than t, (…, n)."""
-        d = self.joint.d
-        standard = (x[..., :d] - self.given.means[:, j]) / self.given.scatter[:, j]
-        standard[..., self.k] = 0.0
-        own = self.joint.tests[j].log_own_prior(x.reshape(-1, x.shape[-1])[:, d:])
-        density = own.reshape(x.shape[:-1])
-        return np.asarray(density - 0.5 * np.einsum("...k,...k->...", standard, standard))
+    def log_prior_of_others(self, by: Array) -> Array:
+        """Change of the log density of all shared coordinates but t where t changes by (n, J)."""
+        slopes = np.stack([slope[: self.joint.d] for slope in self.slopes])  # (J, d)
+        slopes[:, self.k] = 0.0
+        scatter = self.given.scatter
+        before = (self.joint.shared(self.chains) - self.given.means) / scatter
+        change = by[..., None] * slopes / scatter
+        # (after² − before²)/2 with after = before + change
+        return np.asarray(-np.einsum("njk,njk->n", before + 0.5 * change, change))
 
-    def visit(self, values: Callable[[int], Array]) -> Iterator[tuple[Visit, Array]]:
-        """Every test j at values(j) of t, (…, n), with its log likelihoods there."""
-
-        def visits() -> Iterator[Visit]:
-            for j, x in enumerate(self.chains.x):
-                t = values(j)
-                yield Visit(j, t, x + (t - x[:, self.k])[..., None] * self.slopes[j])
-
-        return self.joint.with_likelihoods(visits())
+    def visits(self, by: Array) -> Iterator[Visit]:
+        """Every test where t has changed by (n, J)."""
+        for j, x in enumerate(self.chains.x):
+            yield Visit(j, x + by[:, j, None] * self.slopes[j])
 
     def accept(
         self, new: ScatterLevel, t: Array, log_ratio: Array, log_uniform: Array
@@ -219,19 +214,18 @@ class Lines:
         `log_ratio` has the whole log acceptance ratio but the tests' log densities.
         """
         chains, k = self.chains, self.k
+        before = chains.values(k)
         ratio = log_ratio + np.sum(self.log_population(t, new), axis=1)
-        ratio -= np.sum(self.log_population(chains.values(k), self.here), axis=1)
-        visits = list(self.visit(lambda j: t[:, j]))
-        for visit, likelihood in visits:
-            j = visit.j
-            prior = self.log_prior_of_others(j, visit.x)
-            ratio += prior - self.log_prior_of_others(j, chains.x[j])
-            ratio += likelihood - chains.log_likelihood[j]
+        ratio -= np.sum(self.log_population(before, self.here), axis=1)
+        ratio += self.log_prior_of_others(t - before)
+        visits = list(self.joint.with_densities(self.visits(t - before)))
+        for visit, density in visits:
+            ratio += density - chains.log_density[visit.j]
         yes: NDArray[np.bool_] = np.isfinite(ratio) & (log_uniform < ratio)
         chains.h[yes, k], chains.latent[yes, 0, k] = new.log_scatter[yes], new.level[yes]
-        for visit, likelihood in visits:
+        for visit, density in visits:
             chains.x[visit.j][yes] = visit.x[yes]
-            chains.log_likelihood[visit.j][yes] = likelihood[yes]
+            chains.log_density[visit.j][yes] = density[yes]
         return yes
 
 

@@ -146,15 +146,14 @@ def _accept(
 ) -> Accepted:
     """Accept or reject proposals of different tests (Metropolis–Hastings)."""
     accepted: Accepted = []
-    for proposal, likelihood in joint.with_likelihoods(proposals):
+    for proposal, density in joint.with_densities(proposals):
         j, which = proposal.j, proposal.chains
-        prior = given.means[which, j], given.scatter[which, j]
-        gain = joint.log_prior_of_test(j, proposal.x, *prior)
-        gain -= joint.log_prior_of_test(j, chains.x[j][which], *prior)
+        gain = given.log_density(j, proposal.x, which)
+        gain -= given.log_density(j, chains.x[j][which], which)
         threshold = proposal.log_uniform - gain - proposal.log_ratio
-        threshold += chains.log_likelihood[j][which]
-        yes = np.isfinite(gain) & (threshold < likelihood)
+        threshold += chains.log_density[j][which]
+        yes = np.isfinite(gain) & (threshold < density)
         chains.x[j][which[yes]] = proposal.x[yes]
-        chains.log_likelihood[j][which[yes]] = likelihood[yes]
+        chains.log_density[j][which[yes]] = density[yes]
         accepted.append((f"{name} {j}", yes))
     return accepted

@@ -3,14 +3,15 @@
 Where scatter is next to none, a test cannot move without the others. `shift` moves the levels of
 these quantities and carries every test along, its other coordinates by their regression in the
 Gaussian near its likelihood; `rescale` moves their scatter with every test's standardised
-deviation as it is (the non-centred parametrisation of Papaspiliopoulos et al., 2007). The steps
-are those of differential evolution; half of the shifts are Crank–Nicolson steps around the Gaussian
-near the levels, which leave their place in a few steps.
+deviation as it is (the non-centred parametrisation of Papaspiliopoulos et al., 2007). Half of the
+chains make steps of differential evolution with partners among the others. The others' steps depend
+on no other chain, so that both halves step at once: shifts are Crank–Nicolson steps around the
+Gaussian near the levels, which leave their place in a few steps; scatter has tuned random steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,28 +24,34 @@ from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 
-SIZES = (1.0, 0.5, 0.25)
+SIZES = (1.0, 0.5)
 """Sizes of steps, over that which is best for a Gaussian."""
 
-AROUND = (1.0, 0.7, 0.4)
+AROUND = (1.0, 1.0, 0.7)
 """Sizes of Crank–Nicolson steps; 1 is a proposal that does not depend on the current levels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """How the levels of the sparse quantities may be shifted, and every test with them.
+    """How levels and scatter of the sparse quantities may move, and every test with them.
 
     Attributes
     ----------
-    of_tests : sequence of (D, sparse)
+    of_tests : sequence of (sparse, D)
         Changes of each test's coordinates with these levels.
+    of_shared : (sparse, J, d)
+        Those of the shared ones.
     middle, root : (sparse,), (sparse, sparse)
         Mean of the levels, and the Cholesky factor of their covariance.
+    wider : (d,)
+        Sds of the logarithms of the scatter.
     """
 
     of_tests: Sequence[Array]
+    of_shared: Array
     middle: Array
     root: Array
+    wider: Array
 
     def around(self, level: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Crank–Nicolson steps from levels (n, sparse), and their log ratio of densities (n,).
@@ -60,22 +67,21 @@ class Slopes:
 
 @dataclass(frozen=True, eq=False)
 class _Proposed:
-    """New state of some chains.
+    """New state of all chains.
 
     Attributes
     ----------
-    chains : (n,) int
     h : (n, dim)
     level : (n, d)
-    x : sequence of (n, D)
+    x : iterable of (n, D)
+        Of each test; they may be computed while processes are at work on those before.
     log_ratio : (n,)
-        Log density of everything but the tests' likelihoods, new less old.
+        Log density of everything but what is the tests' own, new less old.
     """
 
-    chains: Index
     h: Array
     level: Array
-    x: Sequence[Array]
+    x: Iterable[Array]
     log_ratio: Array
 
 
@@ -83,10 +89,13 @@ def slopes_of(joint: Joint, tuning: Tuning) -> Slopes:
     """Slopes and levels of the sparse quantities by a tuning."""
     those = np.flatnonzero(joint.layout.sparse)
     covariance = tuning.level_covariance[np.ix_(those, those)] + 1e-10 * np.eye(those.size)
+    of_tests = [_slopes(test, tuning.scatter, those).T for test in joint.tests]
     return Slopes(
-        [_slopes(test, tuning.scatter, those) for test in joint.tests],
+        of_tests,
+        np.stack([slopes[:, : joint.d] for slopes in of_tests], axis=1),
         tuning.level_mean[those],
         np.asarray(np.linalg.cholesky(covariance)),
+        tuning.scatter_step,
     )
 
 
@@ -95,54 +104,53 @@ def shift(joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Slopes
     those = np.flatnonzero(joint.layout.sparse)
     if those.size == 0:
         return []
-    accepted: Accepted = []
-    for half, first, second in chains.partners(rng):
-        given, level = joint.conditional(chains), chains.latent[:, 0]
-        jump = _size(rng, len(half), those.size) * (level[first] - level[second])[:, those]
-        jump += 1e-5 * rng.standard_normal(jump.shape)
-        near, log_ratio = slopes.around(level[half][:, those], rng)
-        turned = rng.random(len(half)) < 0.5
-        jump[turned] = near[turned]
-        new = level[half].copy()
-        new[:, those] += jump
-        ratio = 0.5 * np.sum(level[half] ** 2 - new**2, axis=1) + np.where(turned, log_ratio, 0.0)
-        xs = []
-        for j, x in enumerate(chains.x):
-            moved = x[half] + jump @ slopes.of_tests[j].T
-            mean = given.means[half, j].copy()
-            ratio -= joint.log_prior_of_test(j, x[half], mean, given.scatter[half, j])
-            mean[:, those] += jump
-            ratio += joint.log_prior_of_test(j, moved, mean, given.scatter[half, j])
-            xs.append(moved)
-        proposed = _Proposed(half, chains.h[half], new, xs, ratio)
-        accepted.append(("shift", _accept(joint, chains, rng, proposed)))
-    return accepted
+    given, level = joint.conditional(chains), chains.latent[:, 0]
+    jump, log_ratio = slopes.around(level[:, those], rng)
+    half, first, second = chains.partners(rng)[0]
+    jump[half] = _size(rng, len(half), those.size) * (level[first] - level[second])[:, those]
+    jump[half] += 1e-5 * rng.standard_normal(jump[half].shape)
+    log_ratio[half] = 0.0
+    new = level.copy()
+    new[:, those] += jump
+    log_ratio += 0.5 * np.sum(level**2 - new**2, axis=1)
+    before = (joint.shared(chains) - given.means) / given.scatter
+    change = np.tensordot(jump, slopes.of_shared, axes=1)  # (n, J, d)
+    change[:, :, those] -= jump[:, None]
+    change /= given.scatter
+    # (after² − before²)/2 with after = before + change
+    log_ratio -= np.einsum("njk,njk->n", before + 0.5 * change, change)
+    moved = (x + jump @ slope for x, slope in zip(chains.x, slopes.of_tests, strict=True))
+    proposed = _Proposed(chains.h.copy(), new, moved, log_ratio)
+    return [("shift", _accept(joint, chains, rng, proposed))]
 
 
-def rescale(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
+def rescale(joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Slopes) -> Accepted:
     """Scatter of the sparse quantities, each test's standardised deviations as they are."""
     those = np.flatnonzero(joint.layout.sparse & joint.layout.inferred[: joint.d])
     if those.size == 0:
         return []
-    accepted: Accepted = []
-    for half, first, second in chains.partners(rng):
-        given = joint.conditional(chains)
-        jump = _size(rng, len(half), those.size) * (chains.h[first] - chains.h[second])[:, those]
-        jump += 1e-3 * rng.standard_normal(jump.shape)
-        h = chains.h[half].copy()
-        h[:, those] += jump
-        # the Jacobian of the tests' coordinates cancels the change of their density
-        inside = np.all(np.abs(h) < FAR, axis=1)
-        ratio = np.where(inside, joint.layout.log_prior(h).sum(axis=1), -np.inf)
-        ratio -= joint.layout.log_prior(chains.h[half]).sum(axis=1)
-        xs = []
-        for j, x in enumerate(chains.x):
-            moved, mean = x[half].copy(), given.means[half, j][:, those]
-            moved[:, those] = mean + np.exp(jump) * (moved[:, those] - mean)
-            xs.append(moved)
-        proposed = _Proposed(half, h, chains.latent[half, 0], xs, ratio)
-        accepted.append(("rescale", _accept(joint, chains, rng, proposed)))
-    return accepted
+    given, h = joint.conditional(chains), chains.h.copy()
+    jump = np.sqrt(2.0) * _size(rng, len(h), those.size) * slopes.wider[those]
+    jump *= rng.standard_normal(jump.shape)
+    half, first, second = chains.partners(rng)[0]
+    jump[half] = _size(rng, len(half), those.size) * (h[first] - h[second])[:, those]
+    jump[half] += 1e-3 * rng.standard_normal(jump[half].shape)
+    h[:, those] += jump
+    # the Jacobian of the tests' coordinates cancels the change of their density
+    inside = np.all(np.abs(h) < FAR, axis=1)
+    ratio = np.where(inside, joint.layout.log_prior(h).sum(axis=1), -np.inf)
+    ratio -= joint.layout.log_prior(chains.h).sum(axis=1)
+    means, factor = given.means[:, :, those], np.exp(jump)
+    moved = (_scaled(x, those, means[:, j], factor) for j, x in enumerate(chains.x))
+    proposed = _Proposed(h, chains.latent[:, 0].copy(), moved, ratio)
+    return [("rescale", _accept(joint, chains, rng, proposed))]
+
+
+def _scaled(x: Array, those: Index, mean: Array, factor: Array) -> Array:
+    """Coordinates (n, D) with deviations of some of them from their means times a factor."""
+    moved = x.copy()
+    moved[:, those] = mean + factor * (x[:, those] - mean)
+    return moved
 
 
 def _size(rng: np.random.Generator, n: int, dim: int) -> Array:
@@ -166,15 +174,21 @@ def _slopes(test: TestLikelihood, scatter: Array, those: Index) -> Array:
 def _accept(
     joint: Joint, chains: Chains, rng: np.random.Generator, proposed: _Proposed
 ) -> NDArray[np.bool_]:
-    """Accept or reject (Metropolis–Hastings), with the likelihoods of all tests."""
-    which, ratio = proposed.chains, proposed.log_ratio.copy()
-    found = list(joint.evaluate((j, x) for j, x in enumerate(proposed.x)))
-    for j, likelihood in enumerate(found):
-        ratio += likelihood - chains.log_likelihood[j][which]
-    yes: NDArray[np.bool_] = np.isfinite(ratio) & (np.log(rng.random(len(which))) < ratio)
-    at = which[yes]
-    chains.h[at], chains.latent[at, 0] = proposed.h[yes], proposed.level[yes]
-    for j, likelihood in enumerate(found):
-        chains.x[j][at] = proposed.x[j][yes]
-        chains.log_likelihood[j][at] = likelihood[yes]
+    """Accept or reject (Metropolis–Hastings), with the densities of all tests."""
+    ratio = proposed.log_ratio.copy()
+    moved: list[Array] = []
+
+    def points() -> Iterator[tuple[int, Array]]:
+        for j, x in enumerate(proposed.x):
+            moved.append(x)
+            yield j, x
+
+    found = list(joint.evaluate(points()))
+    for j, density in enumerate(found):
+        ratio += density - chains.log_density[j]
+    yes: NDArray[np.bool_] = np.isfinite(ratio) & (np.log(rng.random(len(ratio))) < ratio)
+    chains.h[yes], chains.latent[yes, 0] = proposed.h[yes], proposed.level[yes]
+    for j, density in enumerate(found):
+        chains.x[j][yes] = moved[j][yes]
+        chains.log_density[j][yes] = density[yes]
     return yes
