@@ -66,6 +66,14 @@ class Chains:
         self.weight, self.x = others.weight[picks], [x[picks] for x in others.x]
         self.log_density = [density[picks] for density in log_density]
 
+    def move_tests(
+        self, yes: NDArray[np.bool_], x: Sequence[Array], density: Sequence[Array]
+    ) -> None:
+        """Move every test to new coordinates, (n, D), of this log density, (n,), where accepted."""
+        for j, (new, found) in enumerate(zip(x, density, strict=True)):
+            self.x[j][yes] = new[yes]
+            self.log_density[j][yes] = found[yes]
+
     def partners(self, rng: np.random.Generator) -> list[tuple[Index, Index, Index]]:
         """Halves of the chains, each with two different partners from its ensemble's other half."""
         found = []

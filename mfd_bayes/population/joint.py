@@ -58,6 +58,16 @@ class Conditional:
     means: Array
     scatter: Array
 
+    def standard(self, x: Array) -> Array:
+        """Standardised deviations of the tests' shared coordinates, (n, J, d) both."""
+        return np.asarray((x - self.means) / self.scatter)
+
+    def log_change(self, x: Array, by: Array) -> Array:
+        """Change of the log density where x less the means changes by (n, J, d), (n,)."""
+        before, change = self.standard(x), by / self.scatter
+        # (after² − before²)/2 with after = before + change
+        return np.asarray(-np.einsum("njk,njk->n", before + 0.5 * change, change))
+
     def log_density(self, j: int, x: Array, chains: Index) -> Array:
         """That of test j at coordinates (n, D) of some of the chains (n,), without constants."""
         standard = x[:, : self.means.shape[2]] - self.means[chains, j]
@@ -147,6 +157,21 @@ class Joint:
             one = waiting.popleft()
             yield one, density.reshape(one.x.shape[:-1])
 
+    def densities(self, x: Iterable[Array]) -> tuple[list[Array], list[Array]]:
+        """New coordinates of every test, (n, D), and its log density there, (n,).
+
+        The coordinates may be computed while processes are at work on those before.
+        """
+        moved: list[Array] = []
+
+        def points() -> Iterator[tuple[int, Array]]:
+            for j, one in enumerate(x):
+                moved.append(one)
+                yield j, one
+
+        found = list(self.evaluate(points()))
+        return moved, found
+
     def shared(self, chains: Chains) -> Array:
         """Shared coordinates of the tests, (n, J, d)."""
         return np.stack([x[:, : self.d] for x in chains.x], axis=1)
@@ -202,7 +227,7 @@ class Joint:
     def products(self, chains: Chains) -> Array:
         """Products of the tests' standardised deviations, summed over tests, (n, d, d)."""
         given = self.conditional(chains)
-        deviations: Array = (self.shared(chains) - given.means) / given.scatter
+        deviations = given.standard(self.shared(chains))
         return np.asarray(np.swapaxes(deviations, 1, 2) @ deviations)
 
 

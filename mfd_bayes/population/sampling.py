@@ -96,7 +96,7 @@ def sample_joint(
     report : callable, optional
         Called now and then with the number of sweeps and the convergence.
     evaluate : callable, optional
-        Computes the tests' likelihoods, in several processes.
+        Computes what is the tests' own, in several processes; see `Joint`.
     """
     run = _Run(problem, effort, *warm_up(problem.layout, problem.tests, effort, rng, evaluate))
     for end in _looks(most_sweeps(effort)):

@@ -34,7 +34,7 @@ GAUSSIAN = 40
 """Sweeps with Gaussians in place of the likelihoods, which are cheap."""
 
 SETTLE = 5
-"""Further sweeps where there are no surrogates."""
+"""Further sweeps where there are no companions."""
 
 FIRST = 5
 """Sweeps with the likelihoods before surrogates are fitted."""

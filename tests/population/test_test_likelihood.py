@@ -1,5 +1,7 @@
 """Gaussians near the likelihoods of tests."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mfd_bayes.population.test_likelihood import without_prior
@@ -48,3 +50,11 @@ def test_an_approximated_test_is_its_gaussian(make_linear):
     away = x - test.mean
     expected = -0.5 * np.sum(away * np.linalg.solve(test.covariance, away.T).T, axis=1)
     np.testing.assert_allclose(near.log_likelihood(x), expected)
+
+
+def test_the_density_of_a_test_has_the_prior_of_its_own_coordinates_and_of_no_others(make_linear):
+    test = make_linear((0.5, 0.9), ("Fc_fwd", "offset")).likelihoods()[0]
+    whole = replace(test, log_own_prior=lambda own: -3.0 * own[:, 0] ** 2)
+    x = np.random.default_rng(2).normal(size=(5, 2))
+    expected = test.log_likelihood(x) - 3.0 * x[:, 1] ** 2
+    np.testing.assert_allclose(whole.density(1)(x), expected)

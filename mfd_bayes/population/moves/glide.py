@@ -182,9 +182,7 @@ def glide(joint: Joint, chains: Chains, rng: np.random.Generator) -> Accepted:
         gain += density - before
     yes = np.isfinite(gain) & (np.log(rng.random(len(gain))) < gain)
     chains.latent[yes, 0] = at.level[yes]
-    for j, density in enumerate(found):
-        chains.x[j][yes] = at.x[j][yes]
-        chains.log_density[j][yes] = density[yes]
+    chains.move_tests(yes, at.x, found)
     return [("glide", yes)]
 
 

@@ -107,14 +107,6 @@ def _covariances(tests: Sequence[TestLikelihood], scatter: Array) -> list[Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Visit:
-    """Test j at coordinates x (n, D)."""
-
-    j: int
-    x: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Lines:
     """The tests' lines of quantity k, through the current state of n chains.
 
@@ -195,16 +187,12 @@ class Lines:
         """Change of the log density of all shared coordinates but t where t changes by (n, J)."""
         slopes = np.stack([slope[: self.joint.d] for slope in self.slopes])  # (J, d)
         slopes[:, self.k] = 0.0
-        scatter = self.given.scatter
-        before = (self.joint.shared(self.chains) - self.given.means) / scatter
-        change = by[..., None] * slopes / scatter
-        # (after² − before²)/2 with after = before + change
-        return np.asarray(-np.einsum("njk,njk->n", before + 0.5 * change, change))
+        return self.given.log_change(self.joint.shared(self.chains), by[..., None] * slopes)
 
-    def visits(self, by: Array) -> Iterator[Visit]:
-        """Every test where t has changed by (n, J)."""
+    def moved(self, by: Array) -> Iterator[Array]:
+        """Coordinates of each test, (n, D), where t has changed by (n, J)."""
         for j, x in enumerate(self.chains.x):
-            yield Visit(j, x + by[:, j, None] * self.slopes[j])
+            yield x + by[:, j, None] * self.slopes[j]
 
     def accept(
         self, new: ScatterLevel, t: Array, log_ratio: Array, log_uniform: Array
@@ -218,14 +206,12 @@ class Lines:
         ratio = log_ratio + np.sum(self.log_population(t, new), axis=1)
         ratio -= np.sum(self.log_population(before, self.here), axis=1)
         ratio += self.log_prior_of_others(t - before)
-        visits = list(self.joint.with_densities(self.visits(t - before)))
-        for visit, density in visits:
-            ratio += density - chains.log_density[visit.j]
+        moved, found = self.joint.densities(self.moved(t - before))
+        for j, density in enumerate(found):
+            ratio += density - chains.log_density[j]
         yes: NDArray[np.bool_] = np.isfinite(ratio) & (log_uniform < ratio)
         chains.h[yes, k], chains.latent[yes, 0, k] = new.log_scatter[yes], new.level[yes]
-        for visit, density in visits:
-            chains.x[visit.j][yes] = visit.x[yes]
-            chains.log_density[visit.j][yes] = density[yes]
+        chains.move_tests(yes, moved, found)
         return yes
 
 

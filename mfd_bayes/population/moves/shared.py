@@ -11,7 +11,7 @@ Gaussian near the levels, which leave their place in a few steps; scatter has tu
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,15 +113,12 @@ def shift(joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Slopes
     new = level.copy()
     new[:, those] += jump
     log_ratio += 0.5 * np.sum(level**2 - new**2, axis=1)
-    before = (joint.shared(chains) - given.means) / given.scatter
-    change = np.tensordot(jump, slopes.of_shared, axes=1)  # (n, J, d)
-    change[:, :, those] -= jump[:, None]
-    change /= given.scatter
-    # (after² − before²)/2 with after = before + change
-    log_ratio -= np.einsum("njk,njk->n", before + 0.5 * change, change)
+    by = np.tensordot(jump, slopes.of_shared, axes=1)  # (n, J, d)
+    by[:, :, those] -= jump[:, None]
+    log_ratio += given.log_change(joint.shared(chains), by)
     moved = (x + jump @ slope for x, slope in zip(chains.x, slopes.of_tests, strict=True))
     proposed = _Proposed(chains.h.copy(), new, moved, log_ratio)
-    return [("shift", _accept(joint, chains, rng, proposed))]
+    return _by_half("shift", _accept(joint, chains, rng, proposed), half)
 
 
 def rescale(joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Slopes) -> Accepted:
@@ -143,7 +140,12 @@ def rescale(joint: Joint, chains: Chains, rng: np.random.Generator, slopes: Slop
     means, factor = given.means[:, :, those], np.exp(jump)
     moved = (_scaled(x, those, means[:, j], factor) for j, x in enumerate(chains.x))
     proposed = _Proposed(h, chains.latent[:, 0].copy(), moved, ratio)
-    return [("rescale", _accept(joint, chains, rng, proposed))]
+    return _by_half("rescale", _accept(joint, chains, rng, proposed), half)
+
+
+def _by_half(name: str, yes: NDArray[np.bool_], half: Index) -> Accepted:
+    """What was accepted of the half that evolves, and of the other."""
+    return [(name, yes[half]), (name, np.delete(yes, half))]
 
 
 def _scaled(x: Array, those: Index, mean: Array, factor: Array) -> Array:
@@ -176,19 +178,10 @@ def _accept(
 ) -> NDArray[np.bool_]:
     """Accept or reject (Metropolis–Hastings), with the densities of all tests."""
     ratio = proposed.log_ratio.copy()
-    moved: list[Array] = []
-
-    def points() -> Iterator[tuple[int, Array]]:
-        for j, x in enumerate(proposed.x):
-            moved.append(x)
-            yield j, x
-
-    found = list(joint.evaluate(points()))
+    moved, found = joint.densities(proposed.x)
     for j, density in enumerate(found):
         ratio += density - chains.log_density[j]
     yes: NDArray[np.bool_] = np.isfinite(ratio) & (np.log(rng.random(len(ratio))) < ratio)
     chains.h[yes], chains.latent[yes, 0] = proposed.h[yes], proposed.level[yes]
-    for j, density in enumerate(found):
-        chains.x[j][yes] = moved[j][yes]
-        chains.log_density[j][yes] = density[yes]
+    chains.move_tests(yes, moved, found)
     return yes
