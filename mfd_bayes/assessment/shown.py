@@ -13,14 +13,16 @@ from mfd_bayes.assessment.checks import SHOWN
 from mfd_bayes.assessment.fits import calibrated_view, held_out_view, sharing_priors
 from mfd_bayes.assessment.views import CampaignView, Check, TestView
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.jobs.likelihoods import in_turn, several_processes
+from mfd_bayes.jobs.likelihoods import Meanwhile, in_turn, several_processes, when_wanted
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
 
 Given = TypeVar("Given")
 
 
-def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, str]]:
+def views_of_tests(
+    run: Run, jobs: int = 1, beside: Meanwhile = when_wanted
+) -> tuple[list[TestView], dict[str, str]]:
     """Views of all tests, in the order of the campaign; and why others cannot be shown.
 
     Parameters
@@ -28,15 +30,19 @@ def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, s
     run : Run
     jobs : int
         Processes that make those of calibrated tests.
+    beside : Meanwhile
+        Makes those of the other tests.
 
     Raises
     ------
     StoreError
         When a stored file cannot be used: that is no fault of one test.
     """
-    found = _calibrated(run, jobs)
-    for name, trace in run.held_out.items():
-        found[name] = _attempt(partial(held_out_view, run, name), trace)
+    others = {
+        name: beside(partial(_attempt, partial(held_out_view, run, name), trace))
+        for name, trace in run.held_out.items()
+    }
+    found = _calibrated(run, jobs) | {name: view() for name, view in others.items()}
     names = [name for name in run.manifest.tests if name in found]
     views = [view for name in names if isinstance(view := found[name], TestView)]
     return views, {name: str(e) for name in names if isinstance(e := found[name], MfdError)}

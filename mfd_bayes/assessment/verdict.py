@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 
 from mfd_bayes.assessment.checks import CALIBRATION, convergence_checks, exponent_checks
 from mfd_bayes.assessment.contradicted import contradicted_starts
@@ -22,6 +23,7 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.jobs.likelihoods import meanwhile
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
@@ -31,8 +33,10 @@ from mfd_bayes.runs.verdict import Use, Verdict
 
 def assess(run: Run, jobs: int = 1) -> CampaignView:
     """Everything that the report of a run shows, by one process or several."""
-    tests, lost = views_of_tests(run, jobs)
-    return put_together(run, tests, law_rows(run), law_views(run), lost)
+    with meanwhile(jobs) as beside:
+        rows, laws = beside(partial(law_rows, run)), beside(partial(law_views, run))
+        tests, lost = views_of_tests(run, jobs, beside)
+        return put_together(run, tests, rows(), laws(), lost)
 
 
 def put_together(

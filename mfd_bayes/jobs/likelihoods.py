@@ -1,15 +1,15 @@
-"""Functions of many tests by several processes, and other work in a process beside this one."""
+"""Functions of many tests by several processes, and other work beside them."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import islice
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from mfd_bayes.jobs.processes import context, follow_parent, started_alike
 
@@ -90,6 +90,35 @@ def beside(jobs: int, work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         yield result
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+class Meanwhile(Protocol):
+    """Takes work that may be done meanwhile."""
+
+    def __call__(self, work: Callable[[], T], /) -> Callable[[], T]:
+        """Function that waits for the work's result."""
+        ...
+
+
+def when_wanted(work: Callable[[], T], /) -> Callable[[], T]:
+    """Work that is done once its result is wanted."""
+    return work
+
+
+@contextmanager
+def meanwhile(jobs: int) -> Iterator[Meanwhile]:
+    """Let a thread do work while this one waits for processes; with one job, when it is wanted.
+
+    What has not begun at the end is left undone.
+    """
+    if jobs < 2:
+        yield when_wanted
+        return
+    thread = ThreadPoolExecutor(1)
+    try:
+        yield lambda work: thread.submit(work).result
+    finally:
+        thread.shutdown(cancel_futures=True)
 
 
 class _Pool(Generic[Given, Found]):

@@ -3,13 +3,14 @@
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from functools import partial
 
 import numpy as np
 import pytest
 
-from mfd_bayes.jobs.likelihoods import beside, several_processes
+from mfd_bayes.jobs.likelihoods import beside, meanwhile, several_processes
 
 TESTS = 9
 
@@ -93,3 +94,32 @@ def test_work_whose_process_is_lost_is_done_here():
         began = time.perf_counter()
         assert result() is None  # and no error of the lost process
         assert time.perf_counter() - began >= 0.5
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_work_done_meanwhile_has_its_result_or_its_error(jobs):
+    here = threading.get_ident()
+    with meanwhile(jobs) as beside:
+        place, wrong = beside(threading.get_ident), beside(lambda: 1 // 0)
+        assert (place() == here) == (jobs == 1)
+        with pytest.raises(ZeroDivisionError):
+            wrong()
+
+
+def test_work_that_has_not_begun_is_left_undone_where_this_thread_ends():
+    done, begin = [], threading.Event()
+
+    def first():
+        begin.wait(10.0)
+        done.append(1)
+
+    def stopped():
+        with meanwhile(2) as beside:
+            beside(first)
+            beside(lambda: done.append(2))
+            threading.Timer(0.2, begin.set).start()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert done == [1]

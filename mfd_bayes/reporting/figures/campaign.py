@@ -15,6 +15,7 @@ from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.figures.next_test import draw_next
+from mfd_bayes.reporting.figures.panels import Sheets
 from mfd_bayes.reporting.figures.posteriors import (
     draw_chains,
     draw_corner,
@@ -27,6 +28,7 @@ from mfd_bayes.reporting.figures.tested import draw_tested
 from mfd_bayes.runs.systems import System
 
 _FIGURES_HELD = 8
+_SHEETS = Sheets()  # of this process: each figure is a PNG before the next is drawn
 
 
 def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
@@ -43,7 +45,7 @@ def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[t
     Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out. The
     test and `actuation_unit` are in internal units, the figures in those of `system`.
     """
-    return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system))
+    return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system, _SHEETS))
 
 
 def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
@@ -94,10 +96,13 @@ def _collecting_rarely() -> Iterator[None]:
             gc.enable()
 
 
-def figures_of_test(test: TestView, system: System) -> Iterator[tuple[str, Figure]]:
-    """Figures of one test in the units of a system, each with its key."""
+def figures_of_test(
+    test: TestView, system: System, sheets: Sheets | None = None
+) -> Iterator[tuple[str, Figure]]:
+    """Figures of one test in the units of a system, each with its key, drawn on sheets."""
     for name, draw in OF_TEST.items():
-        figure = draw(test, system)
+        with sheets or Sheets():
+            figure = draw(test, system)
         if figure is not None:
             yield f"tests/{test.id}/{name}", figure
 

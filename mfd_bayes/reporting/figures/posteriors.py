@@ -18,12 +18,12 @@ from mfd_bayes.assessment.checks import INFORMED
 from mfd_bayes.assessment.views import Array, Marginal, TruthRow
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures.panels import COLUMNS, in_rows, of_pairs
 from mfd_bayes.reporting.symbols import in_figure, label, plain
 
 CORNER_DRAWS = 2000
 CORNER_QUANTITIES = 8
 _STEPS = 300  # of a chain: a screen cannot show more
-_COLUMNS = 4  # of small panels
 _LOG_RANGE = 20.0
 _PLAIN = "{x:.4g}"  # of tick labels
 _BINS = 16
@@ -53,25 +53,21 @@ def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str])
     if len(chosen) < 2:
         return None
     matplotlib.rcParams["axes.grid"] = False
-    size = max(1.15 * len(chosen), 4.0)
-    figure = Figure(figsize=(size, size), dpi=look.DPI)
-    edges = {"left": 0.12, "bottom": 0.11, "right": 0.985, "top": 0.945}
-    grid = figure.add_gridspec(len(chosen), len(chosen), wspace=0.05, hspace=0.05, **edges)
+    figure, panels = of_pairs(title, len(chosen))
     stride = -(-len(chosen[0].posterior) // CORNER_DRAWS)
     draws = [marginal.posterior[::stride] for marginal in chosen]
-    for row, below in enumerate(chosen):
-        for column, beside in enumerate(chosen[: row + 1]):
-            axes = figure.add_subplot(grid[row, column])
-            _draw_pair(axes, draws[column], draws[row])
-            _outer_labels(axes, beside, below, last=row == len(chosen) - 1, first=column == 0)
-    figure.suptitle(plain(title), x=0.01, ha="left", y=0.985)
+    pairs = [(row, column) for row in range(len(chosen)) for column in range(row + 1)]
+    for axes, (row, column) in zip(panels, pairs, strict=True):
+        _draw_pair(axes, draws[column], draws[row])
+        places = {"last": row == len(chosen) - 1, "first": column == 0}
+        _outer_labels(axes, chosen[column], chosen[row], **places)
     return figure
 
 
 @look.style()
 def draw_chains(title: str, chains: Mapping[str, Array], units: Mapping[str, str]) -> Figure:
     """Each sampled quantity along the run, one colour per chain, (chain, draw) each."""
-    figure, panels = _panels(title, len(chains), row=1.4)
+    figure, panels = in_rows("chains", title, len(chains))
     for at, (axes, (name, values)) in enumerate(zip(panels, chains.items(), strict=True)):
         step = max(1, values.shape[1] // _STEPS)
         draws = np.arange(0, values.shape[1], step)
@@ -83,7 +79,7 @@ def draw_chains(title: str, chains: Mapping[str, Array], units: Mapping[str, str
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_formatter(_PLAIN)
-        if at + _COLUMNS < len(panels):
+        if at + COLUMNS < len(panels):
             axes.tick_params(labelbottom=False)
     figure.supxlabel("kept step of the sampler (mean over walkers)", fontsize=8, y=0.01)
     return figure
@@ -92,7 +88,7 @@ def draw_chains(title: str, chains: Mapping[str, Array], units: Mapping[str, str
 @look.style()
 def draw_marginals(title: str, marginals: Sequence[Marginal]) -> Figure:
     """Densities of priors and posteriors, each scaled to its peak; wide ranges logarithmic."""
-    figure, panels = _panels(title, len(marginals), row=1.4)
+    figure, panels = in_rows("marginals", title, len(marginals))
     for axes, marginal in zip(panels, marginals, strict=True):
         _draw_marginal(axes, marginal)
     handles = [
@@ -184,19 +180,6 @@ def _varying(marginals: Sequence[Marginal], names: Sequence[str]) -> list[Margin
     found = [m for m in found if len(m.posterior) == len(found[0].posterior)]
     enough = bool(found) and len(found[0].posterior) > CORNER_QUANTITIES
     return found[:CORNER_QUANTITIES] if enough else []
-
-
-def _panels(title: str, number: int, row: float) -> tuple[Figure, list[Axes]]:
-    """Panels in four columns; fixed margins are much faster than constrained layout."""
-    columns = min(_COLUMNS, max(1, number))
-    rows = max(1, -(-number // columns))
-    height = row * rows + 0.75
-    figure = Figure(figsize=(10, height), dpi=look.DPI)
-    figure.suptitle(plain(title), x=0.01, y=1.0 - 0.08 / height, ha="left", va="top")
-    edges = {"left": 0.065, "right": 0.985, "top": 1 - 0.55 / height, "bottom": 0.65 / height}
-    figure.subplots_adjust(**edges, wspace=0.28, hspace=0.65)
-    panels = [figure.add_subplot(rows, columns, at + 1) for at in range(number)]
-    return figure, panels
 
 
 def _cycle(number: int) -> list[str]:

@@ -9,9 +9,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from PIL import Image
 
 from mfd_bayes.assessment.views import Fan, Interval
@@ -19,8 +21,8 @@ from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.units import percent
 
 DPI = 105
-FEW = 160
-"""Colours of a PNG: enough for smooth edges of lines and letters."""
+WHITE = 250
+"""What is at least as bright is paper: an octree of colours averages it with what is near."""
 
 _STYLE: dict[str, object] = {
     "font.family": "sans-serif",
@@ -72,7 +74,10 @@ def to_png(figure: Figure) -> bytes:
     canvas.draw()  # once: savefig would draw twice where there is a layout
     size = canvas.get_width_height()
     drawn = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
-    few = drawn.quantize(FEW, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few = drawn.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    palette: NDArray[np.int_] = np.reshape(few.getpalette() or [], (-1, 3))
+    palette[np.all(palette >= WHITE, axis=1)] = 255
+    few.putpalette(palette.ravel().tolist())
     packed = io.BytesIO()
     few.save(packed, "png", compress_level=6)
     return packed.getvalue()
