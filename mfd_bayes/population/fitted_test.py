@@ -26,6 +26,9 @@ class FittedTest:
         What is left over at x without discrepancy, and slopes of the model's force, kip.
     sd : float, kip
         Of the noise.
+    moved : float
+        How far x has gone since slopes were taken, in prior units.
+    slip_force : float, kip
     """
 
     likelihood: WorkingLikelihood
@@ -35,6 +38,8 @@ class FittedTest:
     residual: Array
     slopes: Array
     sd: float
+    moved: float = np.inf
+    slip_force: float = 1.0
 
     def weights(self, log_shape: Array) -> Array:
         """Reciprocal standard deviation of the noise at each sample, 0 where it does not count."""

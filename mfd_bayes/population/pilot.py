@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ STEP = 1e-3
 """Step of the differences, in prior units."""
 
 STILL = 1e-3
-"""Slopes are taken anew when the coordinates have moved by more than this, in prior units."""
+"""A test's slopes are taken anew when its coordinates have moved by more, in prior units."""
 
 LARGEST = 8.0
 """Largest coordinate, in prior units, that a step may reach."""
@@ -77,14 +78,29 @@ def fit_pilot(
         Computes the likelihoods' residuals, in several processes.
     """
     fit = _Fit(likelihoods, starts, evaluate)
-    moved = np.inf
     for _ in range(STEPS):
-        if moved > STILL:
-            fit.linearise()
-            moved = 0.0
-        moved += fit.step()
+        fit.linearise()
+        fit.step()
         fit.learn()
     return fit.pilot()
+
+
+class _System(NamedTuple):
+    """Normal equations of a test: of what is common (c), of what is free (f), and of both.
+
+    Attributes
+    ----------
+    common, free, cross : (c, c), (f, f), (c, f)
+        Products of the weighted slopes.
+    pull, gradient : (c,), (f,)
+        Their products with what is left over; the prior of what is free is in its gradient.
+    """
+
+    common: Array
+    free: Array
+    cross: Array
+    pull: Array
+    gradient: Array
 
 
 def _steps(size: int) -> Array:
@@ -129,66 +145,67 @@ class _Fit:
         self.slip_force = 1.0
         self.damping = 0.0
 
-    def linearise(self) -> None:
-        """Residuals and slopes at the current coordinates; slip forces."""
-        slips = []
-        around = ((j, one.x + _steps(one.x.size)) for j, one in enumerate(self.tests))
-        for one, residual in zip(self.tests, self.evaluate(around), strict=True):
-            size = one.x.size
-            one.residual = residual[-1]
+    def linearise(self, still: float = STILL) -> None:
+        """Residuals, slopes and slip forces at the current coordinates, where tests have moved."""
+        moved = [j for j, one in enumerate(self.tests) if one.moved > still]
+        around = ((j, self.tests[j].x + _steps(self.tests[j].x.size)) for j in moved)
+        for j, residual in zip(moved, self.evaluate(around), strict=True):
+            one, size = self.tests[j], self.tests[j].x.size
+            one.residual, one.moved = residual[-1], 0.0
             one.slopes = (residual[size : 2 * size] - residual[:size]).T / (2.0 * STEP)
             posterior = one.likelihood.posterior
             values = posterior.values(one.likelihood.points(one.x[None]))
-            slips.append(float(slip_force_of(posterior.model, values)[0]))
-        self.slip_force = float(np.exp(np.mean(np.log(np.maximum(slips, 1e-12)))))
-        for one, slip in zip(self.tests, slips, strict=True):
-            one.basis = one.functions * (slip / self.slip_force)
+            one.slip_force = max(float(slip_force_of(posterior.model, values)[0]), 1e-12)
+        self.slip_force = float(np.exp(np.mean([np.log(one.slip_force) for one in self.tests])))
+        for one in self.tests:
+            one.basis = one.functions * (one.slip_force / self.slip_force)
 
     def _free(self, one: FittedTest) -> NDArray[np.intp]:
         """Coordinates of a test that are its own, or differ between tests."""
         return np.concatenate([self.shared, np.arange(self.d, one.x.size)])
 
-    def step(self) -> float:
-        """One damped Gauss–Newton step, if one lowers the objective; its length."""
+    def step(self) -> None:
+        """One damped Gauss–Newton step, if one lowers the objective."""
         before = self._objective([one.x for one in self.tests], [t.residual for t in self.tests])
+        systems = [self._system(one) for one in self.tests]
         for _ in range(8):
-            xs = self._proposed()
+            xs = self._proposed(systems)
             if max(np.max(np.abs(x)) for x in xs) <= LARGEST:
                 left = [r[0] for r in self.evaluate((j, x[None]) for j, x in enumerate(xs))]
                 if self._objective(xs, left) <= before:
                     self.damping = 0.0 if self.damping < 1e-3 else self.damping / 10.0
-                    return self._take(xs, left)
+                    self._take(xs, left)
+                    return
             self.damping = max(1e-3, 6.0 * self.damping)
-        return 0.0
 
-    def _take(self, xs: Sequence[Array], residuals: Sequence[Array]) -> float:
-        """Go to coordinates of the tests; the largest change."""
-        moved = max(np.max(np.abs(x - t.x)) for x, t in zip(xs, self.tests, strict=True))
+    def _take(self, xs: Sequence[Array], residuals: Sequence[Array]) -> None:
+        """Go to coordinates of the tests."""
         for one, x, residual in zip(self.tests, xs, residuals, strict=True):
+            one.moved += float(np.max(np.abs(x - one.x)))
             one.x, one.residual = x, residual
-        return float(moved)
 
-    def _proposed(self) -> list[Array]:
+    def _system(self, one: FittedTest) -> _System:
+        """Normal equations of a test at its current coordinates."""
+        weights = one.weights(self.log_shape)
+        slopes, left = one.slopes * weights[:, None], one.residual * weights
+        a, b = slopes[:, np.flatnonzero(self.common)], slopes[:, self._free(one)]
+        return _System(a.T @ a, b.T @ b, a.T @ b, a.T @ left, b.T @ left - one.x[self._free(one)])
+
+    def _proposed(self, systems: Sequence[_System]) -> list[Array]:
         """Coordinates of the tests after a step: what is free is eliminated first."""
         those, kept = np.flatnonzero(self.common), []
         matrix, pull = np.eye(those.size), -self.tests[0].x[those]
-        for one in self.tests:
-            weights = one.weights(self.log_shape)
-            slopes, left = one.slopes * weights[:, None], one.residual * weights
-            free = self._free(one)
-            a, b = slopes[:, those], slopes[:, free]
-            own, gram, cross = b.T @ b, a.T @ a, a.T @ b
-            own += np.diag(np.full(len(own), 1.0) + self.damping * np.diag(own))
-            gradient = b.T @ left - one.x[free]
+        for common, free, cross, common_pull, gradient in systems:
+            own = free + np.diag(1.0 + self.damping * np.diag(free))
             gain = np.linalg.solve(own, cross.T).T
-            matrix += gram + self.damping * np.diag(np.diag(gram)) - gain @ cross.T
-            pull += a.T @ left - gain @ gradient
-            kept.append((own, cross, gradient))
+            matrix += common + self.damping * np.diag(np.diag(common)) - gain @ cross.T
+            pull += common_pull - gain @ gradient
+            kept.append(own)
         moved = np.linalg.solve(matrix, pull)
         xs = []
-        for one, (own, cross, gradient) in zip(self.tests, kept, strict=True):
+        for one, own, system in zip(self.tests, kept, systems, strict=True):
             x = one.x.copy()
-            x[self._free(one)] += np.linalg.solve(own, gradient - cross.T @ moved)
+            x[self._free(one)] += np.linalg.solve(own, system.gradient - system.cross.T @ moved)
             x[those] += moved
             xs.append(x)
         return xs
@@ -234,7 +251,7 @@ class _Fit:
 
     def pilot(self) -> Pilot:
         """What is kept of the fit."""
-        self.linearise()
+        self.linearise(still=-1.0)
         standard = [one.standardised(self.coefficients, self.log_shape) for one in self.tests]
         traces = [one.likelihood.posterior.trace for one in self.tests]
         information = independent_share([one.values for one in standard])
