@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
 from mfd_bayes.population.fitted_test import FittedTest
+from mfd_bayes.population.normal_equations import System, damped_steps
 from mfd_bayes.population.residual import Residual, memory_of, slip_force_of
 from mfd_bayes.population.strokes import independent_share, learn_levels
 from mfd_bayes.population.test_likelihood import TestLikelihood
@@ -28,7 +28,13 @@ from mfd_bayes.population.working import WorkingLikelihood
 Array = NDArray[np.float64]
 
 STEPS = 40
-"""Gauss–Newton steps."""
+"""Most Gauss–Newton steps."""
+
+SETTLED = 3
+"""Steps in a row that hardly change anything, after which there are no more."""
+
+LITTLE = 1e-3, 1e-4
+"""Relative changes of the discrepancy's size and of the objective that are hardly any."""
 
 STEP = 1e-3
 """Step of the differences, in prior units."""
@@ -78,29 +84,16 @@ def fit_pilot(
         Computes the likelihoods' residuals, in several processes.
     """
     fit = _Fit(likelihoods, starts, evaluate)
+    settled = 0
     for _ in range(STEPS):
+        before = fit.figures
         fit.linearise()
         fit.step()
         fit.learn()
+        settled = settled + 1 if fit.settled_since(before) else 0
+        if settled == SETTLED:
+            break
     return fit.pilot()
-
-
-class _System(NamedTuple):
-    """Normal equations of a test: of what is common (c), of what is free (f), and of both.
-
-    Attributes
-    ----------
-    common, free, cross : (c, c), (f, f), (c, f)
-        Products of the weighted slopes.
-    pull, gradient : (c,), (f,)
-        Their products with what is left over; the prior of what is free is in its gradient.
-    """
-
-    common: Array
-    free: Array
-    cross: Array
-    pull: Array
-    gradient: Array
 
 
 def _steps(size: int) -> Array:
@@ -122,10 +115,8 @@ class _Fit:
         self.layout, self.d = layout, len(layout.names)
         self.basis = TravelBasis.of([one.posterior.trace for one in likelihoods])
         k = layout.names.index("noise_sd")
-        self.common = np.array([bool(sparse) for sparse in layout.sparse])
-        free = ~self.common
-        free[k] = False
-        self.shared = np.flatnonzero(free)
+        self.common = np.flatnonzero([bool(sparse) for sparse in layout.sparse])
+        self.shared = np.setdiff1d(np.arange(self.d), [*self.common, k])
         shared = np.median([x[: self.d] for x in starts], axis=0)
         self.inverse = np.linalg.inv(self.basis.covariance())
         self.coefficients = np.zeros(self.basis.size)
@@ -134,7 +125,7 @@ class _Fit:
         self.tests = []
         for likelihood, start in zip(likelihoods, starts, strict=True):
             x = start.copy()
-            x[: self.d][self.common] = shared[self.common]
+            x[self.common] = shared[self.common]
             functions = self.basis.values(likelihood.posterior.trace)
             residual = likelihood.residual(x[None])[0]
             sd = float(residual.std())
@@ -144,6 +135,17 @@ class _Fit:
         self.amplitude = 0.3 * float(np.mean([one.sd for one in self.tests]))
         self.slip_force = 1.0
         self.damping = 0.0
+        self.objective = self.typical_move = np.inf
+
+    @property
+    def figures(self) -> Array:
+        """Size of the discrepancy, and objective before the last step."""
+        return np.array([self.amplitude, self.objective])
+
+    def settled_since(self, before: Array) -> bool:
+        """Whether figures have hardly changed, and half of the tests have hardly moved."""
+        change = np.abs(self.figures / before - 1.0)
+        return bool(np.all(change < LITTLE) and self.typical_move < STILL)
 
     def linearise(self, still: float = STILL) -> None:
         """Residuals, slopes and slip forces at the current coordinates, where tests have moved."""
@@ -166,7 +168,8 @@ class _Fit:
 
     def step(self) -> None:
         """One damped Gauss–Newton step, if one lowers the objective."""
-        before = self._objective([one.x for one in self.tests], [t.residual for t in self.tests])
+        xs, residuals = [one.x for one in self.tests], [one.residual for one in self.tests]
+        before = self.objective = self._objective(xs, residuals)
         systems = [self._system(one) for one in self.tests]
         for _ in range(8):
             xs = self._proposed(systems)
@@ -180,39 +183,32 @@ class _Fit:
 
     def _take(self, xs: Sequence[Array], residuals: Sequence[Array]) -> None:
         """Go to coordinates of the tests."""
-        for one, x, residual in zip(self.tests, xs, residuals, strict=True):
-            one.moved += float(np.max(np.abs(x - one.x)))
-            one.x, one.residual = x, residual
+        moves = [np.max(np.abs(x - one.x)) for x, one in zip(xs, self.tests, strict=True)]
+        self.typical_move = float(np.median(moves))
+        for one, x, residual, moved in zip(self.tests, xs, residuals, moves, strict=True):
+            one.x, one.residual, one.moved = x, residual, one.moved + float(moved)
 
-    def _system(self, one: FittedTest) -> _System:
+    def _system(self, one: FittedTest) -> System:
         """Normal equations of a test at its current coordinates."""
         weights = one.weights(self.log_shape)
         slopes, left = one.slopes * weights[:, None], one.residual * weights
-        a, b = slopes[:, np.flatnonzero(self.common)], slopes[:, self._free(one)]
-        return _System(a.T @ a, b.T @ b, a.T @ b, a.T @ left, b.T @ left - one.x[self._free(one)])
+        free = self._free(one)
+        a, b = slopes[:, self.common], slopes[:, free]
+        return System(a.T @ a, b.T @ b, a.T @ b, a.T @ left, b.T @ left - one.x[free])
 
-    def _proposed(self, systems: Sequence[_System]) -> list[Array]:
-        """Coordinates of the tests after a step: what is free is eliminated first."""
-        those, kept = np.flatnonzero(self.common), []
-        matrix, pull = np.eye(those.size), -self.tests[0].x[those]
-        for common, free, cross, common_pull, gradient in systems:
-            own = free + np.diag(1.0 + self.damping * np.diag(free))
-            gain = np.linalg.solve(own, cross.T).T
-            matrix += common + self.damping * np.diag(np.diag(common)) - gain @ cross.T
-            pull += common_pull - gain @ gradient
-            kept.append(own)
-        moved = np.linalg.solve(matrix, pull)
-        xs = []
-        for one, own, system in zip(self.tests, kept, systems, strict=True):
-            x = one.x.copy()
-            x[self._free(one)] += np.linalg.solve(own, system.gradient - system.cross.T @ moved)
-            x[those] += moved
-            xs.append(x)
+    def _proposed(self, systems: Sequence[System]) -> list[Array]:
+        """Coordinates of the tests after a step."""
+        common = self.tests[0].x[self.common]
+        together, alone = damped_steps(systems, common, self.damping)
+        xs = [one.x.copy() for one in self.tests]
+        for one, x, own in zip(self.tests, xs, alone, strict=True):
+            x[self.common] += together
+            x[self._free(one)] += own
         return xs
 
     def _objective(self, xs: Sequence[Array], residuals: Sequence[Array]) -> float:
         """Half the weighted squares of what is left, plus the priors'."""
-        total = 0.5 * float(np.sum(xs[0][: self.d][self.common] ** 2))
+        total = 0.5 * float(np.sum(xs[0][self.common] ** 2))
         for one, x, left in zip(self.tests, xs, residuals, strict=True):
             total += 0.5 * float(np.sum((left * one.weights(self.log_shape)) ** 2))
             total += 0.5 * float(np.sum(x[self._free(one)] ** 2))

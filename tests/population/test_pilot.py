@@ -249,3 +249,19 @@ def test_draws_of_the_residual_have_its_moments(wavy):
     np.testing.assert_allclose(np.cov(drawn.T), residual.covariance, atol=1e-4)
     noise = residual.draw_noise(rng, trace, np.full(4000, 0.05))
     np.testing.assert_allclose(noise.std(axis=0), 0.05 * residual.shape(trace), rtol=0.06)
+
+
+def test_a_fit_that_ends_once_it_has_settled_is_that_of_all_steps(priors, monkeypatch):
+    steps = []
+    take = pilot._Fit.step
+    monkeypatch.setattr(pilot._Fit, "step", lambda one: (steps.append(1), take(one))[1])
+    early = fit(priors, waves=True)
+    assert len(steps) < 0.75 * pilot.STEPS
+    monkeypatch.setattr(pilot, "SETTLED", pilot.STEPS)
+    late = fit(priors, waves=True)
+    assert len(steps) > pilot.STEPS
+    for one, other in zip(early.found.tests, late.found.tests, strict=True):
+        sd = np.sqrt(np.diag(other.covariance))
+        assert np.max(np.abs(one.mean - other.mean) / sd) < 0.1
+    size = np.linalg.norm(late.found.residual.mean)
+    assert np.linalg.norm(early.found.residual.mean - late.found.residual.mean) < 0.02 * size
