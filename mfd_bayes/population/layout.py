@@ -217,12 +217,13 @@ class Layout:
         chosen = self.settings if settings is None else settings
         actuations = np.array([s.actuation for s in chosen])
         levels, level = np.unique(actuations / self.reference, return_inverse=True)
-        offsets = np.zeros((len(h), len(chosen), len(self.names)))
+        at_levels = np.zeros((len(h), len(levels), len(self.names)))
         for name in self.laws:
             k = self.names.index(name)
             share, exponent = self.law_shapes(h, choice, name)
             followed = ratio(levels, share[:, None], exponent[:, None])
-            offsets[..., k] += (np.log(np.maximum(followed, 1e-300)) / self.spread[k])[:, level]
+            at_levels[..., k] = np.log(np.maximum(followed, 1e-300)) / self.spread[k]
+        offsets = np.take(at_levels, level, axis=1)
         begin = len(self.names) + len(self.effects)
         for i, (name, shape) in enumerate(self.shapes):
             if shape in self.covariate_reference:
@@ -232,7 +233,9 @@ class Layout:
                 within = np.clip([s.covariates[shape] for s in chosen], min(among), max(among))
                 folds = np.log(within / reference)
                 offsets[..., k] += h[:, begin + i, None] * folds / self.spread[k]
-        return np.where(self.informs, offsets, 0.0) if settings is None else offsets
+        if settings is None:
+            offsets *= self.informs
+        return offsets
 
     def draw_choice(self, n: int) -> Choice:
         """Laws of n chains in proportion to the weights, (n, L) int; no random numbers."""

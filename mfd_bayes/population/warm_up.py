@@ -30,8 +30,9 @@ Array = NDArray[np.float64]
 WALKERS = 32
 """Chains of each ensemble."""
 
-GAUSSIAN = 40
-"""Sweeps with Gaussians in place of the likelihoods, which are cheap."""
+GAUSSIAN = 20
+"""Sweeps with Gaussians in place of the likelihoods, which are cheap. With twice as many no fewer
+sweeps are needed later (7 to 500 tests)."""
 
 SETTLE = 5
 """Further sweeps where there are no companions."""
