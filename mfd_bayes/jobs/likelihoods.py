@@ -107,7 +107,7 @@ def when_wanted(work: Callable[[], T], /) -> Callable[[], T]:
 
 @contextmanager
 def meanwhile(jobs: int) -> Iterator[Meanwhile]:
-    """Let a thread do work while this one waits for processes; with one job, when it is wanted.
+    """Let a thread work beside this one; with one job, work is done when its result is wanted.
 
     What has not begun at the end is left undone.
     """

@@ -234,7 +234,7 @@ class Layout:
                 folds = np.log(within / reference)
                 offsets[..., k] += h[:, begin + i, None] * folds / self.spread[k]
         if settings is None:
-            offsets *= self.informs
+            offsets[:, ~self.informs] = 0.0
         return offsets
 
     def draw_choice(self, n: int) -> Choice:

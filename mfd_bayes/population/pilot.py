@@ -31,10 +31,10 @@ STEPS = 40
 """Most Gauss–Newton steps."""
 
 SETTLED = 3
-"""Steps in a row that hardly change anything, after which there are no more."""
+"""The fit ends after so many steps in a row that hardly change anything."""
 
 LITTLE = 1e-3, 1e-4
-"""Relative changes of the discrepancy's size and of the objective that are hardly any."""
+"""Relative changes of the discrepancy's size and of the objective below which a fit has settled."""
 
 STEP = 1e-3
 """Step of the differences, in prior units."""
@@ -247,7 +247,7 @@ class _Fit:
 
     def pilot(self) -> Pilot:
         """What is kept of the fit."""
-        self.linearise(still=-1.0)
+        self.linearise(still=0.0)
         standard = [one.standardised(self.coefficients, self.log_shape) for one in self.tests]
         traces = [one.likelihood.posterior.trace for one in self.tests]
         information = independent_share([one.values for one in standard])

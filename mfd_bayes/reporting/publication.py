@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mfd_bayes.assessment.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.likelihoods import meanwhile
 from mfd_bayes.jobs.workers import run_in_processes
 from mfd_bayes.reporting.conversion import convert_test, in_tables, shown_in
 from mfd_bayes.reporting.exports import export_tables
@@ -121,10 +122,10 @@ def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[s
         if drawing.id not in names:
             drawing.remove(out)
     if len(drawings) > _ALONE and processes > 1:
-        with ThreadPoolExecutor(1) as beside:  # the processes draw, this one meanwhile too
-            drawn = beside.submit(_draw_in_processes, drawings, out, processes)
+        with meanwhile(processes) as beside:  # the processes draw, this one meanwhile too
+            drawn = beside(partial(_draw_in_processes, drawings, out, processes))
             images = _draw_shared(view, out)
-            drawn.result()
+            drawn()
     else:
         images = _draw_shared(view, out)
         for drawing in drawings:

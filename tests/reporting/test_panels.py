@@ -57,23 +57,23 @@ def test_used_again_they_are_the_same_to_the_byte(kind):
     """Other limits, scales, titles and numbers of lines leave no trace."""
     new = drawn(CASES[kind], nullcontext())
     assert len(set(new)) == len(new)
-    assert drawn(CASES[kind], Sheets()) == new
+    assert drawn(CASES[kind], Sheets().in_use()) == new
 
 
 @pytest.mark.parametrize("kind", CASES)
 def test_what_is_not_emptied_shows(kind, monkeypatch):
     """The control of the test above."""
     monkeypatch.setattr(panels, "_empty", lambda *_: None)
-    assert drawn(CASES[kind], Sheets()) != drawn(CASES[kind], nullcontext())
+    assert drawn(CASES[kind], Sheets().in_use()) != drawn(CASES[kind], nullcontext())
 
 
 @pytest.mark.parametrize("draw", [draw for draw, _ in CASES.values()])
 def test_a_figure_is_given_again_only_where_it_may_be(draw):
-    with Sheets():
+    with Sheets().in_use():
         assert draw(1) is draw(2)
     assert draw(1) is not draw(2)
 
 
 def test_kinds_do_not_share_a_figure():
-    with Sheets():
+    with Sheets().in_use():
         assert panels.in_rows("chains", "a", 4)[0] is not panels.in_rows("marginals", "a", 4)[0]

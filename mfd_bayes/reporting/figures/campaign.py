@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -99,9 +99,9 @@ def _collecting_rarely() -> Iterator[None]:
 def figures_of_test(
     test: TestView, system: System, sheets: Sheets | None = None
 ) -> Iterator[tuple[str, Figure]]:
-    """Figures of one test in the units of a system, each with its key, drawn on sheets."""
+    """Figures of one test in the units of a system, each with its key; new ones without sheets."""
     for name, draw in OF_TEST.items():
-        with sheets or Sheets():
+        with sheets.in_use() if sheets else nullcontext():
             figure = draw(test, system)
         if figure is not None:
             yield f"tests/{test.id}/{name}", figure

@@ -6,7 +6,8 @@ draws the same kinds of figures for one test after the other.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 
 from matplotlib.axes import Axes
@@ -23,20 +24,23 @@ Sheet = tuple[Figure, list[Axes]]
 
 
 class Sheets:
-    """Figures with panels; in a `with` statement, figures are drawn on these.
+    """Figures with panels that serve again.
 
-    A figure that was given is given again, emptied, where the same kind with as many panels is
-    asked for: it must no longer be needed then.
+    Where a figure of the same kind and number of panels is asked for, the earlier one is emptied
+    and given again: it must no longer be needed then.
     """
 
     def __init__(self) -> None:
         self._kept: dict[tuple[str, int], Sheet] = {}
 
-    def __enter__(self) -> None:
-        self._before = _IN_USE.set(self)
-
-    def __exit__(self, *_: object) -> None:
-        _IN_USE.reset(self._before)
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Draw figures on these."""
+        before = _IN_USE.set(self)
+        try:
+            yield
+        finally:
+            _IN_USE.reset(before)
 
     def sheet(self, kind: str, number: int, make: Callable[[int], Sheet]) -> Sheet:
         """A sheet of a kind with a number of panels, made if there is none."""
@@ -59,7 +63,7 @@ def in_rows(kind: str, title: str, number: int) -> Sheet:
 
 
 def of_pairs(title: str, number: int) -> Sheet:
-    """Panels of each quantity, the last of its row, after those with the quantities before."""
+    """Panels row by row: in each row the pairs with earlier quantities, then the quantity alone."""
     figure, panels = _sheet("pairs", number, _make_pairs)
     figure.suptitle(plain(title), x=0.01, y=0.985, ha="left")
     return figure, panels

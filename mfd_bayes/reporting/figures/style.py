@@ -22,7 +22,8 @@ from mfd_bayes.units import percent
 
 DPI = 105
 LOOKED_AT = 11
-"""One pixel in so many is looked at for the colours of surfaces, in all columns: it is a prime."""
+"""One of so many pixels is counted to find the colours of surfaces. It is a prime, because hardly
+any width of a picture is a multiple of it; then only some columns would be counted."""
 
 _STYLE: dict[str, object] = {
     "font.family": "sans-serif",
