@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.jobs.job import Progress
 
 Array = NDArray[np.float64]
@@ -31,8 +32,8 @@ class Chains:
     acceptance : (chain,)
     autocorrelation : (dim,)
         Integrated autocorrelation time, steps.
-    convergence : Convergence
-        Of the coordinates, the log density and the derived quantities, in this order.
+    watched : (ensemble, step, walker, m)
+        Kept draws of all that must converge: coordinates, log density, derived quantities.
     """
 
     q: Array
@@ -43,7 +44,12 @@ class Chains:
     discarded: int
     acceptance: Array
     autocorrelation: Array
-    convergence: Convergence
+    watched: Array
+
+    @cached_property
+    def convergence(self) -> Convergence:
+        """Of all that is watched, in that order. It takes as long as some twenty steps."""
+        return measure(self.watched)
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,7 @@ class Watch:
     derived : callable, optional
         Other quantities that must converge too, (n, dim) -> (n, m).
     report : callable, optional
-        Called with a `Progress` each time the convergence is measured.
+        Called with a `Progress` after every block of steps.
     """
 
     derived: Callable[[Array], Array] | None = None

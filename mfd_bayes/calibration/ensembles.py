@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.chains import Chains, Watch
-from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
+from mfd_bayes.calibration.diagnostics import autocorrelation_time
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.map_fit import Mode
 from mfd_bayes.calibration.mixture import Either, Proposal, learn
@@ -57,6 +57,9 @@ REQUIRED = 200
 NEVER = 1000.0
 """A proposal whose log density is this far below that of every walker is never accepted."""
 
+SILENT = 5.0
+"""Seconds after which R̂ and effective sample size are told, if they are not needed before."""
+
 JUMPS = 0.7
 """Share of independence proposals among the steps; the others are differential evolution."""
 
@@ -83,15 +86,11 @@ def sample_density(
     while True:
         walk.run(max(1, min(wait, effort.limit - walk.steps)))
         chains = walk.chains()
-        found = chains.convergence
         if watch.report is not None:
             watch.report(walk.progress(chains))
-        slowest = float(np.max(chains.autocorrelation))
-        reached = walk.length(chains) >= 1.0 and found.reached(effort.r_hat, effort.ess)
-        if reached or walk.steps >= effort.limit:
+        if walk.reached(chains) or walk.steps >= effort.limit:
             return chains
-        slow = found.worst_ess < 0.5 * effort.ess or slowest > SLOW
-        if slow and 2 * walk.steps <= effort.limit:
+        if walk.is_slow(chains) and 2 * walk.steps <= effort.limit:
             walk.learn_again()
         longest = max(FIRST // 2, walk.fresh // 2)
         wait = max(ROUND, walk.fresh // 4, math.ceil(min(1.1 * walk.left(chains), longest)))
@@ -110,7 +109,8 @@ class _Walk:
     ) -> None:
         dim = len(modes[0].q)
         self._derived = derived
-        self._effort, self._rng, self._began = effort, rng, time.perf_counter()
+        self._effort, self._rng = effort, rng
+        self._began = self._told = time.perf_counter()
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
         self._power = HEAT[0]
         self._state = emcee.State(np.empty((0, dim)))
@@ -212,28 +212,43 @@ class _Walk:
                 self._stride *= 2
         self.steps += steps
 
-    def length(self, chains: Chains) -> float:
+    def _length(self, chains: Chains) -> float:
         """Number of kept steps over the number that the effort requires."""
         slowest = max(float(np.max(chains.autocorrelation)), LEAST)
         asked = self._effort.length * slowest
         return self.fresh / asked if asked > 0.0 else math.inf
 
+    def reached(self, chains: Chains) -> bool:
+        """Whether the effort's targets are met: its length first, which is known at once."""
+        effort = self._effort
+        long = self._length(chains) >= 1.0
+        return long and chains.convergence.reached(effort.r_hat, effort.ess)
+
+    def is_slow(self, chains: Chains) -> bool:
+        """Whether the walkers mix slowly, or are far from the effort's effective sample size."""
+        slowest = max(float(np.max(chains.autocorrelation)), 1.0)
+        size = self._sampler.nwalkers * self.fresh / slowest
+        return size < 0.5 * self._effort.ess or slowest > SLOW
+
     def left(self, chains: Chains) -> float:
         """Estimated number of steps still to be kept until the effort's targets are met."""
-        effort, found = self._effort, chains.convergence
-        done = min(found.share(effort.r_hat, effort.ess), self.length(chains))
+        effort, done = self._effort, self._length(chains)
+        if done >= 1.0:
+            done = chains.convergence.share(effort.r_hat, effort.ess)
         return self.fresh * (1.0 / done - 1.0) if done > 0.0 else math.inf
 
     def progress(self, chains: Chains) -> Progress:
-        """Progress of the sampling."""
-        effort, found, left = self._effort, chains.convergence, self.left(chains)
+        """Progress of the sampling; R̂ and ESS only where they decide, or were not told for long."""
+        effort, left = self._effort, self.left(chains)
         share = self.steps / max(self.steps, min(self.steps + left, effort.limit))
-        seconds = time.perf_counter() - self._began
-        worst = found.worst_r_hat, found.worst_ess
-        return Progress(self.steps, effort.limit, *worst, seconds, share)
+        worst, now = (math.nan, math.nan), time.perf_counter()
+        if self._length(chains) >= 1.0 or now - self._told > SILENT:
+            found, self._told = chains.convergence, now
+            worst = found.worst_r_hat, found.worst_ess
+        return Progress(self.steps, effort.limit, *worst, now - self._began, share)
 
     def chains(self) -> Chains:
-        """Thinned draws since the proposal was frozen, with their convergence."""
+        """Thinned draws since the proposal was frozen."""
         ensembles, walkers = self._effort.ensembles, self._walkers
         shape = (len(self._coords), ensembles, walkers)
         full = np.swapaxes(np.reshape(self._coords, (*shape, -1)), 0, 1)
@@ -253,5 +268,5 @@ class _Walk:
             discarded=self.steps - self.fresh,
             acceptance=np.reshape(self._moved, (ensembles, walkers)).mean(axis=1) / self.fresh,
             autocorrelation=self._stride * autocorrelation_time(full),
-            convergence=measure(np.concatenate(watched, axis=-1)),
+            watched=np.concatenate(watched, axis=-1),
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from scipy import special
 from mfd_bayes.errors import PriorError
 
 Array = NDArray[np.float64]
-Figures = Mapping[str, float]
+Figures = Mapping[str, Any]
+"""Numbers of one family: of one quantity, or those of k quantities as (k, 1) arrays."""
 
 _LOG_2PI = float(np.log(2 * np.pi))
 
@@ -105,11 +106,11 @@ def _standard_bounds(f: Figures) -> tuple[float, float]:
 def _truncated(x: Array, f: Figures) -> Array:
     """Normal density over its mass between the bounds, in the tail where it keeps its digits."""
     a, b = _standard_bounds(f)
-    if a > 0:
-        a, b = -b, -a
+    a, b = np.where(a > 0, (-b, -a), (a, b))
     low, high = special.log_ndtr(a), special.log_ndtr(b)
-    log_mass = float(high + np.log1p(-np.exp(low - high)))
-    return _normal(x, f["mean"], f["sd"]) - log_mass
+    log_mass = high + np.log1p(-np.exp(low - high))
+    density: Array = _normal(x, f["mean"], f["sd"]) - log_mass
+    return density
 
 
 def _draw_truncated(rng: np.random.Generator, n: int, f: Figures) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,7 @@ def find_modes(
             ends.append(fits[i])
     modes: list[Mode] = []
     for end in ends:
-        mode = climb(posterior.log_prob, end, scale[1])
+        mode = climb(posterior.log_prob, end, scale[1], modes)
         if not any(is_same(mode, other) for other in modes):
             modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
@@ -139,8 +139,8 @@ def _read_noise(posterior: Posterior, q: Array) -> Array:
     return np.where(noisy, fitted, q)
 
 
-def climb(density: Density, begin: Array, sd: Array) -> Mode:
-    """Mode that BFGS reaches from `begin`, in whitened coordinates.
+def climb(density: Density, begin: Array, sd: Array, known: Sequence[Mode] = ()) -> Mode:
+    """Mode that BFGS reaches from `begin`, in whitened coordinates; a known one if it comes near.
 
     Parameters
     ----------
@@ -148,18 +148,28 @@ def climb(density: Density, begin: Array, sd: Array) -> Mode:
         Log density, (n, dim) -> (n,).
     begin, sd : (dim,)
         Start, and the scale of each coordinate under its prior.
+    known : sequence of Mode
     """
     # whitening by the curvature at `begin` takes fewer steps, and finds fewer of two modes
     q, covariance = begin, np.diag((0.1 * sd) ** 2)
     for _ in range(2):  # the second time whitened by the curvature near the mode
-        q = ascend(density, q, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+        axes = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        q, near = ascend(density, q, axes, known)
+        if near is not None:
+            return near
         covariance = laplace_covariance(density, q, sd)
     return Mode(q, float(density(q[None])[0]), covariance)
 
 
-def ascend(density: Density, origin: Array, axes: Array) -> Array:
-    """Point that BFGS reaches from `origin` in coordinates along `axes`, (dim,)."""
+def ascend(
+    density: Density, origin: Array, axes: Array, known: Sequence[Mode] = ()
+) -> tuple[Array, Mode | None]:
+    """Point that BFGS reaches from `origin` in coordinates along `axes`, (dim,).
+
+    It ends early below a known mode that it has come near to: that mode is the second result.
+    """
     dim = len(origin)
+    met: list[Mode] = []
     around = STEP * np.concatenate([np.zeros((1, dim)), np.eye(dim), -np.eye(dim)])
 
     def loss(w: Array) -> tuple[float, Array]:
@@ -168,15 +178,22 @@ def ascend(density: Density, origin: Array, axes: Array) -> Array:
         higher, lower = np.reshape(near, (2, dim))
         return float(here), (higher - lower) / (2 * STEP)
 
+    def look(intermediate_result: optimize.OptimizeResult) -> None:
+        """Stop below a known mode; SciPy wants the argument's name."""
+        q, height = origin + axes @ intermediate_result.x, -float(intermediate_result.fun)
+        met.extend(m for m in known if height <= m.log_prob and is_near(q, height, m))
+        if met:
+            raise StopIteration
+
     fit = optimize.minimize(
         loss,
         np.zeros_like(origin),
         jac=True,
         method="BFGS",
+        callback=look,
         options={"maxiter": 150, "gtol": 1e-2},
     )
-    end: Array = origin + axes @ fit.x
-    return end
+    return origin + axes @ fit.x, met[0] if met else None
 
 
 def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
@@ -210,6 +227,12 @@ def _gradient(density: Density, points: Array, step: float) -> Array:
 
 def is_same(mode: Mode, other: Mode) -> bool:
     """Whether two modes are the same: near by the other's covariance, and equally high."""
-    gap = mode.q - other.q
-    distance = gap @ np.linalg.solve(other.covariance, gap)
-    return bool(distance < 4.0 * len(gap) and abs(mode.log_prob - other.log_prob) < 5.0)
+    return is_near(mode.q, mode.log_prob, other)
+
+
+def is_near(q: Array, log_prob: float, mode: Mode) -> bool:
+    """Whether a point is near a mode by its covariance, and about as high."""
+    gap = q - mode.q
+    if not abs(log_prob - mode.log_prob) < 5.0:
+        return False
+    return bool(gap @ np.linalg.solve(mode.covariance, gap) < 4.0 * len(gap))

@@ -65,22 +65,28 @@ class Noise:
         (n,)
         """
         phi, shrink = self._correlation(time, values)
-        innovation = residual[:, 1:] - phi * residual[:, :-1]
         scale = values["noise_sd"][:, None]
-        standard = innovation / (scale * np.sqrt(shrink))
-        first = residual[:, :1] / scale
-        log_scale = residual.shape[1] * np.log(scale[:, 0])
-        repeats = (time.size - 1) // shrink.shape[1]  # one φ stands for all uniform steps
-        log_scale += 0.5 * repeats * np.log(shrink).sum(axis=1)
-        total: Array = self._density(first, values) + self._density(standard, values) - log_scale
+        standard = phi * residual[:, :-1]
+        np.subtract(residual[:, 1:], standard, out=standard)
+        standard /= scale * np.sqrt(shrink)
+        total = self._density(residual[:, :1] / scale, values) + self._density(standard, values)
+        total -= self._log_scale(shrink, time, values)
         return total
+
+    def _log_scale(self, shrink: Array, time: Array, values: Values) -> Array:
+        """Sum over the samples of the log scales of their innovations, (n,)."""
+        repeats = (time.size - 1) // shrink.shape[1]  # one φ stands for all uniform steps
+        steps: Array = 0.5 * repeats * np.log(shrink).sum(axis=1)
+        return time.size * np.log(values["noise_sd"]) + steps
 
     def largest(self, time: Array, values: Values) -> Array:
         """Largest log density that any residuals have, (n,); ∞ where it depends on the travel."""
         n = values["noise_sd"].size
         if self.needs_travel:
             return np.full(n, np.inf)
-        return self.log_density(np.zeros((n, time.size)), time, values)
+        shrink = self._correlation(time, values)[1]
+        nothing = self._density(np.zeros((n, 1)), values)
+        return time.size * nothing - self._log_scale(shrink, time, values)
 
     def draw(
         self,

@@ -15,6 +15,7 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.pivot import Pivot, find_pivots
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors, priors_of
+from mfd_bayes.calibration.prior_table import PriorTable
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import quantities_of_fit
 from mfd_bayes.calibration.shown import ShownPosterior
@@ -124,6 +125,11 @@ class Posterior(ShownPosterior):
         """Values of what is not part of q."""
         return _UNSAMPLED | {k: p.figures["value"] for k, p in self.priors.items() if p.fixed}
 
+    @cached_property
+    def _table(self) -> PriorTable:
+        """Priors of the columns of q."""
+        return PriorTable([self.priors[name] for name in self.names])
+
     def log_prob(self, q: ArrayLike, least: float = -np.inf) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,).
 
@@ -161,10 +167,7 @@ class Posterior(ShownPosterior):
 
     def log_prior_own(self, own: Array) -> Array:
         """Log prior density of the priors' own coordinates, (n, dim) -> (n,)."""
-        density = np.zeros(len(own))
-        for name, column in zip(self.names, own.T, strict=True):
-            density += self.priors[name].log_density(column)
-        return density
+        return self._table.log_density(own)
 
     def log_likelihood(self, q: ArrayLike) -> Array:
         """Log likelihood of q, (n, dim) -> (n,); −inf where the force is beyond all range.
@@ -191,7 +194,7 @@ class Posterior(ShownPosterior):
         values = self.values(points)
         kept = slice(self.first, None)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            residual = self.residual(points)[:, kept]
+            residual = self._left_over(values)[:, kept]
             travel = self.travel(values)
             density = self.noise.log_density(
                 residual, self.trace.time[kept], values, None if travel is None else travel[:, kept]
@@ -200,7 +203,12 @@ class Posterior(ShownPosterior):
 
     def residual(self, q: ArrayLike, scales: Mapping[str, Array] | None = None) -> Array:
         """What the model leaves over, F_obs − F0 − F, (n, T), kip; scales as in `Model.force`."""
-        values = self.values(q)
+        return self._left_over(self.values(q), scales)
+
+    def _left_over(
+        self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
+    ) -> Array:
+        """As `residual`, of values by name."""
         if not len(values["offset"]):
             return np.empty((0, self.trace.samples))
         by_time = self.force(values, scales=scales).T  # as the models lay it out
@@ -234,9 +242,7 @@ class Posterior(ShownPosterior):
         """
         points = self.to_own(self._check(q))
         values = {name: np.full(len(points), value) for name, value in self._defaults.items()}
-        for name, column in zip(self.names, points.T, strict=True):
-            values[name] = self.priors[name].value(column)
-        return values
+        return values | dict(zip(self.names, self._table.values(points), strict=True))
 
     def derived(self, q: ArrayLike) -> Array:
         """Friction forces that follow from several coordinates, (n, m), kip."""

@@ -8,7 +8,7 @@ where the weights cannot be trusted are walkers sent.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from mfd_bayes.calibration.map_fit import (
     Mode,
     ascend,
     find_modes,
+    is_near,
     is_same,
     laplace_covariance,
     prior_scale,
@@ -154,9 +155,11 @@ def _modes_near(
         heights = posterior.log_prob(points)
         if not np.any(np.isfinite(heights)):
             continue
-        q = ascend(posterior.log_prob, points[np.argmax(heights)], axes)
+        q, near = ascend(posterior.log_prob, points[np.argmax(heights)], axes, modes)
+        if near is not None:
+            continue
         height = float(posterior.log_prob(q[None])[0])
-        if not any(is_same(replace(mode, q=q, log_prob=height), mode) for mode in modes):
+        if not any(is_near(q, height, mode) for mode in modes):
             modes.append(Mode(q, height, laplace_covariance(posterior.log_prob, q, sd)))
     if not modes:
         raise FitError("no density around the first fit")

@@ -254,8 +254,9 @@ def _cells(row: _Row, now: float) -> tuple[str, ...]:
         stage = clean(f"{stage} {row.message}".strip())
     progress, figures = row.progress, ("", "", "", "")
     if progress is not None:
-        r_hat = f"{progress.r_hat:.{3 if progress.r_hat < 10 else 0}f}"
-        figures = (f"{progress.steps}", r_hat, f"{progress.ess:.0f}", _rate_text(progress))
+        r_hat, ess = f"{progress.r_hat:.{3 if progress.r_hat < 10 else 0}f}", f"{progress.ess:.0f}"
+        known = (r_hat, ess) if progress.measured else ("", "")
+        figures = (f"{progress.steps}", *known, _rate_text(progress))
     left = row.left(now)
     return (
         *(stage, *figures),
@@ -287,7 +288,8 @@ def _line(step: Step) -> str:
         return f"{step.id}: {_KEPT}"
     if progress is None:
         return f"{step.id}: {f'{step.stage} {step.message}'.strip()}"
-    text = f"{step.id}: {step.stage}, {progress.steps} steps, R-hat {progress.r_hat:.3f}, "
-    text += f"ESS {progress.ess:.0f}, {_rate_text(progress)} steps/s"
+    text = f"{step.id}: {step.stage}, {progress.steps} steps, "
+    text += f"R-hat {progress.r_hat:.3f}, ESS {progress.ess:.0f}, " if progress.measured else ""
+    text += f"{_rate_text(progress)} steps/s"
     left = (progress.limit - progress.steps) / _rate(progress)
     return text if step.stage == State.DONE else f"{text}, at most {left:.0f} s left"

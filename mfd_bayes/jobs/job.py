@@ -47,7 +47,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a sampling: steps done, the limit, and the worst diagnostics so far."""
+    """Progress of a sampling: steps done, the limit, and the worst diagnostics so far.
+
+    R̂ and effective sample size are NaN where they have not been measured.
+    """
 
     steps: int
     limit: int
@@ -56,6 +59,11 @@ class Progress:
     seconds: float
     share: float = math.nan
     """Estimated fraction of the needed steps that is done; NaN where it is unknown."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether R̂ and effective sample size are known."""
+        return not (math.isnan(self.r_hat) or math.isnan(self.ess))
 
 
 class Job(Protocol):

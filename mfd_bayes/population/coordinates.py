@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.prior_table import PriorTable
 from mfd_bayes.calibration.priors import Prior
 
 Array = NDArray[np.float64]
@@ -37,6 +39,11 @@ class Coordinates:
     names: tuple[str, ...]
     priors: Mapping[str, Prior]
     speed: float
+
+    @cached_property
+    def _table(self) -> PriorTable:
+        """Priors of the quantities."""
+        return PriorTable([self.priors[name] for name in self.names])
 
     def _slips(self) -> list[tuple[int, int]]:
         """Columns of F_c and its excess, in the directions that have both."""
@@ -92,8 +99,7 @@ class Coordinates:
 
     def values(self, q: Array) -> dict[str, Array]:
         """Quantities at shared coordinates (n, d), by name, (n,) each, internal units."""
-        own = self.to_own(q)
-        return {name: self.priors[name].value(own[:, k]) for k, name in enumerate(self.names)}
+        return dict(zip(self.names, self._table.values(self.to_own(q)), strict=True))
 
     def of(self, values: Mapping[str, Array]) -> Array:
         """Shared coordinates of quantities by name, (n, d)."""
@@ -102,8 +108,4 @@ class Coordinates:
 
     def log_prior(self, q: Array) -> Array:
         """Log density of shared coordinates under the priors of a test by itself, (n,)."""
-        own = self.to_own(q)
-        density = np.zeros(len(q))
-        for k, name in enumerate(self.names):
-            density += self.priors[name].log_density(own[:, k])
-        return density
+        return self._table.log_density(self.to_own(q))

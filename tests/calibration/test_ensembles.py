@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration import ensembles
+from mfd_bayes.calibration import chains, ensembles
+from mfd_bayes.calibration.chains import Watch
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.map_fit import climb
@@ -20,10 +21,10 @@ def funnel(q):
 def test_the_proposal_is_learned_again_only_in_the_first_half(limit, again):
     effort = Effort(ess=1e6, limit=limit, ensembles=2, walkers=20)  # which is never reached
     modes = [climb(funnel, np.full(4, 0.1), np.ones(4))]
-    chains = sample_density(lambda q, _: funnel(q), modes, effort, np.random.default_rng(1))
-    assert chains.steps == limit
-    assert chains.discarded <= limit // 2  # the steps of the second half are kept
-    assert (chains.discarded > 400) == again  # the warm-up takes 300
+    found = sample_density(lambda q, _: funnel(q), modes, effort, np.random.default_rng(1))
+    assert found.steps == limit
+    assert found.discarded <= limit // 2  # the steps of the second half are kept
+    assert (found.discarded > 400) == again  # the warm-up takes 300
 
 
 def test_proposals_that_are_surely_rejected_need_no_density(monkeypatch):
@@ -47,3 +48,32 @@ def test_proposals_that_are_surely_rejected_need_no_density(monkeypatch):
     np.testing.assert_array_equal(found, expected)
     monkeypatch.setattr(ensembles, "NEVER", -1.0)  # the control: what may be accepted is left out
     assert not np.array_equal(draws(bounded), expected)
+
+
+def test_convergence_is_measured_only_once_the_run_is_long_enough(monkeypatch):
+    def bowl(q, _):
+        return -0.5 * np.sum(q**2, axis=1)
+
+    def measured(length, report=None):
+        effort = Effort(ess=50, limit=2000, length=length, ensembles=2, walkers=20)
+        modes = [climb(lambda q: bowl(q, 0.0), np.full(3, 0.1), np.ones(3))]
+        calls.clear()
+        found = sample_density(bowl, modes, effort, np.random.default_rng(1), Watch(report=report))
+        return found.q, len(calls)
+
+    calls, told = [], []
+    plain = chains.measure
+    monkeypatch.setattr(chains, "measure", lambda kept: calls.append(1) or plain(kept))
+    draws, times = measured(20.0)
+    assert times == 1
+    heard, times = measured(20.0, told.append)
+    assert times == 1
+    assert [progress.measured for progress in told] == [False] * (len(told) - 1) + [True]
+    assert len(told) > 3
+    monkeypatch.setattr(ensembles, "SILENT", 0.0)  # those who wait long are told
+    told.clear()
+    patient, times = measured(20.0, told.append)
+    assert times == len(told)
+    assert all(progress.measured for progress in told)
+    np.testing.assert_array_equal(draws, heard)
+    np.testing.assert_array_equal(draws, patient)

@@ -386,6 +386,9 @@ def test_no_residuals_have_a_larger_density_than_none(noise):
     rng, time = np.random.default_rng(2), np.arange(30) / 20.0
     values = {name: rng.uniform(0.05, 8.0, 50) for name in noise.parameters}
     largest = noise.largest(time, values)
+    for times in (time, time + 0.01 * np.sin(time)):
+        nothing = noise.log_density(np.zeros((50, 30)), times, values)
+        np.testing.assert_allclose(noise.largest(times, values), nothing, rtol=1e-12)
     for size in (1e-3, 0.1, 3.0):
         found = noise.log_density(size * rng.standard_normal((50, 30)), time, values)
         assert np.all(found < largest)

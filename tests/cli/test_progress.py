@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
-from mfd_bayes.cli.progress import Board, watch
+from mfd_bayes.cli.progress import Board, _line, watch
 from mfd_bayes.jobs.job import Progress, Step
 
 
@@ -70,6 +70,16 @@ def test_a_test_has_a_row_with_its_figures(board, clock, width):
     assert rows[1].split() == [second, "sampling", "300", "1.012", "432", "30", "0:03", "0:07"]
     assert rows[2].split() == [third, "waiting"]
     assert top.startswith("1 of 3 done, 1 running, 1 waiting, 1:18 so far, about")
+
+
+def test_diagnostics_that_are_not_measured_yet_are_blank(board, clock):
+    (name,) = announce(board, 1)
+    early = Progress(240, 2400, math.nan, math.nan, 10.0, 0.5)
+    board.hear(Step(name, "sampling", early))
+    assert lines_of(board)[2].split() == [name, "sampling", "240", "24", "0:00", "0:10"]
+    lines = list(map(_line, (Step("a", "sampling", early), Step("a", "sampling", sampled()))))
+    assert lines[0] == "a: sampling, 240 steps, 24 steps/s, at most 90 s left"
+    assert "R-hat 1.012, ESS 432" in lines[1]
 
 
 @pytest.mark.parametrize("count", [50, 500])
