@@ -12,8 +12,12 @@ from typing import Any
 
 
 def import_arviz() -> Any:
-    """ArviZ, imported without its announcements and also where no cache folder is writable."""
-    with warnings.catch_warnings(), _hidden("bokeh.plotting", "bokeh.models"):
+    """ArviZ, imported without its announcements and also where no cache folder is writable.
+
+    Where it is the first to ask for numba it does without, in this process:
+    `arviz.Numba.enable_numba()` gives it back.
+    """
+    with warnings.catch_warnings(), _hidden("bokeh.plotting", "bokeh.models", "numba"):
         # 0.23 announces its refactoring on the first import of a day
         warnings.simplefilter("ignore", FutureWarning)
         try:
@@ -28,7 +32,8 @@ def import_arviz() -> Any:
 def _hidden(*modules: str) -> Iterator[None]:
     """Make modules that are not loaded yet seem to be missing.
 
-    ArviZ 0.x imports bokeh for three docstrings, which takes three quarters of the time.
+    ArviZ 0.x imports bokeh for three docstrings, which takes three quarters of the time, and numba,
+    which takes 100 MB, for what is computed here in no time without.
     """
     loaded: dict[str, Any] = sys.modules
     hidden = [name for name in modules if name not in loaded]

@@ -1,5 +1,6 @@
 """posterior.nc as a user opens it, with the ArviZ that is installed: 0.2x or 1.x."""
 
+import os
 import subprocess
 import sys
 
@@ -82,3 +83,33 @@ def test_its_plots_are_drawn(session, picture):
     path = session[1] / f"look_{picture}.png"
     assert path.read_bytes().startswith(b"\x89PNG")
     assert path.stat().st_size > 5000
+
+
+MEASURE = """\
+import sys
+
+import numpy as np
+
+from mfd_bayes.calibration.diagnostics import measure, psis
+
+draws = np.random.default_rng(0).normal(size=(4, 50, 8, 2))
+assert np.all(measure(draws).r_hat < 1.1)
+psis(draws.ravel())
+print("numba" in sys.modules)
+"""
+
+
+def measured(folder, *before):
+    """What a process prints that measures convergence, where `folder` has a numba."""
+    words = [sys.executable, "-c", "".join(before) + MEASURE]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, env=env)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_numba_is_not_loaded_for_diagnostics(tmp_path):
+    # it takes 100 MB of every process
+    (tmp_path / "numba.py").write_text("def jit(*a, **k):\n    return lambda f: f\nvectorize = jit")
+    assert measured(tmp_path) == "False"
+    assert measured(tmp_path, "import numba\n") == "True"  # whoever has it keeps it
