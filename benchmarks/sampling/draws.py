@@ -14,9 +14,9 @@ class Counted:
         class Counting(type(posterior)):
             """The same posterior."""
 
-            def residual(this, q):
-                self.count += len(q)
-                return super().residual(q)
+            def force(this, values, *args, **options):
+                self.count += len(values["offset"])
+                return super().force(values, *args, **options)
 
         self.counting = object.__new__(Counting)
         vars(self.counting).update(vars(posterior))
