@@ -3,7 +3,7 @@
     pip install -e '.[bench]'
     python -m benchmarks.sampling.run > benchmarks/sampling/sampling.txt
 
-runs on one thread of one core (Linux) for about a quarter of an hour, on three real records and a
+runs on one thread of one core (Linux) for about 25 minutes, on three real records and a
 synthetic one. Every sampler draws from the same posterior in the same coordinates q, until the
 smallest bulk effective sample size of a coordinate is that of "thorough", or its time is up. The
 figure of merit is this size, measured by one function for all samplers, divided by all the seconds
