@@ -46,9 +46,14 @@ class Chains:
     autocorrelation: Array
     watched: Array
 
+    @property
+    def slowest(self) -> float:
+        """Largest autocorrelation time of a coordinate, steps."""
+        return float(np.max(self.autocorrelation))
+
     @cached_property
     def convergence(self) -> Convergence:
-        """Of all that is watched, in that order. It takes as long as some twenty steps."""
+        """Of all that is watched, in that order; to measure it takes as long as some ten steps."""
         return measure(self.watched)
 
 

@@ -58,7 +58,7 @@ NEVER = 1000.0
 """A proposal whose log density is this far below that of every walker is never accepted."""
 
 SILENT = 5.0
-"""Seconds after which R̂ and effective sample size are told, if they are not needed before."""
+"""Seconds after which R̂ and effective sample size are reported, even of a run that is too short."""
 
 JUMPS = 0.7
 """Share of independence proposals among the steps; the others are differential evolution."""
@@ -214,8 +214,7 @@ class _Walk:
 
     def _length(self, chains: Chains) -> float:
         """Number of kept steps over the number that the effort requires."""
-        slowest = max(float(np.max(chains.autocorrelation)), LEAST)
-        asked = self._effort.length * slowest
+        asked = self._effort.length * max(chains.slowest, LEAST)
         return self.fresh / asked if asked > 0.0 else math.inf
 
     def reached(self, chains: Chains) -> bool:
@@ -226,9 +225,8 @@ class _Walk:
 
     def is_slow(self, chains: Chains) -> bool:
         """Whether the walkers mix slowly, or are far from the effort's effective sample size."""
-        slowest = max(float(np.max(chains.autocorrelation)), 1.0)
-        size = self._sampler.nwalkers * self.fresh / slowest
-        return size < 0.5 * self._effort.ess or slowest > SLOW
+        size = self._sampler.nwalkers * self.fresh / max(chains.slowest, 1.0)
+        return size < 0.5 * self._effort.ess or chains.slowest > SLOW
 
     def left(self, chains: Chains) -> float:
         """Estimated number of steps still to be kept until the effort's targets are met."""
@@ -238,7 +236,7 @@ class _Walk:
         return self.fresh * (1.0 / done - 1.0) if done > 0.0 else math.inf
 
     def progress(self, chains: Chains) -> Progress:
-        """Progress of the sampling; R̂ and ESS only where they decide, or were not told for long."""
+        """Progress of the sampling; without R̂ and ESS while the run is too short, see `SILENT`."""
         effort, left = self._effort, self.left(chains)
         share = self.steps / max(self.steps, min(self.steps + left, effort.limit))
         worst, now = (math.nan, math.nan), time.perf_counter()

@@ -140,7 +140,7 @@ def _read_noise(posterior: Posterior, q: Array) -> Array:
 
 
 def climb(density: Density, begin: Array, sd: Array, known: Sequence[Mode] = ()) -> Mode:
-    """Mode that BFGS reaches from `begin`, in whitened coordinates; a known one if it comes near.
+    """Mode that BFGS reaches from `begin`, in whitened coordinates.
 
     Parameters
     ----------
@@ -149,6 +149,7 @@ def climb(density: Density, begin: Array, sd: Array, known: Sequence[Mode] = ())
     begin, sd : (dim,)
         Start, and the scale of each coordinate under its prior.
     known : sequence of Mode
+        Where the climb comes near one of these, it ends, and that one is the result.
     """
     # whitening by the curvature at `begin` takes fewer steps, and finds fewer of two modes
     q, covariance = begin, np.diag((0.1 * sd) ** 2)
@@ -166,7 +167,7 @@ def ascend(
 ) -> tuple[Array, Mode | None]:
     """Point that BFGS reaches from `origin` in coordinates along `axes`, (dim,).
 
-    It ends early below a known mode that it has come near to: that mode is the second result.
+    Where it comes near a known mode, and is not higher, it ends there: that mode comes second.
     """
     dim = len(origin)
     met: list[Mode] = []
@@ -179,7 +180,7 @@ def ascend(
         return float(here), (higher - lower) / (2 * STEP)
 
     def look(intermediate_result: optimize.OptimizeResult) -> None:
-        """Stop below a known mode; SciPy wants the argument's name."""
+        """Stop near a known mode; SciPy looks at the argument's name."""
         q, height = origin + axes @ intermediate_result.x, -float(intermediate_result.fun)
         met.extend(m for m in known if height <= m.log_prob and is_near(q, height, m))
         if met:

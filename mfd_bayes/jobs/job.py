@@ -49,7 +49,7 @@ class Outcome:
 class Progress:
     """Progress of a sampling: steps done, the limit, and the worst diagnostics so far.
 
-    R̂ and effective sample size are NaN where they have not been measured.
+    R̂ and effective sample size are both NaN where they have not been measured.
     """
 
     steps: int
@@ -63,7 +63,7 @@ class Progress:
     @property
     def measured(self) -> bool:
         """Whether R̂ and effective sample size are known."""
-        return not (math.isnan(self.r_hat) or math.isnan(self.ess))
+        return not (math.isnan(self.r_hat) and math.isnan(self.ess))
 
 
 class Job(Protocol):

@@ -62,9 +62,7 @@ class Coordinates:
         return None
 
     def _positive(self, name: str) -> bool:
-        if name not in self.names:
-            return False
-        return self.priors[name].lower == 0.0 and bool(np.isinf(self.priors[name].upper))
+        return name in self.names and self.priors[name].on_half_line
 
     def _shift(self, own: Array, excess: int) -> Array:
         """Logarithm of the slip force at v_ref over F_c, (n,)."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.noise import LOG_2PI
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.prior_table import PriorTable
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.swing import Swing, swing_of
 
@@ -64,6 +65,11 @@ class WorkingLikelihood:
         """Quantities of the test alone."""
         return tuple(name for name in self.posterior.names if name not in self.layout.names)
 
+    @cached_property
+    def _own_priors(self) -> PriorTable:
+        """Priors of the quantities of the test alone."""
+        return PriorTable([self.posterior.priors[name] for name in self.own])
+
     @property
     def kept(self) -> slice:
         """Samples that count."""
@@ -100,13 +106,11 @@ class WorkingLikelihood:
 
     def log_own_prior(self, own: Array) -> Array:
         """Log prior density of the test's own coordinates, (n, D − d) -> (n,)."""
-        d = len(self.layout.names)
-        total = np.zeros(len(own))
-        for i, name in enumerate(self.own):
-            q = self.middle[d + i] + self.scale[d + i] * own[:, i]
-            total += self.posterior.priors[name].log_density(q)
+        d, k = len(self.layout.names), len(self.own)
+        q = self.middle[d : d + k] + self.scale[d : d + k] * own[:, :k]
+        total = self._own_priors.log_density(q)
         if self.swing is not None:
-            total += self.swing.log_prior(self._shapes(own[:, len(self.own) :]))
+            total += self.swing.log_prior(self._shapes(own[:, k:]))
         return total
 
     def __call__(self, x: Array) -> Array:

@@ -14,8 +14,8 @@ from typing import Any
 def import_arviz() -> Any:
     """ArviZ, imported without its announcements and also where no cache folder is writable.
 
-    Where it is the first to ask for numba it does without, in this process:
-    `arviz.Numba.enable_numba()` gives it back.
+    Where numba has not been imported before, ArviZ works without it in this process. Its own
+    `arviz.Numba.enable_numba()` lets it use numba again.
     """
     with warnings.catch_warnings(), _hidden("bokeh.plotting", "bokeh.models", "numba"):
         # 0.23 announces its refactoring on the first import of a day
@@ -32,8 +32,8 @@ def import_arviz() -> Any:
 def _hidden(*modules: str) -> Iterator[None]:
     """Make modules that are not loaded yet seem to be missing.
 
-    ArviZ 0.x imports bokeh for three docstrings, which takes three quarters of the time, and numba,
-    which takes 100 MB, for what is computed here in no time without.
+    ArviZ 0.x imports bokeh for three docstrings, which takes three quarters of the time. It also
+    imports numba, which takes 100 MB and is not needed for what is computed here.
     """
     loaded: dict[str, Any] = sys.modules
     hidden = [name for name in modules if name not in loaded]

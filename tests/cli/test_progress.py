@@ -80,6 +80,8 @@ def test_diagnostics_that_are_not_measured_yet_are_blank(board, clock):
     lines = list(map(_line, (Step("a", "sampling", early), Step("a", "sampling", sampled()))))
     assert lines[0] == "a: sampling, 240 steps, 24 steps/s, at most 90 s left"
     assert "R-hat 1.012, ESS 432" in lines[1]
+    stuck = Progress(240, 2400, math.nan, 432.1, 10.0, 0.5)  # a quantity that never moved
+    assert "R-hat nan, ESS 432" in _line(Step("a", "sampling", stuck))
 
 
 @pytest.mark.parametrize("count", [50, 500])
