@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.along import Along
-from mfd_bayes.population.parts import Parts
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.residual import slip_force_of
-from mfd_bayes.population.sequel import standing_of
-from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.unshared import scales_of, unknown_of
+from mfd_bayes.newpop.discrepancy import slip_force_of
+from mfd_bayes.newpop.population import Numbers, Population
+from mfd_bayes.newpop.settings import Setting
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.devices import Dampers
@@ -38,82 +33,48 @@ def draw_dampers(
     levels = [level_of(device, building.folder) for device in building.devices]
     if not levels:
         return no_dampers(choice.draws)
-    rng = np.random.default_rng([choice.seed, 0])
-    index = rng.choice(population.size, size=choice.draws)
     found = levels_along(building)
-    times = found[0] if found else None
     histories = found[1] if found else [np.array([level]) for level in levels]
-    deviation = _deviation(population, choice, levels, histories)
-    drawn = [_values(model, choice, index, deviation, damper) for damper in enumerate(levels)]
-    about = [_about(model, values, typical) for values, typical in drawn]
-    slip = np.stack([slip_force_of(model, values) for values, _ in drawn], axis=1)
-    each = [
-        scales_of(model, history, index, deviation, level)
-        for history, level in zip(histories, levels, strict=True)
-    ]
-    scales = {name: np.stack([one[name] for one in each], axis=1) for name in each[0]}
+    beyond = [level for level in levels if not population.within_levels(level)]
+    rng = np.random.default_rng([choice.seed, 0])
+    index = population.draw_index(choice.draws, (beyond or levels)[0], rng)
+    driven = np.concatenate([levels, *histories])
+    grid = np.unique([*levels, *(population.grid(max(levels), driven) if found else ())])
+    rng = np.random.default_rng([choice.seed, 1])
+    shared = population.draw_numbers(choice.draws, grid.size, rng)
+    effects = population.level_effects(index, choice.session, grid, shared.level)
+    values, about, scales = [], [], []
+    for damper, (level, history) in enumerate(zip(levels, histories, strict=True)):
+        at = int(np.argmin(np.abs(grid - level)))
+        here = {name: effect[:, at] for name, effect in effects.items()}
+        setting = Setting(level, choice.session, dict(population.design.covariates))
+        numbers = _own(shared, np.random.default_rng([choice.seed, 2, damper]))
+        scattered = choice.kind == "new_test"
+        parts = population.parts(setting, index, numbers, here, scatter=scattered)
+        x = parts.mean + choice.scatter * parts.scatter
+        unshared = population.unshared(model, x, numbers.start)
+        values.append({**unshared, **population.values(x)})
+        about.append(_about(model, values[-1], {**unshared, **population.values(parts.mean)}))
+        scales.append(population.scales(model, history, index, level, (grid, effects)))
+    slip = np.stack([slip_force_of(model, one) for one in values], axis=1)
     return Dampers(
         model,
-        np.stack([model.theta(values) for values, _ in drawn], axis=1),
-        np.stack([values["start"] for values, _ in drawn], axis=1),
+        np.stack([model.theta(one) for one in values], axis=1),
+        np.stack([one["start"] for one in values], axis=1),
         slip,
         _leftover(population, slip, choice),
-        scales if found else {},
-        times,
+        {k: np.stack([one[k] for one in scales], axis=1) for k in scales[0]} if found else {},
+        found[0] if found else None,
         {name: np.stack([one[name] for one in about], axis=1) for name in about[0]},
     )
 
 
-def _setting(population: Population, choice: Choice, level: float) -> Setting:
-    return Setting(level, choice.session, dict(population.layout.covariate_reference))
-
-
-def _deviation(
-    population: Population, choice: Choice, levels: Sequence[float], histories: Sequence[Array]
-) -> tuple[Along, Array]:
-    """How dampers deviate from the laws, and the numbers of each draw (n, m).
-
-    All dampers of a building have one deviation: it belongs to the session.
-    """
-    setting = _setting(population, choice, max(levels))
-    around = Along.of(population, setting, np.unique(np.concatenate(histories)))
-    rng = np.random.default_rng([choice.seed, 5])
-    return around, rng.standard_normal((choice.draws, around.size))
-
-
-def _values(
-    model: Model,
-    choice: Choice,
-    index: NDArray[np.intp],
-    deviation: tuple[Along, Array],
-    damper: tuple[int, float],
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Quantities of a damper, by number and level, (n,) each, with and without scatter."""
-    (around, numbers), (j, level), population = deviation, damper, deviation[0].population
-    parts = population.expected(_setting(population, choice, level), index).parts(
-        lambda name, k: _generator(choice.seed, name, k, j),
-        scattered=choice.kind == "new_test",
-        leveled=not around.size,
-    )
-    parts = around.added(parts, index, numbers, level)
-    scatter = choice.scatter * parts.scatter
-    values = population.values(Parts(parts.level, parts.law, scatter))
-    own = np.random.default_rng([choice.seed, 3, j])
-    luck = np.random.default_rng([choice.seed, 6]).random(choice.draws)
-    standing = replace(standing_of(population, model, values), luck=luck)
-    values = {**values, **unknown_of(population, choice.draws, own, None, standing)}
-    typical = population.values(Parts(parts.level, parts.law, np.zeros_like(scatter)))
-    return values, {**values, **typical}
-
-
-def _generator(seed: int, source: str, k: int, damper: int) -> np.random.Generator:
-    """Generator for one source of difference in quantity k, whichever other sources there are.
-
-    An untested level has sources that a tested one has not. Each damper has its own scatter.
-    """
-    if source == "scatter":
-        return np.random.default_rng([seed, 2, damper])
-    return np.random.default_rng([seed, 1, ("level", "session", "beyond").index(source), k])
+def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:
+    """Numbers of one damper: its own scatter, and its own place in the gap."""
+    flat = shared.flat.copy()
+    flat[:, : shared.quantities] = rng.standard_normal((len(flat), shared.quantities))
+    flat[:, -1] = rng.standard_normal(len(flat))
+    return Numbers(flat, shared.quantities, shared.leveled, shared.grid)
 
 
 def _about(model: Model, values: dict[str, Array], typical: dict[str, Array]) -> dict[str, Array]:
@@ -139,10 +100,7 @@ def plain_friction(slip: Array) -> Dampers:
     return Dampers(None, force[..., None], np.full(force.shape, 0.5), force)
 
 
-def _leftover(population: Population, slip: Array, choice: Choice) -> Leftover | None:
+def _leftover(population: Population, slip: Array, choice: Choice) -> Leftover:
     residual = population.residual
-    if residual is None:
-        return None
-    rng = np.random.default_rng([choice.seed, 4])
-    learned = residual.draw_coefficients(rng, len(slip))
+    learned = residual.draw_knots(np.random.default_rng([choice.seed, 4]), len(slip))
     return Leftover(residual.basis, learned, slip / residual.slip_force)

@@ -1,0 +1,538 @@
+"""Force bands for any motion and actuation, tested or not (model.md section 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.calibration.extras import Extras, needed
+from mfd_bayes.calibration.noise import Noise
+from mfd_bayes.calibration.priors import RANGE
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.model import Model
+from mfd_bayes.newpop.discrepancy import slip_force_of
+from mfd_bayes.newpop.population import Numbers, Parts, Population
+from mfd_bayes.newpop.settings import KIND_NAMES, KINDS, Setting, setting_of
+from mfd_bayes.newpop.starts import Ending
+from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.records.trace import Trace, check_magnitude
+from mfd_bayes.store.cards import card
+from mfd_bayes.units import percent
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+DRAWS = 500
+"""Draws of a band where no other number is asked for."""
+
+FEWEST = 10
+"""Fewest draws of a band."""
+
+SHARE_DRAWS = 300
+"""Most draws by which the shares of a band's variance are computed."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Settings of a prediction.
+
+    Attributes
+    ----------
+    kind : {"device", "new_test", "observation", "this_test"}
+    probability : float
+    draws, seed : int
+    session : str
+        Of the predicted test, where the campaign declares sessions.
+    whole : bool
+        Whether a band of the whole history is computed too.
+    explained : bool
+        Whether the shares of the band's variance are computed too.
+    before : Ending, optional
+        Of the test that the motion follows without a reset.
+
+    Raises
+    ------
+    FitError
+        When the kind is unknown, the probability is not between 0 and 1, the draws are fewer than
+        `FEWEST`, or a value is of another type than is said here.
+    """
+
+    kind: str = "new_test"
+    probability: float = 0.95
+    draws: int = DRAWS
+    seed: int = 0
+    session: str = ""
+    whole: bool = False
+    explained: bool = False
+    before: Ending | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
+        real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
+        whole_number("draws", self.draws, FEWEST, FitError)
+        whole_number("seed", self.seed, 0, FitError)
+        if not isinstance(self.session, str):
+            raise FitError(f"session must be text, got {self.session!r}")
+        check_flag("whole", self.whole)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A remark where the draws are too few for the probability."""
+        if 0.5 * (1.0 - self.probability) * self.draws >= 1.0 - 1e-9:
+            return ()
+        return (
+            f"{self.draws} draws are too few for a band of {percent(self.probability)} %: its ends "
+            "are about the smallest and the largest draw",
+        )
+
+
+def check_flag(name: str, value: Any) -> None:
+    """Refuse what is neither True nor False: the text "no" would count as True."""
+    if not isinstance(value, bool | np.bool_):
+        raise FitError(f"{name} must be True or False, got {value!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Equal-tailed band of the force at each sample.
+
+    Attributes
+    ----------
+    time, lower, median, upper : (T,), s and kip
+        The probability holds for each sample by itself.
+    draws : (n, T), kip
+    kind : str
+    probability : float
+    source : str
+        Where the parameters come from.
+    values : mapping of str to (n,)
+        Quantities of each draw, by name.
+    remarks : tuple of str
+        Reasons to trust it less, in sentences.
+    whole_lower, whole_upper : (T,), kip, or None
+        As in `whole`, where it was asked for.
+    explained : mapping of str to float
+        `shares`, where they were asked for.
+    given : Conditioned, or None
+        The part of the record that was known, where there is one.
+    """
+
+    time: Array
+    lower: Array
+    median: Array
+    upper: Array
+    draws: Array
+    kind: str
+    probability: float
+    source: str
+    values: Mapping[str, Array] = field(default_factory=dict)
+    interval: str = "equal-tailed"
+    remarks: tuple[str, ...] = ()
+    whole_lower: Array | None = None
+    whole_upper: Array | None = None
+    explained: Mapping[str, float] = field(default_factory=dict)
+    explain: Callable[[], Mapping[str, float]] | None = field(default=None, repr=False)
+    extras: Extras | None = field(default=None, repr=False)
+    given: Any = None
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "median", "upper", "draws", "whole_lower", "whole_upper"):
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, read_only(values))
+
+    @classmethod
+    def of(
+        cls,
+        time: Array,
+        draws: Array,
+        forecast: Forecast,
+        source: str,
+        values: Mapping[str, Array] | None = None,
+    ) -> Band:
+        """Band of force draws (n, T), kip."""
+        tail = 0.5 * (1.0 - forecast.probability)
+        lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
+        what = forecast.kind, forecast.probability, source, values or {}
+        band = cls(time, lower, median, upper, draws, *what)
+        if not forecast.whole:
+            return band
+        whole_lower, whole_upper = whole_band(draws, forecast.probability)
+        return replace(band, whole_lower=whole_lower, whole_upper=whole_upper)
+
+    @cached_property
+    def whole(self) -> tuple[Array, Array]:
+        """Lower and upper bound, (T,) each, kip, that hold the whole history of most of the draws.
+
+        The share of the draws is the band's probability.
+        """
+        if self.whole_lower is not None and self.whole_upper is not None:
+            return self.whole_lower, self.whole_upper
+        return whole_band(self.draws, self.probability)
+
+    @cached_property
+    def shares(self) -> Mapping[str, float]:
+        """What makes the band wide: share of each source in the variance; their sum is 1.
+
+        Each source varies by itself, the others at their means. Empty for several models at once, of
+        a `Forecaster`, and where nothing varies.
+        """
+        return self.explained or (self.explain() if self.explain else {})
+
+    def plot(self, axes: Any = None, *, displacement: ArrayLike | None = None) -> Any:
+        """Matplotlib axes with the band over time, or over a displacement, (T,), in.
+
+        Raises
+        ------
+        FitError
+            When the band does not come from a run of `mfd_bayes.open_run`.
+        """
+        return needed(self.extras).plot_band(self, axes, displacement)
+
+    def inference_data(self) -> Any:
+        """The draws as ArviZ takes them: group `predictions`, variable `force`, kip.
+
+        Raises
+        ------
+        FitError
+            When the band does not come from a run of `mfd_bayes.open_run`.
+        """
+        return needed(self.extras).inference_data(self)
+
+    def _repr_html_(self) -> str:
+        width = float(np.mean(self.upper - self.lower))
+        facts = [
+            ("what", f"{KIND_NAMES[self.kind]} ({self.kind})"),
+            ("probability", f"{percent(self.probability)} %, {self.interval}, of each sample"),
+            ("samples", f"{self.time.size} over {np.ptp(self.time):.4g} s"),
+            ("median force", f"{self.median.min():.4g} to {self.median.max():.4g} kip"),
+            ("mean width", f"{width:.4g} kip"),
+            ("draws", f"{len(self.draws)}, from {self.source}"),
+        ]
+        return card("Force band", facts, "; ".join(self.remarks))
+
+
+def read_only(values: Array) -> Array:
+    """The same numbers, which cannot be changed by this name."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
+def whole_band(draws: Array, probability: float) -> tuple[Array, Array]:
+    """Lower and upper bound that hold whole curves (n, T) with a probability, (T,) each, kip.
+
+    The bounds are centre ± q · scale. Centre and scale are mean and sd of the draws at each sample; q
+    is the quantile, over the draws, of the largest |F(t) - centre(t)| / scale(t). They are nowhere
+    inside the band of single samples.
+    """
+    centre, scale = draws.mean(axis=0), draws.std(axis=0)
+    tiny = 1e-9 * max(float(np.max(np.abs(draws))), 1e-300)
+    scale = np.where(scale > tiny, scale, 0.0)  # rounding is no spread
+    deviation = np.abs(draws - centre) / np.where(scale > 0, scale, np.inf)
+    reach = np.quantile(deviation.max(axis=1), probability, method="higher")
+    tail = 0.5 * (1.0 - probability)
+    lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
+    return np.minimum(centre - reach * scale, lower), np.maximum(centre + reach * scale, upper)
+
+
+def holds_whole(draws: Array, observed: Array, probability: float = 0.95) -> bool:
+    """Whether an observed curve (T,) is inside the band of whole curves of draws (n, T)."""
+    lower, upper = whole_band(draws, probability)
+    return bool(np.all((observed >= lower) & (observed <= upper)))
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Ingredients of the n draws of a prediction.
+
+    Attributes
+    ----------
+    parts : Parts
+        Of the quantities that tests share.
+    unshared : mapping of str to (n,)
+        Quantities that tests do not share, such as the start in the gap.
+    scales : mapping of str to (n, T)
+        Factors of the quantities with a law along a history of actuation; empty for a constant.
+    knots : (n, K), kip
+        Discrepancy.
+    noise : (n, T), kip, or None
+        None where only the damper's force is predicted: then the offset is left out too.
+    """
+
+    parts: Parts
+    unshared: Mapping[str, Array]
+    scales: Mapping[str, Array]
+    knots: Array
+    noise: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Predictor:
+    """Predicts forces of a damper with a population, a model, and the noise of its tests."""
+
+    population: Population
+    model: Model
+    noise: Noise
+
+    def predict(self, trace: Trace, forecast: Forecast) -> Band:
+        """Band of the force under a motion and an actuation, tested or not.
+
+        Parameters
+        ----------
+        trace : Trace
+            With its actuation, constant or a history.
+        forecast : Forecast
+            Of a kind other than `this_test`.
+
+        Raises
+        ------
+        FitError
+            When the trace has no actuation.
+        RecordError
+            When the force is too large for a number.
+        """
+        rng = np.random.default_rng(forecast.seed)
+        drawn = self.begun(trace, forecast, self.draw(trace, forecast, rng))
+        scatter = "" if forecast.kind == "device" else " with scatter"
+        return self.finish(trace, forecast, drawn, rng, f"population laws{scatter}")
+
+    def draw(self, trace: Trace, forecast: Forecast, rng: np.random.Generator) -> Drawn:
+        """Drawn tests under a motion, with all but their noise, which follow no other test."""
+        setting = setting_of(trace, forecast.session)
+        index = self.population.draw_index(forecast.draws, setting.actuation, rng)
+        grid = self.population.grid(setting.actuation, trace.actuation if trace.varying else None)
+        numbers = self.population.draw_numbers(len(index), grid.size, rng)
+        knots = self.population.residual.draw_knots(rng, len(index))
+        scatter = forecast.kind != "device"
+        return self.drawn(trace, setting, index, numbers, knots, grid, scatter=scatter)
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def drawn(
+        self,
+        trace: Trace,
+        setting: Setting,
+        index: Index,
+        numbers: Numbers,
+        knots: Array,
+        grid: Array,
+        *,
+        scatter: bool = True,
+    ) -> Drawn:
+        """Tests of these draws of the population and numbers, with deviations on a grid (G,)."""
+        population, level = self.population, setting.actuation
+        effects = population.level_effects(index, setting.session, grid, numbers.level)
+        at = int(np.argmin(np.abs(grid - level)))
+        here = {name: value[:, at] for name, value in effects.items()}
+        parts = population.parts(setting, index, numbers, here, scatter=scatter)
+        x = parts.mean + parts.scatter
+        unshared = population.unshared(self.model, x, numbers.start, setting, trace)
+        scales = {}
+        if trace.varying:
+            history = np.asarray(trace.actuation)
+            scales = population.scales(self.model, history, index, level, (grid, effects))
+        return Drawn(parts, unshared, scales, knots)
+
+    def begun(self, trace: Trace, forecast: Forecast, drawn: Drawn) -> Drawn:
+        """Drawn tests that begin where the one before ended, if there is one."""
+        if forecast.before is None or not self.model.has_gap:
+            return drawn
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            theta = self.model.theta(self.values(drawn))
+            start = forecast.before.starts(self.model, theta, trace, forecast.seed)
+        return replace(drawn, unshared={**drawn.unshared, "start": start})
+
+    def repeat(self, trace: Trace, forecast: Forecast, own: Mapping[str, Array]) -> Band:
+        """Band of the force of one calibrated test under a motion: the kind `this_test`.
+
+        The place in the gap at the start is unknown, unless a test is before it.
+
+        Parameters
+        ----------
+        trace : Trace
+            With the actuation of the test.
+        forecast : Forecast
+        own : mapping of str to (m,)
+            Posterior draws of the test.
+
+        Raises
+        ------
+        RecordError
+            When the force is too large for a number.
+        """
+        rng, population = np.random.default_rng(forecast.seed), self.population
+        pick = rng.choice(len(next(iter(own.values()))), size=forecast.draws)
+        taken = {name: values[pick] for name, values in own.items()}
+        coordinates = population.design.coordinates
+        x = coordinates.of({name: taken[name] for name in coordinates.names})
+        x = x[:, : len(population.design.names)]
+        setting = setting_of(trace, forecast.session)
+        index = population.draw_index(forecast.draws, setting.actuation, rng)
+        grid = population.grid(setting.actuation, trace.actuation if trace.varying else None)
+        numbers = population.draw_numbers(forecast.draws, grid.size, rng)
+        knots = population.residual.draw_knots(rng, forecast.draws)
+        drawn = self.drawn(trace, setting, index, numbers, knots, grid)
+        unshared = population.unshared(self.model, x, numbers.start, setting, trace)
+        drawn = replace(drawn, parts=Parts(x, np.zeros_like(x)), unshared=unshared)
+        drawn = self.begun(trace, forecast, drawn)
+        return self.finish(trace, forecast, drawn, rng, "posterior draws of this test")
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def finish(
+        self,
+        trace: Trace,
+        forecast: Forecast,
+        drawn: Drawn,
+        rng: np.random.Generator,
+        source: str,
+    ) -> Band:
+        """Band of drawn tests with their noise, if it is asked for; what is no number is refused."""
+        values = self.values(drawn)
+        if forecast.kind == "observation" and drawn.noise is None:
+            noise = self.population.residual.draw_noise(rng, trace, values["noise_sd"])
+            drawn = replace(drawn, noise=noise)
+        force = self.total(trace, drawn)
+        check_magnitude("the predicted force", force)
+        if forecast.before is not None:
+            source = f"{source}, {forecast.before.words}"
+        band = Band.of(trace.time, force, forecast, source, self.shown(values))
+        explain = partial(self._shares, trace, drawn)
+        return replace(band, explained=explain() if forecast.explained else {}, explain=explain)
+
+    def shown(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """Those of some quantities that a band tells: of the model and the noise, and the start."""
+        own = {quantity.name for quantity in (*self.model.quantities, *self.noise.quantities)}
+        own |= {"start", *self.population.design.names, *self.model.parameters}
+        return {name: value for name, value in values.items() if name in own}
+
+    def values(self, drawn: Drawn) -> dict[str, Array]:
+        """Quantities of drawn tests, by name, (n,) each."""
+        return {**self.population.values(drawn.parts.mean + drawn.parts.scatter), **drawn.unshared}
+
+    def force(self, trace: Trace, drawn: Drawn) -> Array:
+        """The damper's force with the discrepancy of the model, (n, T), kip."""
+        values, residual = self.values(drawn), self.population.residual
+        theta = self.model.theta(values)
+        check_magnitude("a predicted parameter", theta, RANGE)
+        scales = {k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in drawn.scales.items()}
+        start = values.get("start")
+        force = self.model.force_unbounded(theta, trace, start, scales=scales or None)
+        return force + residual.discrepancy(trace, slip_force_of(self.model, values), drawn.knots)
+
+    def total(self, trace: Trace, drawn: Drawn) -> Array:
+        """Force of drawn tests, with noise and offset where they have noise, (n, T), kip."""
+        force = self.force(trace, drawn)
+        if drawn.noise is None:
+            return force
+        return np.asarray(force + self.values(drawn)["offset"][:, None] + drawn.noise)
+
+    def _shares(self, trace: Trace, drawn: Drawn) -> dict[str, float]:
+        """Share of each source in the variance, averaged over the samples: each varies by itself."""
+        sources, few = sources_of(self.population, drawn), slice(SHARE_DRAWS)
+        fixed = {name: at_mean(drawn, few) for name in sources}
+        variances = {}
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            for name, free in sources.items():
+                force = self.total(trace, free(fixed[name], few))
+                variances[name] = float(np.mean(np.var(force, axis=0)))
+        whole = sum(variances.values())
+        return {k: v / whole for k, v in variances.items() if v > 1e-20} if whole > 1e-20 else {}
+
+
+def at_mean(drawn: Drawn, few: slice) -> Drawn:
+    """Some of the draws, with every source at its mean."""
+
+    def mean(values: Array) -> Array:
+        return np.broadcast_to(values.mean(axis=0), values[few].shape)
+
+    unshared = {name: np.full(v[few].shape, np.median(v)) for name, v in drawn.unshared.items()}
+    return Drawn(
+        Parts(mean(drawn.parts.mean), np.zeros_like(drawn.parts.scatter[few])),
+        unshared,
+        {name: mean(v) for name, v in drawn.scales.items()},
+        mean(drawn.knots),
+        None if drawn.noise is None else np.zeros_like(drawn.noise[few]),
+    )
+
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd"),
+    "backward slip force": ("Fc_bwd", "static_excess_bwd", "Fy_bwd"),
+    "gap": ("d2", "d3", "gap"),
+    "sigma0": ("sigma0",),
+    "stiffness beyond the gap": ("k_fwd", "k_bwd"),
+    "the offset": ("offset",),
+}
+"""Quantities whose scatter has a line of its own."""
+
+_REPEATS = (
+    "If few tests were calibrated, more tests make it smaller. If many were, it is the true "
+    "difference between tests of this device: find out what differed (temperature, wear, "
+    "bedding-in), or declare sessions. The kind this_test does not contain it."
+)
+
+ADVICE = {
+    **{f"test-to-test scatter of {name}": _REPEATS for name in GROUPS},
+    "test-to-test scatter of other quantities": _REPEATS,
+    "test-to-test scatter of the offset": (
+        "Zero the load cell before each test, or ask for the kind new_test, which leaves it out."
+    ),
+    "law, level and session effects": (
+        "Calibrate a test at or near this actuation, with such a stroke, in this session."
+    ),
+    "parameters": "Calibrate more tests, with larger strokes or several speeds.",
+    "start in the gap": (
+        "Begin the motion with a stroke that crosses the whole gap: that makes the start known."
+    ),
+    "discrepancy of the model": (
+        "Calibrate more tests with full strokes: it repeats in every cycle."
+    ),
+    "noise": "It is the record's, not the damper's: the kind new_test leaves it out.",
+}
+"""What a user could do about each source of a band's width."""
+
+Free = Callable[[Drawn, slice], Drawn]
+
+
+def sources_of(population: Population, drawn: Drawn) -> dict[str, Free]:
+    """Functions that let one source of draws vary, by its name in `ADVICE`."""
+    names = population.design.names
+    grouped = {n for group in GROUPS.values() for n in group}
+    rest = [n for n in names if n not in grouped and not n.startswith("noise_")]
+    laws = [k for k, name in enumerate(names) if name in population.design.laws]
+
+    def of_scatter(group: tuple[str, ...]) -> Free:
+        own = [k for k, n in enumerate(names) if n in group]
+        return partial(_vary, source=drawn, part="scatter", columns=own)
+
+    found: dict[str, Free] = {f"test-to-test scatter of {n}": of_scatter(g) for n, g in GROUPS.items()}
+    found["test-to-test scatter of other quantities"] = of_scatter(tuple(rest))
+    if drawn.noise is None:
+        del found["test-to-test scatter of the offset"]
+    others = [k for k in range(len(names)) if k not in laws and names[k] != "offset"]
+    found["law, level and session effects"] = partial(_vary, source=drawn, part="mean", columns=laws)
+    found["parameters"] = partial(_vary, source=drawn, part="mean", columns=others)
+    found["start in the gap"] = lambda fixed, few: replace(
+        fixed, unshared={**fixed.unshared, "start": drawn.unshared["start"][few]}
+    )
+    found["discrepancy of the model"] = lambda fixed, few: replace(fixed, knots=drawn.knots[few])
+    if drawn.noise is not None:
+        noise = drawn.noise
+        found["noise"] = lambda fixed, few: replace(fixed, noise=noise[few])
+    return found
+
+
+def _vary(fixed: Drawn, few: slice, *, source: Drawn, part: str, columns: list[int]) -> Drawn:
+    """Fixed draws with some columns of a part as they were drawn; laws take their histories along."""
+    values = np.array(getattr(fixed.parts, part))
+    values[:, columns] = getattr(source.parts, part)[few][:, columns]
+    scales = fixed.scales
+    if part == "mean":
+        scales = {name: v[few] for name, v in source.scales.items()}
+    return replace(fixed, parts=replace(fixed.parts, **{part: values}), scales=scales)

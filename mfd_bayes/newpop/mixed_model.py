@@ -1,0 +1,304 @@
+"""Linear mixed model of the tests, each known by a Gaussian likelihood (a two-stage model).
+
+The coordinates of test j are x_j = A_j z + law(h)_j + d_j with d_j ~ N(0, diag τ²), and its likelihood
+is N(y_j, P_j⁻¹). Given the variance parameters and the shapes of the laws, together h, all is Gaussian
+and is integrated in closed form: first the deviations d_j, then the coefficients z (levels, slopes on
+covariates, effects). The few h are sampled by emcee on the marginal likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, special
+from scipy.stats import qmc
+
+from mfd_bayes.newpop.design import Design
+from mfd_bayes.newpop.laws import EXPONENT, log_shape_prior
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+LARGEST = 12.0
+"""Largest size of a coordinate of h."""
+
+ODD, WIDER = 0.01, 10.0
+"""Probability that a quantity of a test stands apart from the others, and its scatter over theirs."""
+
+ROUNDS = 4
+"""Largest number of rounds of expectation-maximisation of what stands apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """Gaussian of the coefficients z given rows of h: mean (n, Z), Cholesky factor of precision."""
+
+    mean: Array
+    factor: Array
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """A draw for each row, (n, Z)."""
+        return self.mean + _back(self.factor, rng.standard_normal(self.mean.shape))
+
+
+class MixedModel:
+    """Density of h, and Gaussians given h.
+
+    h holds the logarithms of τ of the F free quantities (natural units), those of the effects' sd, and
+    the coordinates of the laws' shapes, in this order.
+
+    Parameters
+    ----------
+    design : Design
+    y, precision : (J, d), (J, d, d)
+        Gaussian likelihoods in prior units; zero precision where a test tells nothing.
+    """
+
+    def __init__(self, design: Design, y: Array, precision: Array) -> None:
+        self.design, self.y, self.p = design, y, precision
+        self.free, effects = design.free, design.effects
+        self.f, self.e = self.free.size, len(effects)
+        self.dim = self.f + self.e + len(design.shapes)
+        self.spread = design.spread
+        self.scale = np.concatenate([design.scatter_sd[self.free], [e.scale for e in effects]])
+        self.weight = np.ones((len(y), self.f))
+        self.rows = np.stack([design.row(s) for s in design.settings])
+        self.actuation = np.array([s.actuation for s in design.settings])
+        cells: dict[tuple[str, float], list[int]] = {}
+        for j, setting in enumerate(design.settings):
+            cells.setdefault(design.cell_of(setting), []).append(j)
+        self.cells = [np.array(tests) for tests in cells.values()]
+        covariance = design.level_covariance(design.cells, design.cells)
+        self.level_precision = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
+
+    # --- parts of h ---------------------------------------------------------------------------
+
+    def tau(self, h: Array) -> Array:
+        """Scatter of the free quantities in prior units, (n, F)."""
+        return np.asarray(np.exp(h[:, : self.f]) / self.spread[self.free])
+
+    def omega(self, h: Array) -> Array:
+        """Sd of the effects, natural units, (n, E)."""
+        return np.asarray(np.exp(h[:, self.f : self.f + self.e]))
+
+    def offsets(self, h: Array, choice: Index) -> Array:
+        """Laws at the tests, in prior units, (n, J, d)."""
+        shapes = self.design.law_shapes(h[:, self.f + self.e :], choice)
+        found = self.design.offsets(*shapes, self.actuation)
+        return np.where(self.design.informs, found, 0.0)
+
+    def log_prior(self, h: Array) -> Array:
+        """Log prior density of h without constants, (n,): half-normal sds, with their Jacobian."""
+        v = self.f + self.e
+        total = np.sum(h[:, :v] - 0.5 * (np.exp(h[:, :v]) / self.scale) ** 2, axis=1)
+        for i, (_, shape) in enumerate(self.design.shapes):
+            total += log_shape_prior(shape, h[:, v + i])
+        return np.asarray(total)
+
+    def draw_prior(self, n: int) -> Array:
+        """Quasi-random draws of h from its prior, (n, dim)."""
+        u = qmc.Sobol(max(self.dim, 1), seed=0).random(n)[:, : self.dim]
+        u, v = np.clip(u, 1e-9, 1.0 - 1e-9), self.f + self.e
+        h = np.empty((n, self.dim))
+        h[:, :v] = np.log(special.ndtri(0.5 + 0.5 * u[:, :v]) * self.scale)
+        for i, (_, shape) in enumerate(self.design.shapes):
+            w = u[:, v + i]
+            normal = EXPONENT[0] + EXPONENT[1] * special.ndtri(w)
+            h[:, v + i] = special.logit(w) if shape == "share" else normal
+        return h
+
+    # --- Gaussians given h ------------------------------------------------------------------------
+
+    def _prior_precision(self, omega: Array) -> Array:
+        """Prior precision of z, (n, Z, Z)."""
+        design = self.design
+        z = design.quantity.size
+        found = np.zeros((len(omega), z, z))
+        plain = np.flatnonzero(design.effect < 0)
+        found[:, plain, plain] = design.z_sd[plain] ** -2.0
+        for e, effect in enumerate(design.effects):
+            block = self.level_precision if effect.name == "level" else np.eye(len(design.sessions))
+            own = np.flatnonzero(design.effect == e).reshape(len(effect.members), -1)
+            for columns in own:
+                at = np.ix_(range(len(omega)), columns, columns)
+                found[at] = omega[:, e, None, None] ** -2.0 * block
+        return found
+
+    def marginal(
+        self, h: Array, choice: Index, tests: Sequence[int] | None = None
+    ) -> tuple[Array, Coefficients]:
+        """Log marginal likelihood of tests (all by default) given h, (n,), and z given these."""
+        design, tau, omega = self.design, self.tau(h), self.omega(h)
+        used = set(range(len(self.y)) if tests is None else tests)
+        offsets, n = self.offsets(h, choice), len(h)
+        a = self._prior_precision(omega)
+        counts = np.array([np.count_nonzero(design.effect == e) for e in range(self.e)])
+        total = -np.log(omega) @ counts
+        b = np.zeros((n, design.quantity.size))
+        for cell in self.cells:
+            js = np.array([j for j in cell.tolist() if j in used], dtype=np.intp)
+            if not js.size:
+                continue
+            active = np.flatnonzero(np.any(self.rows[js], axis=0))
+            q, row = design.quantity[active], self.rows[np.ix_(js, active)]
+            known, log_density = self._deviations_out(js, tau)
+            left = self.y[js] - offsets[:, js]
+            pulled = np.einsum("njab,njb->nja", known, left)
+            total += log_density - 0.5 * np.einsum("nja,nja->n", left, pulled)
+            b[:, active] += np.einsum("jm,njm->nm", row, pulled[:, :, q])
+            grams = known[:, :, q[:, None], q]
+            at = np.ix_(range(n), active, active)
+            a[at] += np.einsum("jml,njml->nml", row[:, :, None] * row[:, None], grams)
+        factor = np.linalg.cholesky(a)
+        u = _forward(factor, b)
+        total += 0.5 * np.sum(u**2, axis=1)
+        total -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        return total, Coefficients(_back(factor, u), factor)
+
+    def _deviations_out(self, js: Index, tau: Array) -> tuple[Array, Array]:
+        """Precision of A z + law by tests js, their deviations integrated, (n, m, d, d), and log."""
+        p, free = self.p[js], self.free
+        inner = self._inner(js, tau)
+        across = np.broadcast_to(p[:, free], (len(tau), *p[:, free].shape))
+        known = p - p[:, :, free] @ np.linalg.solve(inner, across)
+        log = -0.5 * np.linalg.slogdet(inner)[1].sum(axis=1) - js.size * np.log(tau).sum(axis=1)
+        return known, log + 0.5 * np.log(self.weight[js]).sum()
+
+    def _inner(self, js: Index, tau: Array) -> Array:
+        """Precision of the deviations of tests js given the rest, (n, m, F, F)."""
+        prior = self.weight[js] / tau[:, None] ** 2
+        return np.asarray(self.p[js][:, self.free][:, :, self.free] + prior[..., None] * np.eye(self.f))
+
+    def deviations(self, h: Array, choice: Index, z: Array) -> tuple[Array, Array]:
+        """Mean of the deviations of all tests given the rest, (n, J, F), and factors of precision."""
+        left = self.y - self.offsets(h, choice) - self.fixed(z)
+        pulled = np.einsum("jfa,nja->njf", self.p[:, self.free], left)
+        inner = self._inner(np.arange(len(self.y)), self.tau(h))
+        return np.linalg.solve(inner, pulled[..., None])[..., 0], np.linalg.cholesky(inner)
+
+    def fixed(self, z: Array) -> Array:
+        """Levels, covariates and effects of the tests, A z, (n, J, d)."""
+        found = np.zeros((len(z), *self.y.shape))
+        for k in range(self.y.shape[1]):
+            own = self.design.quantity == k
+            found[..., k] = z[:, own] @ self.rows[:, own].T
+        return found
+
+    # --- sampling ---------------------------------------------------------------------------------
+
+    def log_prob(self, h: Array, choice: Index, tests: Sequence[int] | None = None) -> Array:
+        """Log posterior density of h given tests, (n,); choice is one row or a row for each."""
+        h = np.atleast_2d(h)
+        inside = np.all(np.abs(h) < LARGEST, axis=1)
+        found = np.full(len(h), -np.inf)
+        if np.any(inside):
+            rows = np.broadcast_to(choice, (len(h), choice.shape[-1]))[inside]
+            found[inside] = self.log_prior(h[inside]) + self.marginal(h[inside], rows, tests)[0]
+        return np.where(np.isnan(found), -np.inf, found)
+
+    def mode(self, choice: Index) -> Array:
+        """Mode of h by BFGS, its gradient by central differences, (dim,)."""
+        if not self.dim:
+            return np.zeros(0)
+        step = 1e-4 * np.eye(self.dim)
+
+        def loss(h: Array) -> tuple[float, Array]:
+            points = np.concatenate([h[None], h + step, h - step])
+            f = -np.nan_to_num(self.log_prob(points, choice), neginf=-1e9)
+            up, down = np.split(f[1:], 2)
+            return float(f[0]), (up - down) / 2e-4
+
+        start = np.concatenate([np.log(0.7 * self.scale), np.zeros(self.dim - self.scale.size)])
+        start[self.scale.size :] = [float(s == "exponent") for _, s in self.design.shapes]
+        bounds = [(-LARGEST + 1.0, LARGEST - 1.0)] * self.dim
+        return np.asarray(
+            optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
+        )
+
+    def laplace(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
+        """Draws of h from the Gaussian at its mode, (n, dim)."""
+        mode, step = self.mode(choice), 1e-2
+        unit = step * np.eye(self.dim)
+        i, k = np.triu_indices(self.dim)
+        points = np.concatenate([mode + a * unit[i] + b * unit[k] for a in (1, -1) for b in (1, -1)])
+        parts = np.array_split(points, max(len(points) // 64, 1))
+        f = np.concatenate([self.log_prob(part, choice) for part in parts]).reshape(4, -1)
+        hessian = np.zeros((self.dim, self.dim))
+        hessian[i, k] = hessian[k, i] = (f[0] - f[1] - f[2] + f[3]) / (4.0 * step**2)
+        values, vectors = np.linalg.eigh(-hessian)
+        sd = np.minimum(1.0 / np.sqrt(np.maximum(values, 0.25)), 2.0)
+        drawn = mode + (rng.standard_normal((n, self.dim)) * sd) @ vectors.T
+        return np.clip(drawn, 1.0 - LARGEST, LARGEST - 1.0)
+
+    def sample(self, choice: Index, rng: np.random.Generator, steps: int, n: int) -> Array:
+        """Draws of h, (n, dim), by emcee's differential evolution move; choice is one row (L,)."""
+        import emcee
+
+        if not self.dim:
+            return np.zeros((n, 0))
+        walkers = max(32, 2 * self.dim + 2)
+        start = self.mode(choice) + 0.3 * rng.standard_normal((walkers, self.dim))
+        start = np.clip(start, 1.0 - LARGEST, LARGEST - 1.0)
+        moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+        sampler = emcee.EnsembleSampler(
+            walkers, self.dim, self.log_prob, args=[choice], moves=moves, vectorize=True
+        )
+        seed = np.random.RandomState(int(rng.integers(2**31)))
+        sampler.run_mcmc(
+            emcee.State(start, random_state=seed.get_state()), steps, skip_initial_state_check=True
+        )
+        chain = sampler.get_chain(discard=steps // 3, flat=True)
+        return np.asarray(chain[np.linspace(0, len(chain) - 1, n).astype(int)])
+
+    def set_apart(self, choice: Index) -> None:
+        """Weights of quantities of tests that stand apart: contaminated normal scatter by EM.
+
+        A hundredth of them scatter ten times as much as the others (Tukey, 1960), so that one wrong
+        record hardly widens what is expected of others.
+        """
+        for _ in range(ROUNDS):
+            h = self.mode(choice)[None]
+            rows = np.broadcast_to(choice, (1, choice.shape[-1]))
+            z = self.marginal(h, rows)[1].mean
+            mean, factor = self.deviations(h, rows, z)
+            variance = np.linalg.inv(factor @ np.swapaxes(factor, -1, -2))
+            squares = mean[0] ** 2 + np.diagonal(variance[0], axis1=1, axis2=2)
+            squares = squares * self.spread[self.free] ** 2
+            inside = self.weight * squares
+            others = inside.sum(axis=0) - inside + 0.25 * self.scale[: self.f] ** 2
+            ratio = squares / (others / len(squares))
+            odds = ODD / WIDER * np.exp(np.minimum(0.5 * ratio * (1.0 - WIDER**-2), 700.0))
+            weight = np.where(odds / (odds + 1.0 - ODD) > 0.5, WIDER**-2, 1.0)
+            if np.array_equal(weight, self.weight):
+                return
+            self.weight = weight
+
+
+def _forward(factor: Array, b: Array) -> Array:
+    """factor⁻¹ b of lower factors (..., m, m) and vectors (..., m)."""
+    return np.asarray(np.linalg.solve(factor, b[..., None])[..., 0])
+
+
+def _back(factor: Array, u: Array) -> Array:
+    """factor⁻ᵀ u."""
+    return np.asarray(np.linalg.solve(np.swapaxes(factor, -1, -2), u[..., None])[..., 0])
+
+
+def without(y: Array, precision: Array, own: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Gaussian likelihood (D,), (D, D) with some coordinates integrated over N(0, 1).
+
+    Their precision is then zero.
+    """
+    kept, rest = np.flatnonzero(~own), np.flatnonzero(own)
+    pull = precision @ y
+    gain = np.linalg.solve(
+        precision[np.ix_(rest, rest)] + np.eye(rest.size), precision[np.ix_(rest, kept)]
+    ).T
+    reduced = precision[np.ix_(kept, kept)] - gain @ precision[np.ix_(rest, kept)]
+    found, mean = np.zeros_like(precision), np.zeros_like(y)
+    found[np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
+    mean[kept] = np.linalg.solve(reduced, pull[kept] - gain @ pull[rest])
+    return mean, found

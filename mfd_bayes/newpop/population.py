@@ -1,0 +1,524 @@
+"""The population of tests: laws, levels, effects and scatter, as draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.errors import FitError, NotThereError
+from mfd_bayes.friction.model import Model
+from mfd_bayes.newpop.design import Design
+from mfd_bayes.newpop.discrepancy import Residual
+from mfd_bayes.newpop.laws import INTERCEPTS, TIED, ratio
+from mfd_bayes.newpop.settings import Setting, folds_beyond, same_level
+from mfd_bayes.newpop.starts import Starts, place_left, without_load
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+STROKE, RATE = 0.2, 0.1
+"""Sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and of
+speed or frequency, outside the tests."""
+
+LIKE = 1.1
+"""Factor of stroke within which a motion repeats a calibrated test, and so may begin as it did."""
+
+LIKE_STROKES = 0.25
+"""Difference in the share of full strokes up to which motions are of one kind."""
+
+OCTAVE = 0.25
+"""Octaves between the actuations at which deviations along a history are drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """Standard normal numbers of n drawn tests of d quantities.
+
+    Attributes
+    ----------
+    flat : (n, m)
+    quantities, leveled, grid : int
+        d; M quantities with level effects; G actuations.
+    """
+
+    flat: Array
+    quantities: int
+    leveled: int
+    grid: int
+
+    @classmethod
+    def size(cls, quantities: int, leveled: int, grid: int) -> int:
+        """Numbers m of a test."""
+        return 3 * quantities + leveled * grid + 2
+
+    def _block(self, i: int) -> Array:
+        return self.flat[:, i * self.quantities : (i + 1) * self.quantities]
+
+    @property
+    def scatter(self) -> Array:
+        """From test to test, (n, d)."""
+        return self._block(0)
+
+    @property
+    def beyond(self) -> Array:
+        """Of a motion outside the tests, (n, d)."""
+        return self._block(1)
+
+    @property
+    def session(self) -> Array:
+        """Of a new session, (n, d)."""
+        return self._block(2)
+
+    @property
+    def level(self) -> Array:
+        """Of level effects, (n, M, G)."""
+        return self.flat[:, 3 * self.quantities : -2].reshape(len(self.flat), self.leveled, self.grid)
+
+    @property
+    def start(self) -> Array:
+        """Of the place in the gap, (n, 2)."""
+        return self.flat[:, -2:]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """What the coordinates of n tests are made of, in prior units, (n, d) each.
+
+    `mean`: levels, laws, covariates and effects; `scatter`: from test to test.
+    """
+
+    mean: Array
+    scatter: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LawDraws:
+    """Draws of the population, (n, …) or (chain, draw, …).
+
+    Attributes
+    ----------
+    h : (…, F + E)
+        Logarithms of the scatter of the F free quantities and of the sds of the E effects.
+    z : (…, Z)
+        Linear coefficients, as in `Design`.
+    share, exponent : (…, L)
+        Shapes of the law of each quantity that follows the actuation.
+    """
+
+    h: Array
+    z: Array
+    share: Array
+    exponent: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Draws of the population of a campaign's tests, (chain, draw) first.
+
+    Attributes
+    ----------
+    design : Design
+    draws : LawDraws
+        (chain, draw, …).
+    choice : (chain, draw, L) int
+        Number of the law of each quantity that follows the actuation.
+    weights : mapping of str to mapping of str to float
+        Weights of the laws of each such quantity.
+    alternatives : LawDraws
+        (m, …): draws under all laws, for actuations beyond the tested levels.
+    alternative_weight : (m,)
+        Of each of these.
+    residual : Residual
+        Discrepancy and noise that the tests have in common.
+    starts : Starts
+    begun : (chain, draw, J), or None
+        Places in the gap at which the calibrated tests began.
+    priors : mapping of str to Prior
+    actuation_unit : str
+    walkers : int
+        Chains of each group, by which its draws are ordered.
+    convergence : Convergence
+        Of scatter, effects' sd, shapes and levels.
+    """
+
+    design: Design
+    draws: LawDraws
+    choice: Index
+    weights: Mapping[str, Mapping[str, float]]
+    alternatives: LawDraws
+    alternative_weight: Array
+    residual: Residual
+    starts: Starts
+    begun: Array | None
+    priors: Mapping[str, Prior]
+    actuation_unit: str
+    walkers: int
+    convergence: Convergence
+
+    @property
+    def size(self) -> int:
+        """Number of draws of all chains."""
+        return int(np.prod(self.shape))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of chains, and of draws of each."""
+        return self.draws.h.shape[0], self.draws.h.shape[1]
+
+    @cached_property
+    def _all(self) -> LawDraws:
+        """All draws and those under other laws, (n, …)."""
+        own, other = vars(self.draws), vars(self.alternatives)
+        flat = {k: np.concatenate([v.reshape(self.size, -1), other[k]]) for k, v in own.items()}
+        return LawDraws(**flat)
+
+    # --- what tables show -------------------------------------------------------------------------
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Quantities that are the same in all tests."""
+        return tuple(self.design.names[k] for k in np.flatnonzero(self.design.common))
+
+    @property
+    def scatters(self) -> dict[str, Array]:
+        """Test-to-test scatter of each quantity that differs between tests, (chain, draw).
+
+        It is the sd of the logarithm of a positive quantity, and in kip for the offset.
+        """
+        names = [self.design.names[k] for k in self.design.free]
+        return {name: np.exp(self.draws.h[..., i]) for i, name in enumerate(names)}
+
+    @property
+    def effect_sds(self) -> dict[str, Array]:
+        """Sd of each effect, by "name_group", (chain, draw)."""
+        begin = self.design.free.size
+        return {
+            f"{effect.name}_{effect.group}": np.exp(self.draws.h[..., begin + i])
+            for i, effect in enumerate(self.design.effects)
+        }
+
+    @property
+    def scatter_scales(self) -> Array:
+        """Scale of the half-normal prior of each of `scatters` and `effect_sds`."""
+        effects = [effect.scale for effect in self.design.effects]
+        return np.concatenate([self.design.scatter_sd[self.design.free], effects])
+
+    @property
+    def dependences(self) -> dict[str, Array]:
+        """Change of a quantity's coordinate per e-fold of a covariate, (chain, draw)."""
+        pairs = [(name, c) for name, those in self.design.dependence.items() for c in those]
+        begin = len(self.design.names)
+        return {f"{name}_{c}": self.draws.z[..., begin + i] for i, (name, c) in enumerate(pairs)}
+
+    @property
+    def law_weights(self) -> dict[str, dict[str, float]]:
+        """Weight of each law that was considered, by quantity."""
+        return {name: dict(weights) for name, weights in self.weights.items()}
+
+    def shapes(self, name: str) -> tuple[Array, Array]:
+        """Share and exponent of a quantity's law, (chain, draw) each.
+
+        Raises
+        ------
+        NotThereError
+            When it has no law.
+        """
+        if name not in self.design.laws:
+            known = ", ".join(self.design.laws) or "none"
+            raise NotThereError(f"no law of {name!r}: there are {known}")
+        column = list(self.design.laws).index(name)
+        return self.draws.share[..., column], self.draws.exponent[..., column]
+
+    def ratio(self, name: str, actuation: ArrayLike, index: Index | None = None) -> Array:
+        """Law's value at actuations (m,) over that at the reference.
+
+        It is (chain, draw, m), or (n, m) for draws by number. It is 1 for a quantity without a law;
+        what follows another, such as static friction, has its law.
+
+        Raises
+        ------
+        NotThereError
+            When there is no such quantity.
+        FitError
+            When an actuation is no number, 0 or more.
+        """
+        at = np.atleast_1d(np.asarray(actuation, dtype=np.float64))
+        if not np.all((at >= 0.0) & np.isfinite(at)):
+            raise FitError(f"actuation must be finite numbers of at least 0, got {actuation!r}")
+        name = TIED.get(name, name) if name not in self.design.names else name
+        if name not in self.design.names:
+            raise NotThereError(f"no quantity {name!r}: there are {', '.join(self.design.names)}")
+        chosen = np.arange(self.size) if index is None else index
+        found = np.ones((chosen.size, at.size))
+        if name in self.design.laws:
+            column = list(self.design.laws).index(name)
+            shape = (a[chosen, column, None] for a in (self._all.share, self._all.exponent))
+            found = ratio(at / self.design.reference, *shape)
+        return found.reshape(*self.shape, -1) if index is None else found
+
+    def median(self, name: str, actuation: ArrayLike) -> Array:
+        """Median over tests of a quantity at actuations (m,) by the laws alone, (chain, draw, m).
+
+        Raises
+        ------
+        NotThereError
+            When there is no such quantity.
+        FitError
+            When an actuation is no number, 0 or more.
+        """
+        followed = self.ratio(name, actuation)
+        levels = self.draws.z[..., : len(self.design.names)].reshape(self.size, -1)
+        return self.values(levels)[name].reshape(*self.shape, 1) * followed
+
+    @property
+    def slopes(self) -> dict[str, Array]:
+        """The paper's constants of those laws that are straight, and the laws' intercepts.
+
+        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of actuation; what
+        is left without actuation: `Fc_fwd_0` and its like in kip, `sigma0_0` in kip/in. All are
+        (chain, draw).
+        """
+        found: dict[str, Array] = {}
+        p0, laws = self.design.reference, self.design.laws
+        for name, slope in (("Fc_fwd", "K_c_fwd"), ("Fc_bwd", "K_c_bwd"), ("sigma0", "alpha_sigma0")):
+            if laws.get(name) not in ("proportional", "affine"):
+                continue
+            zero, one = np.moveaxis(self.median(name, [0.0, p0]), -1, 0)
+            found[slope] = (one - zero) / p0
+            excess = name.replace("Fc", "static_excess")
+            if excess != name and excess in self.design.names:
+                static = 1.0 + self.median(excess, [p0])[..., 0]
+                found[slope.replace("K_c", "K_s")] = found[slope] * static
+        for name, law in laws.items():
+            if law in ("affine", "residual_power") and f"{name}_0" in INTERCEPTS:
+                found[f"{name}_0"] = self.median(name, [0.0])[..., 0]
+        return found
+
+    # --- new tests --------------------------------------------------------------------------------
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """Shared quantities at coordinates x (n, d), by name, (n,) each, internal units."""
+        coordinates = self.design.coordinates
+        more = np.zeros((len(x), len(coordinates.names) - x.shape[1]))
+        found = coordinates.values(np.concatenate([x, more], axis=1))
+        return {name: found[name] for name in self.design.names}
+
+    def within_levels(self, actuation: float) -> bool:
+        """Whether an actuation lies between the lowest and the highest tested level, or at one."""
+        levels = [s.actuation for s in self.design.settings]
+        inside = min(levels) <= actuation <= max(levels)
+        return inside or any(same_level(actuation, level) for level in levels)
+
+    def draw_index(self, n: int, actuation: float, rng: np.random.Generator) -> Index:
+        """Numbers of draws for n new tests, (n,).
+
+        Beyond the tested levels they mix over the laws: numbers from `size` on are those under
+        other laws.
+        """
+        found = rng.choice(self.size, size=n, replace=n > self.size)
+        if self.within_levels(actuation) or not self.alternative_weight.size:
+            return found
+        edges = np.cumsum(self.alternative_weight)
+        other = np.searchsorted(edges, rng.random(n))
+        return np.where(other < edges.size, self.size + other, found)
+
+    @property
+    def _leveled(self) -> list[tuple[int, int, Index]]:
+        """Effect, quantity and columns of z of each quantity with a level effect."""
+        found, design = [], self.design
+        for e, effect in enumerate(design.effects):
+            if effect.name == "level":
+                for k in effect.members:
+                    own = np.flatnonzero((design.effect == e) & (design.quantity == k))
+                    found.append((e, k, own))
+        return found
+
+    def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
+        """Numbers of n tests with a grid of so many actuations."""
+        sizes = len(self.design.names), len(self._leveled), grid
+        return Numbers(rng.standard_normal((n, Numbers.size(*sizes))), *sizes)
+
+    def active(self, setting: Setting, grid: Array) -> Index:
+        """Columns of the numbers that matter under a setting and a grid (G,)."""
+        design, d = self.design, len(self.design.names)
+        free = np.zeros(d, dtype=bool)
+        free[design.free] = True
+        new = free & (len(design.sessions) > 0 and setting.session not in design.sessions)
+        cells = [design.cell_of(Setting(float(p), setting.session)) for p in grid]
+        rest = np.any(np.abs(design.krige(cells)[1]) > 1e-9)
+        level = np.full(len(self._leveled) * grid.size, rest)
+        return np.flatnonzero([*free, *(self._beyond(setting) > 0), *new, *level, True, True])
+
+    def level_effects(
+        self, index: Index, session: str, actuations: ArrayLike, numbers: Array
+    ) -> dict[str, Array]:
+        """Deviations from the laws at actuations (G,): logarithms, (n, G) each, by quantity.
+
+        Tested levels have those of the tests; others are drawn together, given these, by numbers
+        (n, M, G).
+        """
+        h, z = self._all.h, self._all.z
+        cells = [self.design.cell_of(Setting(float(p), session)) for p in np.atleast_1d(actuations)]
+        weights, rest = self.design.krige(cells)
+        values, vectors = np.linalg.eigh(rest)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        found = {}
+        for m, (e, k, own) in enumerate(self._leveled):
+            omega = np.exp(h[index, self.design.free.size + e])
+            drawn = omega[:, None] * (numbers[:, m] @ root.T)
+            found[self.design.names[k]] = z[np.ix_(index, own)] @ weights.T + drawn
+        return found
+
+    def parts(
+        self,
+        setting: Setting,
+        index: Index,
+        numbers: Numbers,
+        effects: Mapping[str, Array],
+        *,
+        scatter: bool = True,
+    ) -> Parts:
+        """What tests under a setting are made of.
+
+        Parameters
+        ----------
+        setting : Setting
+        index : (n,) int
+            Draws of the population, by number.
+        numbers : Numbers
+        effects : mapping of str to (n,)
+            Level effects of quantities at the setting's actuation.
+        scatter : bool
+            Whether to add the scatter from test to test, and what is unknown of a new session;
+            without it, this is the mean property of the device.
+        """
+        design, draws = self.design, self._all
+        h, z, spread, d = draws.h, draws.z, design.spread, len(design.names)
+        row = design.row(setting, level=np.zeros(len(design.cells)))
+        at = np.array([setting.actuation])
+        mean = design.offsets(draws.share[index], draws.exponent[index], at)[:, 0]
+        for k in range(d):
+            own = design.quantity == k
+            mean[:, k] += z[index][:, own] @ row[own]
+        for name, value in effects.items():
+            k = design.names.index(name)
+            mean[:, k] += value / spread[k]
+        mean += self._beyond(setting) * numbers.beyond
+        scattered = np.zeros_like(mean)
+        if scatter:
+            for i, k in enumerate(design.free):
+                scattered[:, k] = np.exp(h[index, i]) / spread[k] * numbers.scatter[:, k]
+            if setting.session not in design.sessions:
+                for e, effect in enumerate(design.effects):
+                    if effect.name == "session":
+                        omega = np.exp(h[index, design.free.size + e])
+                        for k in effect.members:
+                            scattered[:, k] += omega / spread[k] * numbers.session[:, k]
+        return Parts(mean, scattered)
+
+    def _beyond(self, setting: Setting) -> Array:
+        """Sd of what a motion outside those of the tests may change, in prior units, (d,)."""
+        stroke, rate = folds_beyond(setting, self.design.settings)
+        found = np.zeros(len(self.design.names))
+        for k in self.design.free:
+            name = self.design.names[k]
+            if name != "offset" and not name.startswith("noise_"):
+                change = np.hypot(STROKE * stroke, RATE * rate * (name in self.design.laws))
+                found[k] = change / self.design.spread[k]
+        return found
+
+    def repeats(self, setting: Setting) -> bool:
+        """Whether a motion repeats those of the tests: of their kind and of their stroke."""
+        here = setting.covariates
+        for one in self.design.settings:
+            known = one.covariates
+            if {"amplitude", "full_strokes"} <= known.keys() & here.keys():
+                stroke = abs(np.log(here["amplitude"] / known["amplitude"])) <= np.log(LIKE)
+                kind = abs(here["full_strokes"] - known["full_strokes"]) <= LIKE_STROKES
+                if stroke and kind:
+                    return True
+        return False
+
+    def unshared(
+        self,
+        model: Model,
+        x: Array,
+        numbers: Array,
+        setting: Setting | None = None,
+        trace: Trace | None = None,
+    ) -> dict[str, Array]:
+        """What tests of coordinates x (n, d) do not share, by name, (n,): start, γ1, what is fixed.
+
+        The numbers (n, 2) are those of the start; setting and trace are those of the motion, where
+        it is known.
+        """
+        n = len(x)
+        others = {k: p for k, p in self.priors.items() if k not in self.design.names}
+        found = {"gamma1": np.ones(n)} | {k: np.full(n, p.typical) for k, p in others.items()}
+        if not model.has_gap:
+            return found | {"start": np.full(n, 0.5)}
+        values = found | self.values(x)
+        repeat = setting is not None and self.repeats(setting)
+        left = None
+        if repeat and trace is not None and self.starts.weights is not None:
+            middle = {name: np.array([np.median(v)]) for name, v in values.items()}
+            left = place_left(model, model.theta(middle), trace)
+        start = self.starts.place(numbers, left, without_load(model, values), repeat=repeat)
+        return found | {"start": start}
+
+    def scales(
+        self,
+        model: Model,
+        actuation: Array,
+        index: Index,
+        level: float,
+        deviations: tuple[Array, Mapping[str, Array]],
+    ) -> dict[str, Array]:
+        """Factors along a history of actuation (T,) of what follows it, over a level, (n, T) each.
+
+        Parameters
+        ----------
+        model : Model
+        actuation : (T,), ksi or kip
+        index : (n,) int
+        level : float
+        deviations : (G,) and mapping of str to (n, G)
+            Actuations, increasing, the level among them, and level effects there.
+        """
+        grid, effects = deviations
+        found = {}
+        for name in self.design.laws:
+            over = self.ratio(name, [level], index)
+            along = self.ratio(name, actuation, index) / np.where(over > 0.0, over, 1.0)
+            along = np.where(over > 0.0, along, 1.0)  # without any actuation it stays at its level
+            if name in effects and grid.size > 1:
+                log = np.log(np.maximum(grid, 1e-300))
+                here = np.clip(np.log(np.maximum(actuation, 1e-300)), log[0], log[-1])
+                at = int(np.argmin(np.abs(grid - level)))
+                lines = np.array([np.interp(here, log, unit) for unit in np.eye(grid.size)])
+                along = along * np.exp((effects[name] - effects[name][:, [at]]) @ lines)
+            found[name] = along
+        return found | {n: found[o] for n, o in model.tied_laws.items() if o in found}
+
+    def grid(self, level: float, history: ArrayLike | None) -> Array:
+        """Actuations at which deviations are drawn for a level and a history, increasing, (G,)."""
+        if history is None or level <= 0.0:
+            return np.array([level])
+        driven = np.asarray(history, dtype=np.float64)
+        least = level / 16.0
+        low, high = np.clip([min(driven.min(), level), max(driven.max(), level)], least, 16.0 * level)
+        if high <= low * (1.0 + 1e-9):
+            return np.array([level])
+        octaves = np.arange(np.log2(low / level), np.log2(high / level) + OCTAVE, OCTAVE)
+        grid = level * 2.0**octaves
+        tested = [p for _, p in self.design.cells if low < p < high]
+        grid = np.sort(np.concatenate([grid, tested]))
+        return np.sort(np.append(grid[np.abs(np.log(grid / level)) > 0.02], level))
+

@@ -1,0 +1,138 @@
+"""A population and its NetCDF file, in which the paper's constants stand by name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.newpop.design import design_of
+from mfd_bayes.newpop.discrepancy import Residual, TravelBasis
+from mfd_bayes.newpop.population import LawDraws, Population
+from mfd_bayes.newpop.settings import Setting
+from mfd_bayes.newpop.starts import Starts
+from mfd_bayes.store.files import json_text
+from mfd_bayes.store.netcdf import load_arrays, save_arrays
+
+Array = NDArray[np.float64]
+
+FORMAT = "mixed model 1"
+"""Kind of stored population; others are not read."""
+
+_RESIDUAL = ("mean", "covariance", "log_shape")
+_FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
+
+
+def save_population(path: Path, population: Population) -> None:
+    """Write the draws of a population: slopes and intercepts, scatter, and all else that it holds.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be written.
+    """
+    design, residual, found = population.design, population.residual, population.convergence
+    arrays: dict[str, Array] = {
+        **population.slopes,
+        **{f"scatter_{name}": tau for name, tau in population.scatters.items()},
+        **{f"deviation_{name}": omega for name, omega in population.effect_sds.items()},
+        **{f"draws_{k}": v for k, v in vars(population.draws).items()},
+        **{f"alternatives_{k}": v for k, v in vars(population.alternatives).items()},
+        "alternatives_weight": population.alternative_weight,
+        "law": population.choice.astype(np.float64),
+        **{f"discrepancy_{name}": getattr(residual, name) for name in _RESIDUAL},
+    }
+    if population.begun is not None:
+        arrays["starts"] = population.begun
+    if population.starts.weights is not None:
+        arrays["start_weights"] = population.starts.weights
+    facts = {
+        "format": FORMAT,
+        "names": [*design.names, *design.coordinates.names[len(design.names) :]],
+        "settings": [asdict(setting) for setting in design.settings],
+        "laws": design.laws,
+        "dependence": design.dependence,
+        "weights": population.weights,
+        "unloaded": population.starts.unloaded,
+        "actuation_unit": population.actuation_unit,
+        "walkers": population.walkers,
+        "basis": asdict(residual.basis),
+        "residual": {name: getattr(residual, name) for name in _FIGURES},
+        **{name: value.tolist() for name, value in vars(found).items()},
+    }
+    save_arrays(path, arrays, json.loads(json_text(facts)))
+
+
+def load_population(path: Path, priors: PriorFile) -> Population:
+    """Population of a file written by `save_population`.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing, damaged or of another version of the program.
+    """
+    arrays, facts = load_arrays(path)
+    if facts.get("format") != FORMAT:
+        raise StoreError(
+            f"{path} holds a population of another version of this program: run mfd-bayes calibrate "
+            "again"
+        )
+    try:
+        return _population(arrays, facts, priors)
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError, MfdError) as error:
+        raise StoreError(f"{path} is damaged: {error}") from error
+
+
+def _population(
+    arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile
+) -> Population:
+    values = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
+    settings = [Setting(**one) for one in facts["settings"]]
+    design = design_of(priors, facts["names"], settings, facts["laws"], facts["dependence"])
+
+    def laws(prefix: str) -> LawDraws:
+        fields = ("h", "z", "share", "exponent")
+        return LawDraws(**{name: values[f"{prefix}_{name}"] for name in fields})
+
+    draws, other, z = laws("draws"), laws("alternatives"), design.quantity.size
+    sizes = (draws.h.shape[-1], draws.z.shape[-1], other.z.shape[-1])
+    if sizes != (design.free.size + len(design.effects), z, z):
+        raise ValueError("its draws do not fit its design")
+    if not all(np.all(np.isfinite(value)) for value in values.values()):
+        raise ValueError("it holds numbers that are not finite")
+    known = {"start": priors.parameters["start"]} if "start" in priors.parameters else {}
+    starts = Starts.of(known.get("start"))
+    begun = values.get("starts")
+    if begun is not None and starts.fixed is None:
+        starts = Starts(values.get("start_weights"), float(facts["unloaded"]))
+    residual = {name: values[f"discrepancy_{name}"] for name in _RESIDUAL}
+    return Population(
+        design=design,
+        draws=draws,
+        choice=values["law"].astype(np.intp),
+        weights=facts["weights"],
+        alternatives=other,
+        alternative_weight=values["alternatives_weight"],
+        residual=Residual(TravelBasis(**facts["basis"]), **residual, **facts["residual"]),
+        starts=starts,
+        begun=begun,
+        priors=priors.parameters,
+        actuation_unit=facts["actuation_unit"],
+        walkers=int(facts["walkers"]),
+        convergence=Convergence(*(np.array(facts[k]) for k in ("r_hat", "ess_bulk", "ess_tail"))),
+    )
+
+
+def save_test_draws(
+    path: Path, values: Mapping[str, Array], units: Mapping[str, str], test: str
+) -> None:
+    """Write a test's posterior with the others: named variables (chain, draw) with units."""
+    save_arrays(path, values, {"test": test}, units)
