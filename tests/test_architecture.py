@@ -1,6 +1,7 @@
 """The rooms import one way, no two files import each other, and nothing that is read is run."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -126,6 +127,22 @@ def test_nothing_that_is_read_is_run(path: Path) -> None:
 
 def test_what_is_run_would_be_seen() -> None:
     assert {"eval", "allow_pickle"} <= calls_of("np.load(eval(x), allow_pickle=True)")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=module_of)
+def test_regular_expressions_are_read_alike_by_every_python(path: Path) -> None:
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    texts = [n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    assert not [text for text in texts if never_back(text)]
+
+
+def never_back(text: str) -> bool:
+    """Whether a text has a possessive quantifier or an atomic group: Python 3.11.2 errs in these."""
+    return re.search(r"[+*?}]\+|\(\?>", text) is not None
+
+
+def test_what_is_read_otherwise_would_be_seen() -> None:
+    assert never_back(r"\d++(?:[.p]\d++)?+") and never_back(r"(?>\d)") and never_back("a{2}+")
 
 
 def test_the_command_line_computes_nothing() -> None:
