@@ -22,9 +22,14 @@ FOLDERS = ("tests", "figures", CROSSVALIDATED)
 """Folders in a run folder."""
 
 
+def folder_of(test_id: str) -> str:
+    """Path of the folder of all that is stored of a test."""
+    return f"tests/{test_id}"
+
+
 def posterior_of(test_id: str) -> str:
     """Path of a test's posterior in a run folder."""
-    return f"tests/{test_id}/posterior.nc"
+    return f"{folder_of(test_id)}/posterior.nc"
 
 
 def pooled_of(test_id: str) -> str:
