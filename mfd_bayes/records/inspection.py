@@ -34,7 +34,7 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
     """
     trace = record.trace()
     loops = find_loops(trace)
-    x, turns = trace.displacement, trace.turning_points.size
+    x, turns = trace.displacement, trace.cycle_turns.size
     columns = ", ".join(f"{role}: {n} [{unit}]" for role, (n, unit) in record.columns.items())
     others = ", ".join(record.other_columns)
     facts = {

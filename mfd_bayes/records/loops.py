@@ -16,7 +16,7 @@ FEWEST = 3  # fewest strong loops for which a drift is computed
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """Full loops, each from one turning point to the second after it.
+    """Full loops, each from one turn of the whole motion (`Trace.cycle_turns`) to the second after it.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Loops:
 
 def find_loops(trace: Trace) -> Loops:
     """Full loops of a trace."""
-    bounds = trace.turning_points[::2]
+    bounds = trace.cycle_turns[::2]
     if bounds.size < 2:
         empty = np.empty(0)
         force = None if trace.force is None else empty

@@ -96,7 +96,7 @@ def _noise(force: Array) -> float:
 def _unloading(trace: Trace, force: Array, slip: float) -> float:
     """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
     x = trace.displacement
-    turns = list(pairwise(int(turn) for turn in trace.turning_points))
+    turns = list(pairwise(int(turn) for turn in trace.cycle_turns))
     longest = max((abs(x[b] - x[a]) for a, b in turns), default=0.0)
     slopes = []
     for first, last in turns:

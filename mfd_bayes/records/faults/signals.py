@@ -103,7 +103,7 @@ def lag(trace: Trace) -> Iterator[Fault]:
         return
     delay, turns = found
     step = float(np.median(np.diff(trace.time)))
-    cycle = 2 * float(np.median(np.diff(trace.time[trace.turning_points])))
+    cycle = 2 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
     if abs(delay) > max(LAG, LAG_SAMPLES * step, LAG_CYCLE * cycle):
         way = "behind" if delay > 0 else "before"
         yield Fault(
