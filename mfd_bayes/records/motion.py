@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 HYSTERESIS = 1e-3  # smaller reversals, by their share of the peak-to-peak, are sensor noise
 NOISY = 6.0  # and so are those smaller than so many standard deviations of the sensor's noise,
 MOST_NOISE = 1e-2  # but no larger ones, by their share of the peak-to-peak
-CYCLE = 0.2  # a turn ends half a cycle when the motion goes back by this share of the stroke near it,
-SMALLEST_CYCLE = 0.05  # and by this share of the largest stroke
+CYCLE = 0.2  # a cycle's turn goes back by this share of the stroke near it,
+SMALLEST_CYCLE = 0.05  # and by this share of the peak-to-peak
 SMOOTH = 0.1  # share of a step by which a smooth turn may differ from constant acceleration
 
 
@@ -165,7 +165,7 @@ def cycle_turns(displacement: Array) -> NDArray[np.intp]:
 
     A tremble at the end of a stroke turns the motion, but begins no cycle; a small cycle among
     small ones is a cycle. So a turn counts where the motion goes back by more than the share
-    `CYCLE` of the stroke near it, which is the range of the motion within half a cycle on both sides.
+    `CYCLE` of the stroke near it: the range of the motion within half a cycle on both sides.
     """
     whole = float(np.ptp(displacement))
     noise = min(2.0 * NOISY * sensor_noise(displacement), 0.5 * whole)

@@ -22,8 +22,8 @@ RISE = (0.2, 0.8)
 class Readings:
     """What a person reads off the full strokes of a loop; NaN where it cannot be read.
 
-    A stroke is the way from one turn of the whole motion to the next; full strokes are those of at least
-    `STRONG` of the longest. Every figure but the energy is the median over full strokes.
+    A stroke is the way from one of `Trace.cycle_turns` to the next; full strokes are those of at
+    least `STRONG` of the longest. Every figure but the energy is the median over full strokes.
 
     Attributes
     ----------

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.campaign.draft.shapes import by_loop, roughness
+from mfd_bayes.campaign.draft.shapes import by_loop
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.faults import seems_milliseconds
+from mfd_bayes.records.loops import roughness
 from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.labels import own_name
