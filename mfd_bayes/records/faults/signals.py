@@ -38,9 +38,10 @@ JUMP = 0.03  # share of the stroke that a sample of the displacement may be off 
 ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
 HELD, LONGER = 5, 4.0
 """Fewest equal samples of a channel that is frozen, and how many times longer than usual."""
-TRAVEL, SWING = 0.05, 0.6
+TRAVEL, SWING, FEW = 0.05, 0.6, 0.05
 """A frozen force holds while the motion goes on by this share of the stroke; a frozen displacement
-while the force goes through this share of its range, or else it jumps when it comes back."""
+while the force goes through this share of its range, or else it jumps when it comes back. Where the
+noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
 
 
 def no_force(trace: Trace) -> Iterator[Fault]:
@@ -219,7 +220,9 @@ def _over(values: Array) -> Samples:
 def jumps(trace: Trace) -> Iterator[Fault]:
     """Steps of the displacement that the motion beside them does not have."""
     held = _held_displacement(trace)
-    at = np.array([n for n in _jumps(trace) if n - 1 not in held], dtype=np.intp)
+    at = np.array(
+        [n for n in _jumps(trace, trace.displacement) if n - 1 not in held], dtype=np.intp
+    )
     if at.size:
         x, step = trace.displacement, np.diff(trace.time)
         worst = at[np.argmax(np.abs(x[at] - x[at - 1]) / step[at - 1])]
@@ -234,16 +237,16 @@ def jumps(trace: Trace) -> Iterator[Fault]:
         )
 
 
-def _jumps(trace: Trace) -> Samples:
-    """Samples to which the displacement jumps."""
-    steps = np.diff(trace.displacement) / np.diff(trace.time)
+def _jumps(trace: Trace, values: Array) -> Samples:
+    """Samples to which a signal jumps."""
+    steps = np.diff(values) / np.diff(trace.time)
     if steps.size < 9:
         return np.empty(0, dtype=np.intp)
     padded = np.pad(steps, 2, mode="edge")
     beside = np.array([padded[k : k + steps.size] for k in (0, 1, 3, 4)])
     off = np.abs(steps - np.median(beside, axis=0))
     usual = float(np.quantile(np.abs(steps), 0.98, method="lower"))
-    large = off * np.diff(trace.time) > JUMP * np.ptp(trace.displacement)
+    large = off * np.diff(trace.time) > JUMP * np.ptp(values)
     sudden = off > 2.0 * np.abs(beside).max(axis=0)
     return np.flatnonzero(large & sudden & (off > 1.5 * usual)) + 1
 
@@ -267,9 +270,9 @@ def _held_displacement(trace: Trace) -> Samples:
     """Samples in which the displacement is frozen."""
     if trace.force is None:
         return np.empty(0, dtype=np.intp)
-    starts, lengths = _equal(trace, trace.displacement)
+    starts, lengths = _equal(trace.displacement)
     range_ = float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
-    jumps = set(_jumps(trace).tolist())
+    jumps = set(_jumps(trace, trace.displacement).tolist())
     frozen = [
         a + n + 1 in jumps or np.ptp(trace.force[a : a + n + 1]) > SWING * range_ > 0.0
         for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)
@@ -279,17 +282,26 @@ def _held_displacement(trace: Trace) -> Samples:
 
 
 def _held_force(trace: Trace) -> Samples:
-    """Samples in which the force is frozen."""
+    """Samples in which the force is frozen, and does not just slip at one value.
+
+    It jumps when it comes back, or has held over more than a stroke, or its noise has stopped.
+    """
     if trace.force is None or np.ptp(trace.force) == 0.0:
         return np.empty(0, dtype=np.intp)
-    starts, lengths = _equal(trace, trace.force)
+    starts, lengths = _equal(trace.force)
+    jumps = _jumps(trace, trace.force)
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(trace.displacement)))])
     travel = path[starts + lengths] - path[starts]
-    long = (lengths >= HELD) & (travel > TRAVEL * np.ptp(trace.displacement))
+    stroke = np.ptp(trace.displacement)
+    long = (lengths >= HELD) & (travel > TRAVEL * stroke)
+    limits = (trace.force[starts] == trace.force.max()) | (trace.force[starts] == trace.force.min())
+    noisy = lengths.sum() - lengths[long].sum() < FEW * trace.samples
+    back = np.isin(starts + lengths + 1, jumps)
+    long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
     return _samples(starts, lengths, long & (travel > LONGER * _usual(trace, starts, travel)))
 
 
-def _equal(trace: Trace, values: Array) -> tuple[Samples, Samples]:
+def _equal(values: Array) -> tuple[Samples, Samples]:
     """First sample of each run of equal values, and how many follow it."""
     starts, lengths = runs(np.concatenate([np.diff(values) == 0.0, [False]]))
     return starts + 1, lengths
