@@ -144,7 +144,7 @@ def spikes(trace: Trace) -> Iterator[Fault]:
     if trace.force is not None:
         measured["force"] = (trace.force, "kip")
     for name, (values, unit) in measured.items():
-        at = _spikes(values)
+        at = _spikes(values) if name == "displacement" else _force_spikes(trace)
         if at.size:
             height = float(np.max(np.abs(values - _mended(values, at))))
             yield Fault(
@@ -160,6 +160,7 @@ def spikes(trace: Trace) -> Iterator[Fault]:
 def without_spikes(trace: Trace) -> Trace:
     """The trace with its spikes replaced by lines between their neighbours."""
     x, force = _spikes(trace.displacement), trace.force
+    at = _force_spikes(trace)
     if x.size:
         beside = np.unique(np.clip(x[:, None] + [-1, 0, 1], 0, trace.samples - 1))
         trace = Trace.from_arrays(
@@ -169,7 +170,6 @@ def without_spikes(trace: Trace) -> Trace:
             force,
             _mended(trace.velocity, beside),
         )
-    at = np.empty(0) if force is None else _spikes(force)
     return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
 
 
@@ -182,6 +182,16 @@ def _mended(values: Array, at: Samples) -> Array:
 def _spikes(values: Array) -> Samples:
     """Spikes of one or a few samples, and overflow values."""
     return np.unique(np.concatenate([*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]))
+
+
+def _force_spikes(trace: Trace) -> Samples:
+    """Spikes of the force, if any; where the motion turns, a force within its range is none."""
+    if trace.force is None:
+        return np.empty(0, dtype=np.intp)
+    at, steps = _spikes(trace.force), np.diff(trace.displacement)
+    turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
+    low, high = np.quantile(trace.force, [0.005, 0.995])
+    return at[~(turns & (trace.force >= low) & (trace.force <= high))[at]]
 
 
 def _isolated(values: Array, width: int) -> Samples:
@@ -197,7 +207,7 @@ def _isolated(values: Array, width: int) -> Samples:
     agree = np.abs(right - left) < 0.25 * height
     reach = float(np.subtract(*np.quantile(values, [0.995, 0.005])))
     usual = float(np.quantile(height, 0.99))
-    share = SPIKE if width == 1 else 5.0 * SPIKE  # a peak of the signal itself is wider
+    share = SPIKE if width == 1 else 1.0  # a peak of the signal itself is wider
     at = np.flatnonzero(agree & (height > share * reach) & (height > 4 * usual)) + 1
     return np.unique(at[:, None] + np.arange(width)).astype(np.intp)
 
