@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.campaign.draft.shapes import by_loop, roughness
+from mfd_bayes.campaign.draft.shapes import by_loop
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.faults import seems_milliseconds
-from mfd_bayes.records.motion import smallest_turn, turning_points
+from mfd_bayes.records.loops import roughness
+from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.trace import check_magnitude
@@ -264,7 +265,7 @@ def _seems_slow(table: Table, time: Guess, displacement: Guess | None) -> bool:
     motion = None if displacement is None else numbers_of(table, displacement.name)
     if values is None or motion is None or values.size < 3 or values[-1] <= values[0]:
         return False
-    turns = turning_points(motion, smallest_turn(motion)).size
+    turns = cycle_turns(motion).size
     return seems_milliseconds(values, turns)
 
 

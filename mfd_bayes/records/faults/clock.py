@@ -30,7 +30,7 @@ def seems_milliseconds(time: Array, turns: int) -> bool:
 def time_unit(trace: Trace) -> Iterator[Fault]:
     """Rate or speed that no test of a damper has."""
     speed = float(np.max(np.abs(np.diff(trace.displacement) / np.diff(trace.time))))
-    if seems_milliseconds(trace.time, trace.turning_points.size):
+    if seems_milliseconds(trace.time, trace.cycle_turns.size):
         yield Fault(
             "time unit",
             f"a rate of {rate_of(trace):.3g} Hz over {np.ptp(trace.time):.4g} s is implausible: "
@@ -45,7 +45,7 @@ def time_unit(trace: Trace) -> Iterator[Fault]:
 
 def short_record(trace: Trace) -> Iterator[Fault]:
     """Too few samples or cycles."""
-    turns = trace.turning_points.size
+    turns = trace.cycle_turns.size
     if trace.samples < SAMPLES or turns < 2 * LOOPS:
         yield Fault(
             "short record",

@@ -79,7 +79,7 @@ def _may_be_twins(one: Tested, other: Tested) -> bool:
 
 def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose signs are not those of the others: which of two, or both."""
-    steady = [t for t in tests if t.readings is not None]
+    steady = [t for t in tests if t.readings is not None and not t.swapped]
     for one in steady:
         others = [t for t in steady if t is not one]
         ways = {t.direction for t in others}

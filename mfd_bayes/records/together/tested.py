@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.faults import without_spikes
+from mfd_bayes.records.loops import channels_swapped, find_loops
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readings import Readings, asymmetry, read_off
 from mfd_bayes.records.record import Record
@@ -39,6 +40,8 @@ class Tested:
         As the campaign gives it, "" for a column.
     units : mapping of str to str
         Unit of displacement and of force that the record was read in.
+    swapped : bool
+        Whether displacement and force seem to be each other.
     """
 
     __test__: ClassVar[bool] = False  # pytest must not take it for a test class
@@ -52,10 +55,12 @@ class Tested:
     level: float
     actuation: str
     units: dict[str, str]
+    swapped: bool = False
 
     @classmethod
     def of(cls, name: str, record: Record, trace: Trace, actuation: str = "") -> Tested:
         """A test of its record, whose trace has every sample and a force."""
+        trace = without_spikes(trace)
         loops = find_loops(trace)
         steady = bool(np.count_nonzero(loops.strong) >= STEADY)
         energy = np.empty(0) if loops.energy is None else loops.energy
@@ -71,4 +76,5 @@ class Tested:
             level=trace.reference_actuation,
             actuation=actuation,
             units=units,
+            swapped=channels_swapped(trace),
         )
