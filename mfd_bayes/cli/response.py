@@ -39,7 +39,12 @@ def respond(
         typer.Option(help="With each damper's scatter from test to test, or without."),
     ] = "new_test",
     draws: Annotated[int, typer.Option(min=10, max=5000)] = 300,
-    scale: Annotated[float, typer.Option(help="Factor of every ground motion.")] = 1.0,
+    scale: Annotated[
+        float | None, typer.Option(help="Factor of every ground motion.", show_default="1")
+    ] = None,
+    unit: Annotated[
+        str, typer.Option(metavar='"cm/s^2"', help="Unit of files that do not say it.")
+    ] = "",
     peak: Annotated[
         str, typer.Option(metavar='"0.3 g"', help="Scale every ground motion to this peak.")
     ] = "",
@@ -58,7 +63,8 @@ def respond(
     FOLDER/report.html with the drift profile and its bands, histories, loops and
     limits, and the tables peaks.csv, limits.csv, draws.csv, peaks.tex and
     response.json. A step file without its step is given as FILE:0.01s. Files that
-    are numbers alone are taken to be in g; FILE:0.01s:cm/s^2 says otherwise.
+    are numbers alone are taken to be in g; FILE:0.01s:cm/s^2 says otherwise. A peak
+    above 5 g or below 0.0001 g is refused unless its unit, --scale or --peak is given.
 
     Example:
       mfd-bayes respond out --building b.toml --ground quake.AT2 -o response
@@ -74,6 +80,7 @@ def respond(
         kind=kind,
         draws=draws,
         seed=seed,
+        unit=unit,
         scale=scale,
         peak=peak,
         sweep=sweep,
@@ -84,8 +91,12 @@ def respond(
         units=units or "",
         force=force,
     )
-    with mistakes(), progress.watch(quiet=quiet) as observe:
-        found = pipeline.respond(out, query, observe)
+    with mistakes():
+        asked = pipeline.prepare(out, query)
+        for moved in () if quiet else asked.grounds:
+            console.say(moved.words)
+        with progress.watch(quiet=quiet) as observe:
+            found = pipeline.respond(asked, observe)
     for remark in found.view.remarks:
         console.say(f"warning: {remark}", err=True)
     for sentence in found.view.verdict:

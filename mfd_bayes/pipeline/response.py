@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +19,17 @@ from mfd_bayes.reporting.sweep_words import sweep_sentence
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.example import example_building, example_ground
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.influence import influence
+from mfd_bayes.response.influence import Shares, influence
 from mfd_bayes.response.measures import parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
+from mfd_bayes.runs.asked import use_of_run, use_word
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.response import check_kind, grounds_of
+from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import SI, SYSTEMS, System
+from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.files import write_text
 
 Array = NDArray[np.float64]
@@ -45,7 +48,9 @@ class Query:
         Of the page and the tables.
     kind, draws, seed
         As in `Run.respond`.
-    scale : float
+    unit : str
+        Of the accelerations of files that do not say it.
+    scale : float, optional
         Factor of every ground motion.
     peak : str
         Peak to which every ground motion is scaled instead, such as "0.3 g".
@@ -61,7 +66,8 @@ class Query:
     kind: str = "new_test"
     draws: int = 300
     seed: int = 1
-    scale: float = 1.0
+    unit: str = ""
+    scale: float | None = None
     peak: str = ""
     sweep: str = ""
     quantity: str = "drift"
@@ -112,8 +118,19 @@ def _begins_as(text: str) -> Callable[[bytes], bool]:
     return lambda content: content.startswith(first)
 
 
-def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
-    """Response of a building with the device of a run; page and tables are written.
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What a query asks for, read and checked: nothing is computed yet."""
+
+    query: Query
+    run: Run
+    building: Building
+    grounds: tuple[Ground, ...]
+    levels: tuple[Array, str] | None
+
+
+def prepare(out: Path, query: Query) -> Prepared:
+    """Run, building and ground motions of a query.
 
     Raises
     ------
@@ -128,17 +145,28 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
     building = read_building(query.building)
     grounds = _grounds(query)
     run = replace(open_run(out), units=query.units)
-    system = SYSTEMS[run.system.name == "si"]
-
     if levels is not None:
         check_kind("--sweep: the actuation", levels[1], run.actuation_unit)
         if not building.devices:
             raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
         check_goal(query.quantity, query.goal, building.limits)
+    return Prepared(query, run, building, tuple(grounds), levels)
+
+
+def respond(asked: Prepared, observe: Callable[[Step], None]) -> Found:
+    """Response of a building with the device of a run; page and tables are written.
+
+    Raises
+    ------
+    MfdError
+        When every draw diverged, or something cannot be written.
+    """
+    query, run, levels = asked.query, asked.run, asked.levels
+    system = SYSTEMS[run.system.name == "si"]
 
     def answer(of: Building, told: str = "") -> Response:
         return run.respond(
-            *(of, grounds, query.draws, query.seed),
+            *(of, asked.grounds, query.draws, query.seed),
             kind=query.kind,
             tolerance=query.tolerance,
             jobs=query.jobs,
@@ -146,12 +174,12 @@ def respond(out: Path, query: Query, observe: Callable[[Step], None]) -> Found:
         )
 
     with reading(run.folder, run.manifest):
-        response = answer(building)
+        response = answer(asked.building)
         sweep = None
         if levels is not None:
             each = [
                 answer(
-                    building.at_level(level),
+                    asked.building.at_level(level),
                     f"{system.words([level], levels[1], actuation=True)}, ",
                 )
                 for level in levels[0].tolist()
@@ -189,11 +217,13 @@ def _check_folder(query: Query) -> None:
 
 
 def _grounds(query: Query) -> list[Ground]:
-    grounds = grounds_of(list(query.grounds))
-    if not (np.isfinite(query.scale) and query.scale > 0):
-        raise BuildingError(f"--scale must be positive, got {query.scale}")
+    meant = query.scale is not None or bool(query.peak)
+    grounds = grounds_of(list(query.grounds), unit=query.unit, meant=meant)
+    scale = 1.0 if query.scale is None else query.scale
+    if not (np.isfinite(scale) and scale > 0):
+        raise BuildingError(f"--scale must be positive, got {scale}")
     if query.peak:
-        if query.scale != 1.0:
+        if query.scale is not None:
             raise BuildingError("give either --scale or --peak")
         try:
             peak = parse_acceleration(query.peak)
@@ -202,7 +232,7 @@ def _grounds(query: Query) -> list[Ground]:
         if not peak > 0:
             raise BuildingError(f"--peak must be positive, got {query.peak!r}")
         return [ground.with_peak(peak) for ground in grounds]
-    return [g if query.scale == 1.0 else g.scaled(query.scale) for g in grounds]
+    return [g if scale == 1.0 else g.scaled(scale) for g in grounds]
 
 
 def view_of(
@@ -220,40 +250,60 @@ def view_of(
         f"{response.building.modes.periods[0]:.3g} s."
     )
     imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
-    shares = {name: influence(response, name) for name in ("drift", "acceleration")}
+    shares = (
+        Shares(name, ground.name, influence(response, name, g))
+        for name in ("drift", "acceleration")
+        for g, ground in enumerate(response.grounds)
+    )
+    beyond = beyond_tests(run.tested, run.system, run.actuation_unit, response)
+    use = use_of_run(run.manifest, run.system)
+    told = {*chain.from_iterable(beyond), use}
+    mark = _mark(response, alone=any(beyond), use=use_word(run.manifest))
     return ResponseView(
         title,
         about,
-        _mark(response),
-        tuple(_verdict(response, system)),
-        response.remarks,
+        mark,
+        tuple(_verdict(response, system, beyond, use)),
+        tuple(remark for remark in response.remarks if remark not in told),
         tuple(response.rows()),
         tuple(response.limits()),
-        {name: found for name, found in shares.items() if found},
+        tuple(one for one in shares if one.shares),
         "" if sweep is None else sweep_sentence(sweep, run.tested, system),
         tuple(ground.name for ground in response.grounds),
         count,
         system is SI,
         {
-            "run": run.folder,
-            "building": query.building,
-            "ground motions": ", ".join(query.grounds),
+            "run": str(run.folder),
+            "building": str(query.building),
+            "ground motions": "; ".join(ground.words for ground in response.grounds),
             "kind, draws, seed": f"{query.kind}, {query.draws}, {query.seed}",
             "tolerance of peaks": f"{query.tolerance:g}",
             "largest energy not accounted for": f"{imbalance:.1e} of the input",
             "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
         },
+        _headline(mark, alone=any(beyond), use=use_word(run.manifest)),
     )
 
 
-def _mark(response: Response) -> str:
-    """Word of the verdict's colour, by the share of draws that are not settled."""
+def _mark(response: Response, *, alone: bool, use: str) -> str:
+    """Word of the verdict's colour: by the draws that are not settled, the tests and the run."""
     bad = float(np.mean(response.unstable | response.unsettled))
-    return "fail" if bad > 0.1 or response.unstable.mean() > 0.01 else "care" if bad else "pass"
+    if bad > 0.1 or response.unstable.mean() > 0.01 or use == Use.NOT_USABLE:
+        return "fail"
+    return "care" if bad or alone or use == Use.WITH_CARE else "pass"
 
 
-def _verdict(response: Response, system: System) -> list[str]:
-    """The answer in sentences, verdict first."""
+def _headline(mark: str, *, alone: bool, use: str) -> str:
+    """The verdict in a few words."""
+    if mark == "fail":
+        return "✗ The run is not usable" if use == Use.NOT_USABLE else "✗ Not settled"
+    if alone:
+        return "! Answered, but beyond the tests"
+    return "! Answered, with care" if mark == "care" else "✓ Answered"
+
+
+def _verdict(response: Response, system: System, beyond: list[list[str]], use: str) -> list[str]:
+    """The answer in sentences, verdict first; beside each, where it lies beyond the tests."""
     found = []
     ratios = bool(np.all(np.isfinite(response.building.heights)))
     for g, ground in enumerate(response.grounds):
@@ -270,6 +320,9 @@ def _verdict(response: Response, system: System) -> list[str]:
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
             f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
         )
+        found += [f"{sentence}." for sentence in (beyond[g] if response.dampers.count else [])]
+    found += [f"{sentence}." for sentence in beyond[-1]]
+    found += [use] if use else []
     for one in (limit for limit in response.limits() if np.isfinite(limit.probability)):
         found.append(
             f"{one.ground}: the limit of the {one.quantity} is exceeded with a probability of "

@@ -48,7 +48,7 @@ def write_response(
     write_text(folder / "peaks.csv", peaks_csv(view.rows, system))
     write_text(folder / "peaks.tex", peaks_tex(view.rows, system))
     write_text(folder / "limits.csv", limits_csv(view.limits, system))
-    write_text(folder / "shares.csv", shares_csv({k: dict(v) for k, v in view.shares.items()}))
+    write_text(folder / "shares.csv", shares_csv(view.shares))
     write_text(folder / "draws.csv", draws_csv(response, system))
     if sweep is not None:
         write_text(folder / "sweep.csv", sweep_csv(sweep, system))

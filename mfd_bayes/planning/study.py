@@ -25,7 +25,7 @@ from mfd_bayes.planning.regression import Fit, directions_of, fit_left_out
 from mfd_bayes.planning.summaries import summarise
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import setting_of
-from mfd_bayes.records.numbers import whole_number
+from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class Effort:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        whole_number("draws", self.draws, FEWEST, FitError)
+        whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, FitError)
 
 

@@ -8,7 +8,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.population.checks import check_flag, check_text
 from mfd_bayes.population.kinds import KINDS
 from mfd_bayes.population.sequel import Ending
-from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.records.numbers import MOST_DRAWS, real_number, whole_number
 from mfd_bayes.units import percent
 
 DRAWS = 500
@@ -56,7 +56,7 @@ class Forecast:
         if self.kind not in KINDS:
             raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
         real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
-        whole_number("draws", self.draws, FEWEST, FitError)
+        whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, FitError)
         check_text("session", self.session)
         check_flag("whole", self.whole)

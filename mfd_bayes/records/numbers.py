@@ -96,8 +96,14 @@ def _refuse_unit(name: str, value: Any, error: type[MfdError]) -> None:
             raise error(f"{name} must be plain numbers without a unit, got one in {one.units}")
 
 
-def whole_number(name: str, value: Any, least: int, error: type[MfdError]) -> int:
-    """A whole number that is not below the least one.
+MOST_DRAWS = 100_000
+"""Most draws that may be asked for: more would take the memory, and tell nothing new."""
+
+
+def whole_number(
+    name: str, value: Any, least: int, error: type[MfdError], most: int | None = None
+) -> int:
+    """A whole number that is not below the least one, nor above the most there may be.
 
     Raises
     ------
@@ -110,6 +116,8 @@ def whole_number(name: str, value: Any, least: int, error: type[MfdError]) -> in
         found = least - 1
     if found < least or isinstance(value, bool):
         raise error(f"{name} must be a whole number, {least} or more, got {value!r}")
+    if most is not None and found > most:
+        raise error(f"{name} must be a whole number of at most {most}, got {value!r}")
     return found
 
 

@@ -12,6 +12,7 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.reporting.html import either, embedded_picture, page_environment, policy_of
 from mfd_bayes.reporting.response_tables import shown_unit
 from mfd_bayes.reporting.symbols import number, unit_text
+from mfd_bayes.response.influence import Shares
 from mfd_bayes.response.result import Passing, Row
 from mfd_bayes.runs.systems import SYSTEMS
 
@@ -27,10 +28,12 @@ class ResponseView:
     verdict, remarks : tuple of str
     rows : tuple of Row
     limits : tuple of Passing
-    shares : mapping of str to mapping
-        Shares of the sources, for each quantity.
+    shares : tuple of Shares
+        For each quantity and ground motion.
     sweep : str
         The best actuation in a sentence; empty without a sweep.
+    headline : str
+        The verdict in a few words.
 
     Raises
     ------
@@ -46,12 +49,13 @@ class ResponseView:
     remarks: tuple[str, ...]
     rows: tuple[Row, ...]
     limits: tuple[Passing, ...]
-    shares: Mapping[str, Mapping[str, float]]
+    shares: tuple[Shares, ...]
     sweep: str
     grounds: tuple[str, ...]
     dampers: int
     metric: bool
     provenance: Mapping[str, object]
+    headline: str = ""
 
     def __post_init__(self) -> None:
         if not self.rows and not self.sweep:
@@ -63,7 +67,7 @@ class ResponseView:
     @property
     def sources(self) -> list[str]:
         """All sources of variance, in their order."""
-        return list(dict.fromkeys(name for found in self.shares.values() for name in found))
+        return list(dict.fromkeys(name for one in self.shares for name in one.shares))
 
 
 def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from mfd_bayes.reporting.latex import escape
+from mfd_bayes.reporting.tables import csv_text
+from mfd_bayes.response.influence import Shares
 from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.systems import System
@@ -33,44 +33,42 @@ def peaks_csv(rows: Iterable[Row], system: System) -> str:
     head = ["quantity", "ground", "place", "unit", "median", "mean"]
     for p in PROBABILITIES:
         head += [f"lower_{percent(p)}", f"upper_{percent(p)}"]
-    lines: list[Sequence[object]] = [[*head, "without_dampers", "plain_friction"]]
+    lines: list[Sequence[str | float]] = []
     for row in rows:
         unit, by = shown_unit(row.unit, system)
         ends = [end for band in row.bands for end in band]
         figures = [row.median, row.mean, *ends, row.bare, row.plain]
-        lines.append(
-            [row.quantity, row.ground, row.place, unit, *(_number(by * f) for f in figures)]
-        )
-    return _csv(lines)
+        lines.append([row.quantity, row.ground, row.place, unit, *(by * f for f in figures)])
+    return csv_text([*head, "without_dampers", "plain_friction"], lines)
 
 
 def limits_csv(found: Iterable[Passing], system: System) -> str:
     """Probabilities of passing limits as CSV."""
-    lines: list[Sequence[object]] = [
-        ["quantity", "ground", "limit", "unit", "probability", "standard_error"]
-    ]
+    lines: list[Sequence[str | float]] = []
     for one in found:
         unit, by = shown_unit(one.unit, system)
-        figures = _number(one.probability), _number(one.error)
-        lines.append([one.quantity, one.ground, _number(by * one.limit), unit, *figures])
-    return _csv(lines)
+        figures = one.probability, one.error
+        lines.append([one.quantity, one.ground, by * one.limit, unit, *figures])
+    return csv_text(["quantity", "ground", "limit", "unit", "probability", "standard_error"], lines)
 
 
-def shares_csv(shares: dict[str, dict[str, float]]) -> str:
+def shares_csv(shares: Iterable[Shares]) -> str:
     """Shares of variance as CSV."""
-    lines: list[Sequence[object]] = [["quantity", "source", "share"]]
-    lines += [[q, name, _number(s)] for q, found in shares.items() for name, s in found.items()]
-    return _csv(lines)
+    lines = [
+        [one.quantity, one.ground, source, share]
+        for one in shares
+        for source, share in one.shares.items()
+    ]
+    return csv_text(["quantity", "ground", "source", "share"], lines)
 
 
 def draws_csv(response: Response, system: System) -> str:
     """The largest of each quantity over the building, for each draw and ground motion."""
-    lines: list[Sequence[object]] = [
-        [
-            *("draw", "ground", f"drift_{system.length}", "acceleration_g"),
-            *(f"base_shear_{system.force}", "step_s", "change", "unstable", "settled"),
-        ]
+    head = [
+        *("draw", "ground", f"drift_{system.length}", "acceleration_g"),
+        *(f"base_shear_{system.force}", "step_s", "change", "unstable", "settled"),
     ]
+    lines: list[Sequence[str | float]] = []
     drift, shear = response.measure("drift"), response.measure("base_shear")
     acceleration = response.measure("acceleration")
     for i in range(response.draws):
@@ -84,8 +82,8 @@ def draws_csv(response: Response, system: System) -> str:
             )
             away = bool(response.unstable[i, g])
             flags = away, not (away or response.unsettled[i, g])
-            lines.append([i, ground.name, *map(_number, figures), *(int(f) for f in flags)])
-    return _csv(lines)
+            lines.append([i, ground.name, *map(_finite, figures), *map(int, flags)])
+    return csv_text(head, lines)
 
 
 def sweep_csv(sweep: Sweep, system: System) -> str:
@@ -98,15 +96,15 @@ def sweep_csv(sweep: Sweep, system: System) -> str:
         head[1] += f"_{of}"
     for name, (of, _) in shown.items():
         head += [f"{name}_{part}_{of}" for part in ("median", "mean", "lower_95", "upper_95")]
-    lines: list[Sequence[object]] = [head]
+    lines: list[Sequence[str | float]] = []
     for i, level in enumerate(sweep.levels):
-        cells = [_number(by_level * float(level)), _number(by_score * float(sweep.scores[i]))]
+        cells = [by_level * float(level), _finite(by_score * sweep.scores[i])]
         for name, (_, by) in shown.items():
             flat = by * sweep.values[name][i].ravel()
             low, middle, high = np.quantile(flat, [0.025, 0.5, 0.975])
-            cells += [_number(float(v)) for v in (middle, flat.mean(), low, high)]
+            cells += [float(v) for v in (middle, flat.mean(), low, high)]
         lines.append(cells)
-    return _csv(lines)
+    return csv_text(head, lines)
 
 
 def response_json(
@@ -154,11 +152,6 @@ def peaks_tex(rows: Iterable[Row], system: System) -> str:
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def _number(value: float) -> str:
-    return f"{value:.6g}" if np.isfinite(value) else ""
-
-
-def _csv(lines: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(lines)
-    return text.getvalue()
+def _finite(value: float) -> float:
+    """A number; NaN, which is an empty cell, where it is infinite."""
+    return float(value) if np.isfinite(value) else np.nan

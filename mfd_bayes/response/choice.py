@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.records.numbers import whole_number
+from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 
 KINDS = ("new_test", "device")
 """With each damper's own scatter from test to test, or the mean property alone."""
@@ -36,5 +36,5 @@ class Choice:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise BuildingError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-        whole_number("draws", self.draws, FEWEST, BuildingError)
+        whole_number("draws", self.draws, FEWEST, BuildingError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, BuildingError)

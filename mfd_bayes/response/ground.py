@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -15,12 +17,12 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, MfdError, UnitError
 from mfd_bayes.records.numbers import real_number, real_numbers
-from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.regular import path_of, why_no_file
 from mfd_bayes.records.roles import header_unit
-from mfd_bayes.response.ground_text import read_text
+from mfd_bayes.response.ground_text import LONGEST_STEP, parse_step, read_text
 from mfd_bayes.response.measures import acceleration_factor
-from mfd_bayes.units import factor
+from mfd_bayes.units import GRAVITY, factor
 
 Array = NDArray[np.float64]
 
@@ -29,6 +31,9 @@ LARGEST = 64 * 2**20
 
 MOST = 200_000
 """Most samples of a ground motion."""
+
+WEAKEST, STRONGEST = 1e-4, 5.0
+"""Peaks of ground motions that are believed without being asked, g."""
 
 SAME_STEP = 5e-3
 """Share by which a step that is given may differ from the file's, which is rounded there."""
@@ -72,6 +77,12 @@ class Ground:
     def peak(self) -> float:
         """Largest acceleration, in/s²."""
         return float(np.max(np.abs(self.acceleration)))
+
+    @property
+    def words(self) -> str:
+        """Name, peak in g and duration, in words."""
+        peak, last = self.peak / GRAVITY, float(self.time[-1])
+        return f"{self.name}: peak {peak:.3g} g, {last:.4g} s in steps of {self.step:.4g} s"
 
     def scaled(self, by: float) -> Ground:
         """The motion times a factor, which its name says.
@@ -128,24 +139,29 @@ def _checked_values(name: str, acceleration: Any) -> Array:
     return values
 
 
-def read_ground(path: str | PathLike[str], *, step: float | None = None, unit: str = "") -> Ground:
+def read_ground(
+    path: str | PathLike[str], *, step: float | None = None, unit: str = "", meant: bool = False
+) -> Ground:
     """Ground motion of a file.
 
     Parameters
     ----------
     path : path
         With the suffix .csv: a table with a column of the time and one of the acceleration, with
-        units in its header. Any other: PEER's .AT2, or numbers alone.
+        units in its header. Any other: PEER's .AT2, K-NET's files, or numbers alone.
     step : float, s, optional
         Where the file does not say it.
     unit : str, optional
         Of the acceleration, where the file does not say it; "g" by default, but for a CSV.
+    meant : bool
+        Whether to take any peak. Without it, and without a `unit`, one above 5 g or below
+        0.0001 g is refused.
 
     Raises
     ------
     BuildingError
-        When the file cannot be read, its step is not known, a value is of another type, or the
-        file says another step or unit than is given.
+        When the file cannot be read, its step is not known, a value is of another type, the
+        file says another step or unit than is given, or its peak cannot be that of the ground.
     """
     path = path_of("ground", path, BuildingError)
     if step is not None:
@@ -157,27 +173,45 @@ def read_ground(path: str | PathLike[str], *, step: float | None = None, unit: s
             raise BuildingError(f"{path} {reason}")
         if path.stat().st_size > LARGEST:
             raise BuildingError(f"{path} is larger than {LARGEST >> 20} MB")
-        if path.suffix.lower() == ".csv":
-            return _of_table(path, step, unit)
-        return _of_text(path, step, unit)
+        found = (_of_table if path.suffix.lower() == ".csv" else _of_text)(path, step, unit)
     except OSError as error:
         raise BuildingError(f"cannot read {path}: {error.strerror or error}") from error
     except UnitError as error:
         raise BuildingError(f"{path}: {error}") from error
+    if step is None and found.step > LONGEST_STEP:
+        raise BuildingError(
+            f"{path}: the file's step is {found.step:.6g} s, and steps are at most {LONGEST_STEP} "
+            "s: give it as FILE:0.01s, or step=0.01 in Python"
+        )
+    peak = found.peak / GRAVITY
+    if not (meant or unit or WEAKEST <= peak <= STRONGEST):
+        raise BuildingError(
+            f"{path}: its peak would be {peak:.3g} g, and ground motions have {WEAKEST:g} to "
+            f"{STRONGEST:g} g: give the unit of its values as FILE:cm/s^2 (unit='cm/s^2' in "
+            "Python), or a --scale"
+        )
+    return found
 
 
 def _of_text(path: Path, step: float | None, unit: str) -> Ground:
-    """Motion of PEER's format, or of numbers alone in rows."""
+    """Motion of PEER's format or of K-NET's, or of numbers alone in rows."""
     text = read_text(path)
     step = _agreed_step(path, text.step, step)
     if step is None:
+        said = f" (it has {text.unread!r}, which cannot be read)" if text.unread else ""
         raise BuildingError(
-            f"{path} does not say its step (NPTS= …, DT= … SEC): give it as FILE:0.01s, or "
+            f"{path} does not say its step (NPTS= …, DT= … SEC){said}: give it as FILE:0.01s, or "
             "step=0.01 in Python"
         )
-    said = f"the header says 'UNITS OF {text.unit}'"
-    by = _agreed_factor(f"{path}: {said}", _in_header(text.unit), unit) if text.unit else None
-    return ground_of(path.name, step, text.values * (by or acceleration_factor(unit or "g")))
+    by = acceleration_factor(unit or "g")
+    if text.said:
+        by = _agreed_factor(f"{path}: the header says {text.said!r}", text.unit, unit)
+    return ground_of(_shown(path), step, text.values * by)
+
+
+def _shown(path: Path) -> str:
+    """Name of a file as text that can be written: bytes that are not UTF-8 become escapes."""
+    return path.name.encode(errors="backslashreplace").decode()
 
 
 def _agreed_step(path: Path, own: float | None, given: float | None) -> float | None:
@@ -209,12 +243,6 @@ def _agreed_factor(where: str, own: str, given: str) -> float:
     )
 
 
-def _in_header(unit: str) -> str:
-    """A header's unit, in capitals as a rule, as units are written here: "CM/S2", "GAL"."""
-    lower = unit.lower()
-    return "cm/s^2" if lower == "gal" else re.sub(r"(?<=[a-z])2$", "^2", lower)
-
-
 def _of_table(path: Path, step: float | None, unit: str) -> Ground:
     """Motion of a CSV with names, such as time_s and acceleration_g."""
     try:
@@ -230,51 +258,104 @@ def _of_table(path: Path, step: float | None, unit: str) -> Ground:
         columns = table.columns([*moves, *times[:1]])
     except MfdError as error:
         raise BuildingError(str(error)) from error
-    own = table.units.get(moves[0]) or header_unit(moves[0]) or unit
+    own = _unit_of(table, moves[0]) or unit
     if not own:
         raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
     if times:
-        time = columns[times[0]] * factor(header_unit(times[0]) or "s", "time")
-        step = _agreed_step(path, _step_of(path, time), step)
+        by = factor(_unit_of(table, times[0]) or "s", "time")
+        step = _step_of(path, by * columns[times[0]], _digit(columns[times[0]]) * by, step)
     if step is None:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
     by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
-    return ground_of(path.name, step, columns[moves[0]] * by)
+    return ground_of(_shown(path), step, columns[moves[0]] * by)
 
 
-def _step_of(path: Path, time: Array) -> float:
-    """Step of times, s, which must be even."""
-    steps = np.diff(time)
-    if time.size < 2 or not steps.min() > 0 or np.ptp(steps) > 1e-3 * steps.mean():
+def _unit_of(table: Table, name: str) -> str:
+    """Unit of a column, by the row of units or by its name; "" where neither has one.
+
+    Raises
+    ------
+    BuildingError
+        When they contradict each other.
+    """
+    row, own = table.units.get(name, ""), header_unit(name) or ""
+    if row and own and (a := _any_factor(row)) and (b := _any_factor(own)) and a != b:
+        raise BuildingError(
+            f"{table.path}: the column {name!r} is in {own!r} by its name and in {row!r} by the "
+            "row of units: correct the file"
+        )
+    return row or own
+
+
+def _any_factor(unit: str) -> float | None:
+    """Factor of a unit of acceleration or of time, rounded; None for any other unit."""
+    for read in (acceleration_factor, lambda text: factor(text, "time")):
+        with suppress(UnitError):
+            return float(f"{read(unit):.6g}")
+    return None
+
+
+def _step_of(path: Path, time: Array, digit: float, given: float | None) -> float:
+    """Step of even times, s, whose last digit, of a size in s, is rounded; the given one if any.
+
+    Times that are written more coarsely than their step are read only with a given step.
+    """
+    step = float(time[-1] - time[0]) / max(time.size - 1, 1)
+    coarse = given is not None and digit > 1.01 * given
+    off = float(np.max(np.abs(time - (time[0] + step * np.arange(time.size)))))
+    change = np.diff(time) if time.size > 1 else np.zeros(1)
+    even = np.ptp(change) <= 1e-3 * step or off <= 1.001 * min(
+        digit, np.inf if coarse else step / 10
+    )
+    if not (step > 0.0 and even and (change.min() > 0.0 or (coarse and change.min() == 0.0))):
         raise BuildingError(f"{path}: the time of a ground motion must grow by one even step")
-    return float((time[-1] - time[0]) / (time.size - 1))
+    if given is None or not coarse or abs(step - given) * time.size > digit:
+        _agreed_step(path, step, given)
+    return given or step
+
+
+def _digit(values: Array) -> float:
+    """Size of the last digit with which the largest values are written: "%.4f" or "%.5g"."""
+    most = float(np.max(np.abs(values)))
+    places = next((n for n in range(9) if np.allclose(values, np.round(values, n), 1e-12, 0)), 99)
+    power = 10.0 ** np.floor(np.log10(np.maximum(np.abs(values), 1e-300)))
+    lead = values / power
+    digits = next((n for n in range(15) if np.allclose(lead, np.round(lead, n), 1e-12, 0)), 99)
+    return max(10.0**-places, 10.0 ** (np.floor(np.log10(most or 1.0)) - digits))
 
 
 def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None, str]:
     """File, step and unit of ``"Rinaldi.AT2:0.01s"`` or ``"a.txt:0.01s:cm/s^2"``.
 
+    Step and unit are taken off the end; the path before them may have colons.
+
     Raises
     ------
     BuildingError
-        When what follows the colons is no step and no unit.
+        When what follows the last colon is no step, no unit and no path.
     """
-    name, *rest = text.split(":")
-    if not rest or Path(text).exists():
-        return Path(text), None, ""
-    step, unit = None, ""
-    for part in rest:
-        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(s|ms)\s*", part)
-        try:
-            if match:
-                step = float(match[1]) * factor(match[2], "time")
-            else:
-                acceleration_factor(part)
-                unit = part
-        except (ValueError, UnitError) as error:
+    name, step, unit = text, None, ""
+    while ":" in name and not os.path.lexists(name):
+        rest, tail = name.rsplit(":", 1)
+        if step is None and (found := parse_step(tail)) is not None:
+            step = found
+        elif not unit and _any_unit(tail):
+            unit = tail.strip()
+        elif re.search(r"[/\\]", tail):  # "run 10:30/quake.txt", "C:\gm\quake.txt"
+            break
+        else:
             raise BuildingError(
-                f"{of} {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {part!r}"
-            ) from error
+                f"{of} {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {tail!r}"
+            )
+        name = rest
     return Path(name), step, unit
+
+
+def _any_unit(text: str) -> bool:
+    """Whether a text is a unit of acceleration."""
+    with suppress(UnitError):
+        return acceleration_factor(text) > 0
+    return False
 
 
 __all__ = ["Ground", "ground_of", "parse_ground", "read_ground"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,36 +16,42 @@ ORDERS = 24
 """Orders in which sources are added; the share of each is its mean gain (LMG)."""
 
 FEWEST = 30
-"""Fewest draws, of those that ran away under no ground motion, of which there are shares."""
+"""Fewest draws, of those that did not run away, of which there are shares."""
 
-RECORDS = "record to record"
 REST = "interactions and the rest"
 
 
-def influence(response: Response, quantity: str = "drift", seed: int = 0) -> dict[str, float]:
+@dataclass(frozen=True)
+class Shares:
+    """Shares of the sources in the variance of a peak, within one ground motion."""
+
+    quantity: str
+    ground: str
+    shares: Mapping[str, float]
+
+
+def influence(
+    response: Response, quantity: str = "drift", ground: int = 0, seed: int = 0
+) -> dict[str, float]:
     """Shares of the sources in the variance of the largest of a quantity; their sum is 1.
 
-    Empty where there are fewer than `FEWEST` draws, or all are equal.
+    They are those within one ground motion, by its number from 0. Empty where there are fewer than
+    `FEWEST` draws, or all are equal.
 
-    The variance between ground motions is that of their mean peaks. Within a ground motion the
-    peak is regressed on the dampers' values (linear and quadratic, as means over the dampers and
-    of each storey by itself), and the explained variance is divided by the mean gain over orders of
-    adding the sources (Lindeman, Merenda and Gold, 1980). What no source explains stays as
-    "interactions and the rest". Explained shares are adjusted for the number of columns.
+    The peak is regressed on the dampers' values (linear and quadratic, as means over the dampers
+    and of each storey by itself), and the explained variance is divided by the mean gain over
+    orders of adding the sources (Lindeman, Merenda and Gold, 1980). What no source explains stays
+    as "interactions and the rest". Explained shares are adjusted for the number of columns.
 
     Parameters
     ----------
     quantity : {"drift", "acceleration", "base_shear", "travel"}
     """
-    good = ~response.unstable.any(axis=1)
-    values = response.measure(quantity)[good]
-    if len(values) < FEWEST:
+    good = response.usable(ground)
+    values = response.measure(quantity)[good, ground][:, None]
+    if len(values) < FEWEST or np.ptp(values) <= 0.0:
         return {}
-    between = float(np.var(values.mean(axis=0))) if values.shape[1] > 1 else 0.0
-    within = values - values.mean(axis=0)
-    inner = float(np.mean(within**2))
-    if between + inner <= 0.0:
-        return {}
+    within = values - values.mean()
     about = {name: _columns(column[good]) for name, column in response.dampers.about.items()}
     about = {name: columns for name, columns in about.items() if columns.shape[1]}
     gains = dict.fromkeys(about, 0.0)
@@ -57,12 +64,7 @@ def influence(response: Response, quantity: str = "drift", seed: int = 0) -> dic
             after = max(before, _explained([about[n] for n in used], within))
             gains[name] += (after - before) / ORDERS
             before = after
-    whole = between + inner
-    shares = {name: gain * inner / whole for name, gain in gains.items()}
-    if values.shape[1] > 1:
-        shares[RECORDS] = between / whole
-    shares[REST] = max(0.0, 1.0 - sum(shares.values()))
-    return shares
+    return {**gains, REST: max(0.0, 1.0 - sum(gains.values()))}
 
 
 def _columns(values: Array) -> Array:
@@ -76,7 +78,7 @@ def _columns(values: Array) -> Array:
 
 
 def _explained(columns: Sequence[Array], targets: Array) -> float:
-    """Adjusted share of the variance of targets (n, g) that a regression explains."""
+    """Adjusted share of the variance of targets (n, 1) that a regression explains."""
     design = np.concatenate(columns, axis=1)
     n, total = len(design), float(np.sum(targets**2))
     fit, _, rank, _ = np.linalg.lstsq(design, targets, rcond=1e-8)

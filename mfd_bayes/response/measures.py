@@ -10,7 +10,16 @@ from mfd_bayes.units import GRAVITY, convert, parse_quantity, split_quantity
 MASS = "kip*s^2/in"
 ACCELERATION = "in/s^2"
 
-_IN_G = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*[gG]\s*")
+GAL = 1.0 / 2.54
+"""1 cm/s², in in/s²."""
+
+_NAMED = {
+    **dict.fromkeys(("g", "g's", "gs", "gn"), GRAVITY),
+    **dict.fromkeys(("%g", "%ofg"), 0.01 * GRAVITY),
+    **dict.fromkeys(("mg", "milli-g"), 0.001 * GRAVITY),
+    **dict.fromkeys(("gal", "gals"), GAL),
+    **dict.fromkeys(("mgal", "milligal"), 0.001 * GAL),
+}
 
 
 def parse_mass(text: str) -> float:
@@ -35,11 +44,9 @@ def parse_acceleration(text: str) -> float:
     ------
     UnitError
     """
-    if match := _IN_G.fullmatch(text):
-        return float(match[1]) * GRAVITY
     value, unit = split_quantity(text, example="0.3 g")
     try:
-        return value * convert(unit, ACCELERATION)
+        return value * acceleration_factor(unit)
     except UnitError as error:
         raise UnitError(
             f"expected an acceleration such as '0.3 g' or '3 m/s^2', got {text!r}"
@@ -47,16 +54,25 @@ def parse_acceleration(text: str) -> float:
 
 
 def acceleration_factor(unit: str) -> float:
-    """Factor from a unit of acceleration, such as "g" or "cm/s^2", to in/s².
+    """Factor from a unit of acceleration to in/s²: "g", "gal", "%g", "cm/s^2", "(CM/SEC/SEC)".
+
+    Upper and lower case are the same, for headers are in capitals.
 
     Raises
     ------
     UnitError
     """
-    if unit.strip() in ("g", "G"):
-        return GRAVITY
+    plain = unit.strip().strip("\"'").lower()
+    if bracketed := re.fullmatch(r"[(\[]([^()\[\]]*)[)\]]", plain):
+        plain = bracketed[1].strip()
+    plain = plain.removesuffix(".")
+    if known := _NAMED.get(plain.replace(" ", "")):
+        return known
+    plain = re.sub(r"\s*\bper\b\s*", "/", plain)
+    plain = re.sub(r"(?<=[a-z])\.(?=[a-z])", "*", plain)
+    plain = re.sub(r"(?<=[a-z])(-?2)\b", r"^\1", plain)  # "cm/s2", "cm s-2"
     try:
-        return convert(unit, ACCELERATION)
+        return convert(plain, ACCELERATION)
     except UnitError as error:
         raise UnitError(f"unit {unit!r} is no acceleration such as 'g' or 'm/s^2'") from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,9 @@ Array = NDArray[np.float64]
 
 LARGEST = 500
 """Most degrees of freedom."""
+
+LARGEST_FILE = 64 * 2**20
+"""Largest text file of a matrix, bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +109,9 @@ def _matrix(path: Path, key: str) -> Array:
         if reason := why_no_file(path):
             raise BuildingError(f"{key}: {path} {reason}")
         if path.suffix == ".npy":
-            with path.open("rb") as file:
-                matrix = np.asarray(np.load(file), dtype=np.float64)
+            matrix = _of_npy(path)
+        elif path.stat().st_size > LARGEST_FILE:
+            raise BuildingError(f"{key}: {path} is larger than {LARGEST_FILE >> 20} MB")
         else:
             matrix = np.loadtxt(path, delimiter=",", ndmin=2)
     except (OSError, ValueError, TypeError, EOFError) as error:
@@ -120,3 +125,17 @@ def _matrix(path: Path, key: str) -> Array:
     if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-9 * np.abs(matrix).max()):
         raise BuildingError(f"{key}: the matrix in {path} must be symmetric")
     return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def _of_npy(path: Path) -> Array:
+    """Array of a .npy file whose header says real numbers of a size that can be used."""
+    with path.open("rb") as file:
+        version = np.lib.format.read_magic(file)
+        read = {(1, 0): np.lib.format.read_array_header_1_0}
+        shape, _, kind = read.get(version, np.lib.format.read_array_header_2_0)(file)
+        if kind.kind not in "biuf":
+            raise ValueError(f"it holds {kind}, and no real numbers")
+        if math.prod(shape) > LARGEST**2:
+            raise ValueError(f"its shape is {shape}, and there are up to {LARGEST} rows")
+        file.seek(0)
+        return np.asarray(np.lib.format.read_array(file, allow_pickle=False), dtype=np.float64)

@@ -153,6 +153,20 @@ def sentence_of(manifest: Manifest, system: System) -> str:
     return system.reworded(manifest.verdicts.get("sentence", ""))
 
 
+def use_word(manifest: Manifest) -> str:
+    """What a run may be used for, in the words of `Use`; "" where it was not judged."""
+    use = manifest.verdicts.get("campaign", "")
+    return Use.NOT_USABLE if use == "fail" else use  # as earlier versions wrote
+
+
+def use_of_run(manifest: Manifest, system: System) -> str:
+    """What a run may be used for, with the reason; "" where it is usable, or was not judged."""
+    use = use_word(manifest)
+    if use not in (Use.NOT_USABLE, Use.WITH_CARE):
+        return ""
+    return f"the run of this device is {use}: {sentence_of(manifest, system)}"
+
+
 def new_session(manifest: Manifest, session: str) -> tuple[str, ...]:
     """A remark where a session is asked for that no test of the run has."""
     known = dict.fromkeys(test.session for test in manifest.settings.tests.values())
@@ -171,6 +185,6 @@ def remarks_of(
     Bands of a new test are `widened` outside the tested range.
     """
     remarks = [departure.sentence(system, widened=widened) for departure in left]
-    if manifest.verdicts.get("campaign") in (Use.NOT_USABLE, "fail"):  # as earlier versions wrote
+    if use_word(manifest) == Use.NOT_USABLE:
         remarks.append(f"the run is not usable as it is: {sentence_of(manifest, system)}")
     return tuple(remarks)

@@ -14,7 +14,7 @@ from mfd_bayes.population.band import Band, band_of
 from mfd_bayes.population.conditioned import Conditioned
 from mfd_bayes.population.forecast import FEWEST, Forecast
 from mfd_bayes.population.kinds import THIS_TEST
-from mfd_bayes.records.numbers import whole_number
+from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.run import Run
 
@@ -103,7 +103,9 @@ class ModelAverage:
             raise FitError("an average of models predicts a new test, not the kind this_test")
         check_trace("trace", trace, FitError)
         least = FEWEST * len(self.runs)
-        whole_number(f"draws (of {len(self.runs)} runs together)", draws, least, FitError)
+        whole_number(
+            f"draws (of {len(self.runs)} runs together)", draws, least, FitError, MOST_DRAWS
+        )
         forecast = Forecast(kind, probability, draws, seed, session, whole)
         bands = [
             run.predict(

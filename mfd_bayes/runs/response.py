@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from os import PathLike, fspath
 
 import numpy as np
@@ -35,6 +36,8 @@ class Source:
     actuation_unit: str
     tested: tuple[Span, ...]
     system: System
+    use: str = ""
+    """What its run may be used for, in a sentence, unless it is usable without more."""
 
 
 Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
@@ -89,12 +92,21 @@ def respond_of_run(
     check_actuation(source, built)
     dampers = draw_dampers(source.population, source.model, built, choice)
     found = Analysis(built, moved, dampers, Accuracy(tolerance=tolerance)).respond(jobs, observe)
-    remarks = (*remarks_of(source, found), *uncovered(built, moved), *found.faults)
-    return replace(found, remarks=remarks)
+    beyond = beyond_tests(source.tested, source.system, source.actuation_unit, found)
+    remarks = [
+        *chain.from_iterable(beyond),
+        *([source.use] if source.use else []),
+        *uncovered(built, moved),
+    ]
+    if dampers.count and source.population.layout.covariate_reference:
+        remarks.append(
+            "quantities that depend on speed or amplitude are taken at those of the typical test"
+        )
+    return replace(found, remarks=(*remarks, *found.faults))
 
 
-def grounds_of(grounds: Grounds) -> list[Ground]:
-    """Ground motions of what is given.
+def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list[Ground]:
+    """Ground motions of what is given; `unit` and `meant` are as in `read_ground`.
 
     Raises
     ------
@@ -107,16 +119,16 @@ def grounds_of(grounds: Grounds) -> list[Ground]:
         raise BuildingError(
             f"grounds must be a Ground or a path, or several of them, got {type(grounds).__name__}"
         )
-    found = [one if isinstance(one, Ground) else _read(one) for one in grounds]
+    found = [one if isinstance(one, Ground) else _read(one, unit, meant) for one in grounds]
     if not found:
         raise BuildingError("give at least one ground motion")
     return found
 
 
-def _read(given: str | PathLike[str]) -> Ground:
+def _read(given: str | PathLike[str], unit: str, meant: bool) -> Ground:
     path_of("a ground motion", given, BuildingError)
-    path, step, unit = parse_ground(fspath(given), of="ground")
-    return read_ground(path, step=step, unit=unit)
+    path, step, own = parse_ground(fspath(given), of="ground")
+    return read_ground(path, step=step, unit=own or unit, meant=meant)
 
 
 def check_actuation(source: Source, building: Building) -> None:
@@ -147,28 +159,33 @@ def uncovered(building: Building, grounds: Sequence[Ground]) -> Iterator[str]:
                 )
 
 
-def remarks_of(source: Source, response: Response) -> list[str]:
-    """Where the dampers leave what was tested, in sentences."""
+def beyond_tests(
+    tested: Sequence[Span], system: System, unit: str, response: Response
+) -> list[list[str]]:
+    """Where the dampers leave what was tested: sentences of each ground motion, then of all.
+
+    The stroke is that of the damper which travels most, in the median draw.
+    """
+    known = {span.name: span for span in tested}
+
+    def sentences(asked: Span, name: str = "") -> list[str]:
+        own = known.get(asked.name)
+        if own is None or (
+            own.lowest * (1 - MARGIN) <= asked.lowest
+            and asked.highest <= own.highest * (1 + MARGIN)
+        ):
+            return []
+        return [f"{name}beyond the tests: {Departure(asked, own).sentence(system)}"]
+
     if not response.dampers.count:
-        return []
-    tested = {span.name: span for span in source.tested}
+        return [[]]
+    found = []
+    for g, ground in enumerate(response.grounds):
+        travel = response.travel[response.usable(g), g]
+        stroke = 2.0 * float(np.median(travel.max(axis=1))) if len(travel) else np.nan
+        span = Span("stroke", "in", stroke, stroke)
+        found.append(sentences(span, f"{ground.name}: ") if len(travel) else [])
     levels = [d.actuation for d in response.building.devices if d.history is None]
     for _, _, along in histories_of(response.building):
         levels += [float(along.min()), float(along.max())]
-    stroke = 2.0 * float(np.median(response.travel.max(axis=(1, 2))))
-    asked = [Span("stroke", "in", stroke, stroke)]
-    if levels:
-        asked.append(Span("actuation", source.actuation_unit, min(levels), max(levels)))
-    found = []
-    for span in asked:
-        own = tested.get(span.name)
-        if own is None:
-            continue
-        below = span.lowest < own.lowest * (1 - MARGIN)
-        if span.highest > own.highest * (1 + MARGIN) or below:
-            found.append(Departure(span, own).sentence(source.system))
-    if source.population.layout.covariate_reference:
-        found.append(
-            "quantities that depend on speed or amplitude are taken at those of the typical test"
-        )
-    return found
+    return [*found, sentences(Span("actuation", unit, min(levels), max(levels)))]

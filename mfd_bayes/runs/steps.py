@@ -50,7 +50,8 @@ class RunSteps:
         from mfd_bayes.runs.response import Source
 
         model, unit = self._some.model, self.actuation_unit
-        return Source(self.population, model, unit, self.tested, self.system)
+        use = asked.use_of_run(self.manifest, self.system)
+        return Source(self.population, model, unit, self.tested, self.system, use)
 
     def _repeated(self: Any, trace: Trace, forecast: Forecast, test: str) -> Band:
         """Band of what is known of one calibrated test."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import stat
-import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -33,14 +33,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     check_place(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=PART)
-        os.close(handle)
+        part = path.with_name(f".{path.name}.{secrets.token_hex(4)}{PART}")
+        part.open("xb").close()  # with the modes that the umask leaves
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror}") from error
-    part = Path(name)
     try:
         write(part)
-        part.chmod(0o644)
         with part.open("rb") as file:
             os.fsync(file.fileno())
         part.replace(path)

@@ -138,6 +138,29 @@ def test_a_matrix_that_is_none_is_one_sentence(tmp_path, content):
     assert "\n" not in str(error.value)
 
 
+def test_a_matrix_declared_huge_or_complex_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "b.toml"
+    path.write_text('[matrices]\nmass = "M.npy"\nstiffness = "M.npy"\n')
+    bad = tmp_path / "M.npy"
+    for shape in ((100_000, 100_000), (10**9, 10**9), (2**62, 4), (10**12,)):
+        with bad.open("wb") as file:
+            about = {"descr": "<f8", "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(file, about)
+            file.write(bytes(64))
+        with pytest.raises(BuildingError, match=r"matrices\.mass.*its shape is .* up to 500 rows"):
+            read_building(path)
+    for matrix in (np.eye(2) * (1 + 0j), np.eye(2) + 2j):
+        np.save(bad, matrix)
+        with pytest.raises(BuildingError, match=r"matrices\.mass.*complex128, and no real numbers"):
+            read_building(path)
+    np.save(bad, np.eye(2, dtype=np.int8))  # the control
+    assert read_building(path).freedoms == 2
+    (tmp_path / "M.csv").write_text("1+1j,0\n0,1+1j\n")
+    path.write_text('[matrices]\nmass = "M.csv"\nstiffness = "M.csv"\n')
+    with pytest.raises(BuildingError, match=r"matrices\.mass.*M\.csv as numbers"):
+        read_building(path)
+
+
 def test_a_limit_of_the_residual_drift_needs_heights_too():
     with pytest.raises(BuildingError, match=r"limits\.residual in b.toml needs the height"):
         made(GOOD.replace('height = "12 ft"\n', "") + '[limits]\nresidual = "1 %"\n')

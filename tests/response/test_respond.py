@@ -1,11 +1,14 @@
 """From a finished run to the response of a building."""
 
+import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -132,9 +135,10 @@ def test_the_call_of_the_contract(run, path, ground):
 
 def test_shares_add_up_and_find_what_matters(run, path, ground):
     response = run.respond(path, [ground, ground.scaled(2.0)], draws=40)
-    shares = influence(response)
-    assert sum(shares.values()) == pytest.approx(1.0)
-    assert shares["record to record"] > 0.8
+    for ground_motion in (0, 1):
+        shares = influence(response, ground=ground_motion)
+        assert sum(shares.values()) == pytest.approx(1.0)
+        assert not any("record" in source for source in shares)
     first = response.dampers.about["gap"][:, 0]
     planted = replace(response, drift=np.broadcast_to(first[:, None, None], response.drift.shape))
     assert influence(planted)["gap"] > 0.7
@@ -230,6 +234,116 @@ def test_a_mistake_is_one_sentence(
     assert done.exit_code == 2
     assert sentence in done.output
     assert not (tmp_path / "r").exists()
+
+
+def command(finished_run, path, out, *words):
+    given = ["respond", str(finished_run), "--building", str(path), "-o", str(out)]
+    few = ["--draws", "30", "--jobs", "1", "--tolerance", "0.2"]
+    return CliRunner().invoke(app, [*given, *few, *map(str, words)])
+
+
+def test_peak_and_duration_of_every_motion_are_printed_before_the_computation(
+    finished_run, path, quake, tmp_path, monkeypatch
+):
+    def stop(*_):
+        raise BuildingError("computing")
+
+    monkeypatch.setattr(Analysis, "respond", stop)
+    small = tmp_path / "small.txt"
+    small.write_text("0.01 -0.1 0.02 0.05")
+    words = "--ground", quake, "--ground", f"{small}:0.01s"
+    done = command(finished_run.out, path, tmp_path / "r", *words)
+    first, second, *_ = done.output.splitlines()
+    assert first == "quake.csv: peak 0.518 g, 1.98 s in steps of 0.02 s"
+    assert second == "small.txt: peak 0.1 g, 0.03 s in steps of 0.01 s"
+    assert "computing" in done.output
+
+
+def test_an_impossible_peak_is_computed_only_where_it_is_meant(
+    finished_run, path, tmp_path, monkeypatch
+):
+    def stop(*_):
+        raise BuildingError("computing")
+
+    monkeypatch.setattr(Analysis, "respond", stop)
+    quake = tmp_path / "quake.txt"
+    quake.write_text("100 -281 30 12")
+    ask = "--ground", f"{quake}:0.01s"
+    done = command(finished_run.out, path, tmp_path / "r", *ask)
+    assert done.exit_code == 2
+    assert "quake.txt: its peak would be 281 g" in " ".join(done.output.split())
+    for words in (["--scale", "0.001"], ["--scale", "1"], ["--peak", "0.3 g"], ["--unit", "gal"]):
+        done = command(finished_run.out, path, tmp_path / "r", *ask, *words)
+        assert "computing" in done.output, done.output
+    done = command(finished_run.out, path, tmp_path / "r", "--ground", f"{quake}:0.01s:cm/s^2")
+    assert "quake.txt: peak 0.287 g" in done.output
+    assert "computing" in done.output
+
+
+def test_an_answer_beyond_the_tests_says_so_beside_it(finished_run, path, quake, tmp_path):
+    inside = command(finished_run.out, path, tmp_path / "r", "--ground", quake, "--scale", "0.4")
+    assert inside.exit_code == 0, inside.output
+    assert "beyond the tests" not in inside.output
+    assert "✓ Answered" in (tmp_path / "r" / "report.html").read_text()
+    words = "--ground", quake, "--ground", quake, "--scale", "6"
+    far = command(finished_run.out, path, tmp_path / "f", *words, "--quiet")
+    assert far.exit_code == 0, far.output
+    answer, beside, *_ = far.output.splitlines()
+    assert "the largest storey drift is" in answer
+    assert "beyond the tests: the stroke, " in beside
+    assert "times the largest" in beside
+    page = (tmp_path / "f" / "report.html").read_text()
+    assert "! Answered, but beyond the tests" in page
+    assert "✓ Answered" not in page
+    said = json.loads((tmp_path / "f" / "response.json").read_text())["verdict"]
+    assert "beyond the tests: the stroke" in said[1]
+    head, *rows = (tmp_path / "f" / "shares.csv").read_text().splitlines()
+    assert head == "quantity,ground,source,share"
+    assert not any("record to record" in row for row in rows)
+    assert sum(",law and level," in row for row in rows) == 4  # of two quantities and two motions
+
+
+@pytest.mark.parametrize("use", ["usable with care", "not usable", "usable"])
+def test_an_answer_says_what_its_run_may_be_used_for(finished_run, path, quake, tmp_path, use):
+    out = tmp_path / "out"
+    shutil.copytree(finished_run.out, out)
+    judged = {"campaign": use, "sentence": "In 1 of 3 tests the model misses the slip force."}
+    mb.open_run(out).rewrite(verdicts=judged)
+    done = command(out, path, tmp_path / "r", "--ground", quake, "--scale", "0.4", "--quiet")
+    assert done.exit_code == 0, done.output
+    page = (tmp_path / "r" / "report.html").read_text()
+    said = f"the run of this device is {use}: In 1 of 3 tests the model misses the slip force."
+    assert (said in done.output) == (said in page) == (use != "usable")
+    head = {"usable with care": "! Answered, with care", "not usable": "✗ The run is not usable"}
+    assert head.get(use, "✓ Answered") in page
+
+
+@pytest.mark.parametrize("name", [b"qu\xffake.txt", b"=1+1.txt", b"a\x1b[31m\x07b.txt", b"@x.txt"])
+def test_any_name_of_a_ground_motion_is_written_as_plain_text(finished_run, path, tmp_path, name):
+    quake = tmp_path / os.fsdecode(name)
+    quake.write_text("DT= .02 SEC\n0.1 -0.2 0.15 0.05 -0.1 0.02")
+    done = command(finished_run.out, path, tmp_path / "r", "--ground", quake)
+    assert done.exit_code == 0, done.output
+    assert "\x1b" not in done.output
+    for table in (tmp_path / "r").glob("*.csv"):
+        for cell in chain.from_iterable(csv.reader(table.read_text(encoding="utf-8").splitlines())):
+            assert cell.isprintable()
+            assert not cell.startswith(("=", "@", "+"))
+    for text in ("report.html", "response.json", "peaks.tex"):
+        assert "\x1b" not in (tmp_path / "r" / text).read_text(encoding="utf-8")
+
+
+def test_too_many_draws_are_refused_at_once(finished_run, run, path, ground, quake, tmp_path):
+    for draws in (10**9, 10**30):
+        with pytest.raises(BuildingError, match="draws must be a whole number of at most 100000"):
+            run.respond(path, ground, draws=draws)
+        done = command(finished_run.out, path, tmp_path / "r", "--ground", quake, "--draws", draws)
+        assert done.exit_code == 2
+        assert "Traceback" not in done.output
+    trace = next(iter(run.tests.values())).trace
+    for ask in (lambda n: run.predict(trace, draws=n), lambda n: run.next_test(draws=n)):
+        with pytest.raises(mb.MfdError, match="draws must be a whole number of at most 100000"):
+            ask(10**9)
 
 
 def test_a_folder_of_others_is_left_alone(finished_run, path, quake, tmp_path):

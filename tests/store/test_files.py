@@ -1,5 +1,6 @@
 import errno
 import json
+import os
 import warnings
 from pathlib import Path
 
@@ -185,11 +186,17 @@ def test_a_failing_save_leaves_the_old_posterior(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_folders_are_made_and_files_are_readable_by_others(tmp_path):
+@pytest.mark.parametrize("umask", [0o022, 0o077, 0o002, 0o027])
+def test_folders_are_made_and_files_keep_the_umask(tmp_path, umask):
     path = tmp_path / "a" / "b" / "x.bin"
-    write_bytes(path, b"\x00\xff")
+    before = os.umask(umask)
+    try:
+        write_bytes(path, b"\x00\xff")
+    finally:
+        os.umask(before)
     assert path.read_bytes() == b"\x00\xff"
-    assert path.stat().st_mode & 0o777 == 0o644
+    assert path.stat().st_mode & 0o777 == 0o666 & ~umask
+    assert path.parent.stat().st_mode & 0o777 == 0o777 & ~umask
 
 
 READERS = pytest.mark.parametrize("read", [load_test, load_trace, load_arrays])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, takewhile
@@ -15,6 +16,8 @@ ENOUGH = 40  # numbers of a table that is surely more than a few settings
 SEARCHED = 200  # number of filled rows, from the first, in which the names are looked for
 # Ratios, rates and masses do not show that a row holds units: "1", "cycles" or "t" may be text.
 _TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate", "mass"}
+_TELLING |= {"acceleration", "length / time ** 2"}
+_ACCELERATION = re.compile(r"%?\s*g|gals?|(?:[cm]?m|in|ft)/s(?:ec)?\^?2", re.IGNORECASE)  # no gram
 
 
 @dataclass(frozen=True)
@@ -97,8 +100,11 @@ def _gives_units(row: Row, names: Row) -> bool:
     if any(at >= len(names) or not _is_filled(names[at]) for at in filled):
         return False
     units = [bare_unit(cell) for at in filled if isinstance(cell := row[at], str)]
-    told = sum(measure(unit) in _TELLING for unit in units)
-    words = sum(bool(unit) and measure(unit) is None for unit in units)
+    found = [
+        "acceleration" if _ACCELERATION.fullmatch(unit) else measure(unit) for unit in units if unit
+    ]
+    told = sum(of in _TELLING for of in found)
+    words = sum(of is None for of in found)
     return told >= 2 and len(units) == len(filled) and 2 * words <= len(units)
 
 
