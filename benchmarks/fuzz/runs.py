@@ -27,9 +27,9 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.pipeline.commands import effort_of
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables

@@ -20,7 +20,7 @@ import numpy as np
 import mfd_bayes as mb
 from benchmarks.common.machine import processor, versions
 from mfd_bayes.assessment.views import Fan, Interval
-from mfd_bayes.population.band import Band
+from mfd_bayes.population.bands import Band
 from mfd_bayes.reporting.figures import Marks, draw_history, to_png
 from mfd_bayes.validation.scores import crps, rrse
 

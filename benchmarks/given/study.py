@@ -17,18 +17,18 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.pace import Counting, Pace
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.residual import Residual, slip_force_of
-from mfd_bayes.population.sequel import standing_of
-from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.discrepancy import Residual, slip_force_of
+from mfd_bayes.population.starts import standing_of
+from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.strokes import StrokeLevels
-from mfd_bayes.population.travel import KNOTS, TravelBasis
+from mfd_bayes.population.discrepancy import KNOTS, TravelBasis
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]

@@ -19,9 +19,9 @@ from numpyro.infer import MCMC, NUTS
 from benchmarks.forward import peers as forward_peers
 from benchmarks.population.study import FOLLOWERS, LEVELS, deviation_root
 from benchmarks.sampling import peers
-from mfd_bayes.population.effects import WIDER
-from mfd_bayes.population.layout import WIDER as FAR
-from mfd_bayes.population.layout import Layout as OurLayout
+from mfd_bayes.population.design import WIDER
+from mfd_bayes.population.design import WIDER as FAR
+from mfd_bayes.population.design import Layout as OurLayout
 from mfd_bayes.population.sharing import draw_common
 from mfd_bayes.population.test_likelihood import TestLikelihood
 

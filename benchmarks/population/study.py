@@ -17,15 +17,15 @@ from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.population.effects import WIDER
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.design import WIDER
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.design import Layout
 from mfd_bayes.population.pilot import Pilot, fit_pilot
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Predictor
+from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
-from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.sharing import share
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood

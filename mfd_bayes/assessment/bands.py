@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.assessment.views import Fan, Interval, ScoreRow
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.population.band import Band
+from mfd_bayes.population.bands import Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.results import Score
 from mfd_bayes.runs.systems import System

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.run import Run
 

@@ -17,7 +17,7 @@ from mfd_bayes.calibration.derived import (
 )
 from mfd_bayes.calibration.predictive import Replicas
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.population.band import Band
+from mfd_bayes.population.bands import Band
 from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.average import ModelAverage

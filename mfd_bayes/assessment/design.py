@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.derived import UNITS, derive_from_force, derive_from_parameters
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.effects import LEVELS
-from mfd_bayes.population.kinds import KIND_NAMES, NESTED
-from mfd_bayes.population.setting import levels_of, setting_of
-from mfd_bayes.population.zeros import with_zeros
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.design import LEVELS
+from mfd_bayes.population.settings import KIND_NAMES, NESTED
+from mfd_bayes.population.settings import levels_of, setting_of
+from mfd_bayes.population.settings import with_zeros
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 

@@ -27,7 +27,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
@@ -43,9 +43,6 @@ LEAST = 0.005
 
 SHOWN, FEWER, MANY = 2000, 1000, 100
 """Most draws of a quantity in figures; the same in a run of more than so many tests."""
-
-ORDERS = 4
-"""Number of orders of sources for the shares of a held-out test: few, for there may be many."""
 
 _ALIKE: WeakValueDictionary[bytes, Array] = WeakValueDictionary()
 """Draws by their bytes, as long as a view holds them."""
@@ -112,7 +109,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     session = run.session(name)
     before = run.order.before(name, trace, Forecast(draws=800, session=session))
     asked: dict[str, Any] = {"draws": 800, "session": session, "after": before or ""}
-    band = run.predict(trace, "observation", explain=ORDERS, **asked)
+    band = run.predict(trace, "observation", explain=True, **asked)
     damper = run.predict(trace, kind="new_test", **asked)
     return TestView(
         id=name,

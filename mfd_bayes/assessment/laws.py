@@ -16,7 +16,7 @@ from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -30,13 +30,9 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     population = run.population
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
-    sampled = population.layout.inferred[: population.layout.sd_scale.size]
-    layout = population.layout
-    # the prior's standard deviation: of a half-normal, or of an exponential that prefers none
-    narrow = np.full(layout.sd_scale.size, np.sqrt(1.0 - 2.0 / np.pi))
-    narrow[np.flatnonzero(layout.sparse)] = 1.0
-    prior_sds = (narrow * layout.sd_scale)[sampled].tolist()
-    prior_sd = dict(zip(spreads, prior_sds, strict=True))
+    # the prior's standard deviation, of a half-normal
+    prior_sds = np.sqrt(1.0 - 2.0 / np.pi) * population.scatter_scales
+    prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
     found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
     rows = mixed_rows(population, run.actuation_unit, run.system)
@@ -63,7 +59,7 @@ def _shapes(population: Population) -> dict[str, Array]:
     """Draws of the shapes of each law by name; a mixture of laws has none of its own."""
     return {
         f"{shape}_{name}": draws
-        for name, law in population.layout.laws.items()
+        for name, law in population.design.laws.items()
         if law != COMPARE
         for shape, draws in zip(("share", "exponent"), population.shapes(name), strict=True)
         if shape in shapes_of(law)

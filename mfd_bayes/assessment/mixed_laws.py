@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from mfd_bayes.assessment.bands import spread_of
 from mfd_bayes.assessment.views import Row
 from mfd_bayes.calibration.quantities import units
-from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAWS, law_unit
-from mfd_bayes.population.layout import LAW_NAMES
+from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit
 from mfd_bayes.population.population import Population
 from mfd_bayes.runs.systems import System
 
@@ -30,7 +29,7 @@ def mixed_rows(population: Population, actuation_unit: str, system: System) -> l
     they hold given that law; a law of too few draws has none. R̂ and effective sample sizes of such
     a part of the chains are not known.
     """
-    unit, reference = actuation_unit, population.layout.reference
+    unit, reference = actuation_unit, population.design.reference
     at = system.words([reference], unit, actuation=True)
     rows = []
     for name, law, picked in _chosen(population):
@@ -56,7 +55,7 @@ def mixed_rows(population: Population, actuation_unit: str, system: System) -> l
 
 def _chosen(population: Population) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
     """Quantity, law, and which draws have it, (chain, draw), of all that have enough draws."""
-    for column, (name, law) in enumerate(population.layout.laws.items()):
+    for column, (name, law) in enumerate(population.design.laws.items()):
         if law != COMPARE:
             continue
         for number, one in enumerate(LAW_NAMES):
@@ -67,12 +66,12 @@ def _chosen(population: Population) -> Iterator[tuple[str, str, NDArray[np.bool_
 
 def _constants(population: Population, name: str, law: str) -> dict[str, Array]:
     """Constants of a quantity's law by name, (chain, draw): slope, intercept, level, exponent."""
-    layout, known = population.layout, LAWS[law]
-    level = population.median(name, np.array([layout.reference]))[..., 0]
+    design, known = population.design, LAWS[law]
+    level = population.median(name, np.array([design.reference]))[..., 0]
     share, exponent = population.shapes(name)
     found: dict[str, Array] = {}
     if known.exponent == 1.0 and known.share != 0.0 and name in _SLOPES:
-        found[_SLOPES[name]] = level * share / layout.reference
+        found[_SLOPES[name]] = level * share / design.reference
     else:
         found[name] = level
     if f"{name}_0" in INTERCEPTS and "share" in known.shapes:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.quantities import units
-from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.design import Design
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import pooled_of
 from mfd_bayes.runs.run import Run
@@ -33,16 +33,16 @@ def odd_tests(run: Run) -> list[Finding]:
     A test's deviation from the law is compared with the deviations of the others: a Student-t
     statistic that leaves the test out, with Bonferroni's correction for tests and quantities.
     """
-    if len(run.tests) < FEWEST or run.population.residual is None:  # as earlier versions wrote it
+    if len(run.tests) < FEWEST:
         return []
-    layout = run.population.layout
-    columns = [k for k, name in enumerate(layout.names) if _compared(layout, k, name)]
+    design = run.population.design
+    columns = [k for k, name in enumerate(design.names) if _compared(design, k, name)]
     places, medians = _places(run)
     found = []
     names, deviations = list(run.tests), places - medians
-    for j, k, away in _apart(deviations, columns, layout.informs):
+    for j, k, away in _apart(deviations, columns, design.informs):
         others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
-        subject, unit = _subject(layout, k)
+        subject, unit = _subject(design, k)
         sentence = (
             f"{names[j]} stands apart from the other tests: {subject} "
             f"{np.exp(places[j, k]):.3g}{unit}, where the others suggest "
@@ -80,31 +80,35 @@ def stand_apart(deviations: Array) -> Iterator[tuple[int, int, float]]:
             yield j, i, float(away[i])
 
 
-def _compared(layout: Layout, k: int, name: str) -> bool:
+def _compared(design: Design, k: int, name: str) -> bool:
     """Whether a quantity may differ between tests, and is the damper's."""
-    sparse = bool(layout.sparse) and layout.sparse[k]
-    return not sparse and name != "offset" and not name.startswith("noise_")
+    return not design.common[k] and name != "offset" and not name.startswith("noise_")
 
 
 def _places(run: Run) -> tuple[Array, Array]:
     """Each test's shared coordinates, and those that laws and effects give it, (J, d) each."""
-    population, layout = run.population, run.population.layout
-    rng = np.random.default_rng(0)
+    population, design = run.population, run.population.design
+    d, rng = len(design.names), np.random.default_rng(0)
     index = rng.choice(population.size, size=min(DRAWS, population.size))
     places, medians = [], []
-    for name, setting in zip(run.tests, layout.settings, strict=True):
+    for name, setting in zip(run.tests, design.settings, strict=True):
         values, _ = load_arrays(run.folder / pooled_of(name))
-        flat = {n: values[n].reshape(-1).astype(np.float64) for n in layout.names}
-        places.append(layout.coordinates.of(flat).mean(axis=0))
-        parts = population.draw_parts(setting, index, rng, scattered=False)
-        middle = (parts.level + parts.law).mean(axis=0)
-        medians.append(layout.centre + layout.spread * middle)
-    return np.array(places), np.array(medians)
+        known = design.coordinates.names
+        flat = {n: values[n].reshape(-1).astype(np.float64) for n in known}
+        places.append(design.coordinates.of(flat).mean(axis=0)[:d])
+        numbers = population.draw_numbers(index.size, 1, rng)
+        at = [setting.actuation]
+        effects = population.level_effects(index, setting.session, at, numbers.level)
+        here = {n: effect[:, 0] for n, effect in effects.items()}
+        parts = population.parts(setting, index, numbers, here, scatter=False)
+        medians.append(parts.mean.mean(axis=0))
+    centre, spread = design.coordinates.centre[:d], design.spread
+    return centre + spread * np.array(places), centre + spread * np.array(medians)
 
 
-def _subject(layout: Layout, k: int) -> tuple[str, str]:
+def _subject(design: Design, k: int) -> tuple[str, str]:
     """What a shared coordinate is, in words, and its unit behind a blank."""
-    name = layout.names[k]
+    name = design.names[k]
     words = {"d2": "gap", "Fc_fwd": "forward slip force", "Fc_bwd": "backward slip force"}
     if name == "d3":
         return "d3/d2", ""

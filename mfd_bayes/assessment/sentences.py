@@ -132,7 +132,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
     if words := unchecked(tests):
         found.append(words)
     found += _of_dependence(run)
-    found += zero_sentences(run.population.layout, run.tests)
+    found += zero_sentences(run.population.design, run.tests)
     if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:
         found.append(
             "All calibrated tests are at one actuation: at any other actuation, predictions rest "
@@ -143,7 +143,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
 
 def _of_dependence(run: Run) -> list[str]:
     """Quantities that predict tests left out better if they followed speed or stroke."""
-    asked = run.population.layout.dependence
+    asked = run.population.design.dependence
     found = []
     for score in run.manifest.dependence_scores:
         name, covariate, gain = score.quantity, score.covariate, score.difference

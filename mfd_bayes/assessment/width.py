@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mfd_bayes.population.shares import ADVICE
+from mfd_bayes.population.bands import ADVICE
 
 _TENTHS = (
     *("less than a tenth", "a tenth", "two tenths", "three tenths", "four tenths", "half"),

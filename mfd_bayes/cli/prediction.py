@@ -44,9 +44,6 @@ def predict(
     whole: Annotated[
         bool, typer.Option("--whole", help="Add a band that holds the whole history.")
     ] = False,
-    recalibrate: Annotated[
-        bool, typer.Option("--recalibrate", help="Correct its width by tests that were left out.")
-    ] = False,
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what makes the band wide.")
     ] = False,
@@ -93,8 +90,7 @@ def predict(
     measured force inside the band, and keeps it in the CSV. --design prints mean
     and bounding properties (slip force, energy, peaks), for the mean property,
     this device tested again, another device and a measurement, and writes
-    ..._design.csv. --recalibrate is for --kind observation and needs a run of
-    crossvalidate; --explain takes some seconds. --given uses the force in a
+    ..._design.csv. --explain takes some seconds. --given uses the force in a
     part of the motion's file, for the kinds new_test and observation: the band of
     the rest is narrower, and the tables and pictures mark the part. --after names
     a test of the run that was made directly before, with no reset in between: the
@@ -118,7 +114,6 @@ def predict(
         compare=compare,
         test=test,
         whole=whole,
-        recalibrate=recalibrate,
         explain=explain,
         extrapolate=extrapolate,
         sine=sine,

@@ -21,9 +21,7 @@ from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.jobs.likelihoods import in_turn, several_processes
 from mfd_bayes.pipeline.plan import Plan
-from mfd_bayes.population.apart import joined
 from mfd_bayes.population.inference import Inference, infer_population
-from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -195,34 +193,19 @@ def _infer_population(
         manifest.settings.inference(options.effort, (options.seed, 0), options.processes),
         lambda progress: observe(Step("population", "sampling", progress)),
     )
-    _save(inference, list(results), out, options.processes)
-    joint, seconds = inference.draws, time.perf_counter() - began
-    worst = joint.population.convergence
-    progress = Progress(joint.sweeps, joint.sweeps, worst.worst_r_hat, worst.worst_ess, seconds)
+    for j, name in enumerate(results):
+        save_test_draws(out / pooled_of(name), inference.values(j), units(), name)
+    save_population(out / POPULATION, inference.population)
+    seconds, worst = time.perf_counter() - began, inference.population.convergence
+    sweeps = inference.sweeps
+    progress = Progress(sweeps, sweeps, worst.worst_r_hat, worst.worst_ess, seconds)
     observe(Step("population", State.DONE, progress))
     return manifest.longer(seconds).changed(
         law_scores=inference.scores,
         free_exponents=inference.exponents,
         dependence_scores=inference.dependence,
-        population_sampler={"accepted": joint.accepted, "sweeps": joint.sweeps},
+        population_sampler={"accepted": inference.accepted, "sweeps": sweeps},
     )
-
-
-def _save(inference: Inference, results: Sequence[str], out: Path, jobs: int) -> None:
-    """Store the population and its draws of every test, by several processes."""
-    population, draws = inference.draws.population, inference.draws.tests
-    layout = population.layout
-    saving = [partial(_save_test, out / pooled_of(name), layout, name) for name in results]
-    with several_processes(saving, jobs) as in_processes:
-        save = in_processes or in_turn(saving)
-        deque(save((j, joined(layout, j, own)) for j, own in enumerate(draws)), maxlen=0)
-    save_population(out / POPULATION, population)
-
-
-def _save_test(path: Path, layout: Layout, name: str, draws: Array) -> Array:
-    """Store a test's draws, and give nothing back."""
-    save_test_draws(path, layout, draws, units(), name)
-    return np.empty(0)
 
 
 def _finish(manifest: Manifest, out: Path) -> Manifest:

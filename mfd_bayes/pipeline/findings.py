@@ -12,8 +12,8 @@ from mfd_bayes.campaign.file import Test
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.laws import complete_laws
-from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.swing import swing_of
+from mfd_bayes.population.design import Design
+from mfd_bayes.population.inference import swings
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.faults import Fault, find_faults, without_spikes
 from mfd_bayes.records.record import Record
@@ -57,7 +57,7 @@ def findings_together(
 def findings_of(
     faults: Sequence[tuple[str, Fault]],
     settings: Settings,
-    layout: Layout,
+    design: Design,
     calibrated: Mapping[str, Trace],
 ) -> tuple[Finding, ...]:
     """All warnings before a calibration.
@@ -65,14 +65,14 @@ def findings_of(
     They are faults, what a campaign asks for and the calibration does not do, and what tests at
     zero actuation do not tell.
     """
-    every = [*faults, *_of_settings(settings, layout, calibrated)]
+    every = [*faults, *_of_settings(settings, design, calibrated)]
     found = [Finding(name, fault.name, fault.sentence) for name, fault in every]
-    told = [Finding("laws", "zero actuation", s) for s in zero_sentences(layout, [*calibrated])]
+    told = [Finding("laws", "zero actuation", s) for s in zero_sentences(design, [*calibrated])]
     return (*found, *told)
 
 
 def _of_settings(
-    settings: Settings, layout: Layout, tests: Mapping[str, Trace]
+    settings: Settings, design: Design, tests: Mapping[str, Trace]
 ) -> Iterator[tuple[str, Fault]]:
     """What a campaign asks for that the calibration of its tests does not do."""
     model = models.find_model(settings.model)
@@ -85,7 +85,7 @@ def _of_settings(
                 "have: it is not used",
             ),
         )
-    unused = [name for name in settings.dependence or {} if name not in layout.names]
+    unused = [name for name in settings.dependence or {} if name not in design.names]
     if unused:
         yield (
             "laws",
@@ -95,8 +95,8 @@ def _of_settings(
                 f"{model.name} do not share: it is not used",
             ),
         )
-    other = [name for name in model.slip_forces if layout.laws.get(name) != "proportional"]
-    swinging = [name for name, trace in tests.items() if swing_of(layout, model, trace)]
+    other = [name for name in model.slip_forces if design.laws.get(name) != "proportional"]
+    swinging = [name for name, trace in tests.items() if swings(design, model, trace)]
     for name in swinging:
         yield (
             name,

@@ -24,10 +24,8 @@ from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.laws import default_laws
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.setting import setting_of
-from mfd_bayes.population.storage import check_storable
+from mfd_bayes.population.design import Design, design_of
+from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
@@ -141,8 +139,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         if test.role == "calibrate"
     )
     faults += findings_together(tested, priors, campaign.model)
-    layout = layout_of(tasks, settings)
-    check_storable(layout, campaign.path)
+    design = planned_design(tasks, settings)
     held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     manifest = Manifest(
         title=campaign.title,
@@ -150,7 +147,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         settings=settings,
         inputs=inputs,
         tests=entries,
-        warnings=findings_of(faults, settings, layout, {task.id: task.trace for task in tasks}),
+        warnings=findings_of(faults, settings, design, {task.id: task.trace for task in tasks}),
         **_session(options),
     )
     manifest = with_keys(manifest, priors)
@@ -213,8 +210,8 @@ def _inside(campaign: Campaign, test: Test) -> str:
     return test.path.relative_to(campaign.folder).as_posix()
 
 
-def layout_of(tasks: Sequence[Task], settings: Settings) -> Layout:
-    """Layout of the population of the tests to calibrate.
+def planned_design(tasks: Sequence[Task], settings: Settings) -> Design:
+    """Design of the population of the tests to calibrate.
 
     Raises
     ------
@@ -229,7 +226,7 @@ def layout_of(tasks: Sequence[Task], settings: Settings) -> Layout:
             "of it, such as a narrow lognormal"
         )
     under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
-    return lay_out(some.priors, names, under, settings.laws, settings.dependence)
+    return design_of(some.priors, names, under, settings.laws, settings.dependence)
 
 
 def _laws(campaign: Campaign) -> dict[str, str]:

@@ -14,9 +14,9 @@ from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import remove_known, write_picture
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.forecast import DRAWS
-from mfd_bayes.population.kinds import KIND_NAMES
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.bands import DRAWS
+from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
@@ -108,7 +108,6 @@ def _check_combined(question: Question) -> None:
             )
     of_one = {
         "--test": question.test,
-        "--recalibrate": question.recalibrate,
         "--explain": question.explain,
         "--design": question.design,
     }
@@ -129,7 +128,6 @@ def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
         draws=max(draws_of(source), DRAWS) if question.design else DRAWS,
         test=question.test,
         whole=whole,
-        recalibrate=question.recalibrate,
         explain=question.explain,
         given=given,
         after=after,

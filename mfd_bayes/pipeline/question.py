@@ -44,7 +44,7 @@ class Question:
         Whether the force in the motion's file is compared with the prediction.
     test : str
         Id of the calibrated test, for the kind `this_test`.
-    whole, recalibrate, explain : bool
+    whole, explain : bool
         As in `Run.predict`.
     extrapolate : bool
         Whether to predict far outside of what was tested too.
@@ -74,7 +74,6 @@ class Question:
     compare: bool = False
     test: str = ""
     whole: bool = False
-    recalibrate: bool = False
     explain: bool = False
     extrapolate: bool = False
     sine: str = ""

@@ -13,8 +13,8 @@ from mfd_bayes.planning.devices import Devices
 from mfd_bayes.planning.gain import Goals
 from mfd_bayes.planning.goal import GAP, OF_LAWS, Goal
 from mfd_bayes.planning.loop import Loop, loop_of
-from mfd_bayes.population.residual import slip_force_of
-from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.discrepancy import slip_force_of
+from mfd_bayes.population.settings import setting_of
 
 Array = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def _gap(place: Candidate, devices: Devices, gap: float, session: str) -> Array:
 def _of_law(goal: Goal, places: Sequence[Candidate], devices: Devices) -> Array:
     """Exponent of a law, or its slope between the lowest and the highest actuation, (n, 1)."""
     population = devices.population
-    known = tuple(population.layout.laws)
+    known = tuple(population.design.laws)
     if goal.of not in known:
         raise CampaignError(
             f"no law of {goal.of!r} was inferred in this run: those that were are of "

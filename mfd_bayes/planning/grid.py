@@ -10,7 +10,7 @@ import numpy as np
 
 from mfd_bayes.calibration.derived import count_cycles
 from mfd_bayes.planning.candidate import Candidate
-from mfd_bayes.population.setting import SAME_LEVEL, same_level, setting_of
+from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 

@@ -24,7 +24,7 @@ from mfd_bayes.planning.loop import loop_of
 from mfd_bayes.planning.regression import Fit, directions_of, fit_left_out
 from mfd_bayes.planning.summaries import summarise
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 
 Array = NDArray[np.float64]
@@ -157,8 +157,9 @@ class _Study:
     @cached_property
     def gap(self) -> float:
         """About the width of the gap, in."""
-        population, layout = self.situation.population, self.situation.population.layout
-        values = layout.coordinates.values(population.levels.reshape(population.size, -1))
+        population = self.situation.population
+        levels = population.draws.z[..., : len(population.design.names)]
+        values = population.values(levels.reshape(population.size, -1))
         found = self.situation.model.gap(values)
         return NO_GAP if found is None else float(np.median(found))
 

@@ -1,1 +1,1 @@
-"""All tests together: pressure laws, scatter and force bands."""
+"""All tests of a campaign become laws, scatter and bands: a linear mixed model."""

@@ -1,187 +1,310 @@
-"""Predictions of a test of which a first part is known: the band of the rest."""
+"""Predictions of a test of which a first part is known, or arrives sample by sample.
+
+Draws of the population are weighted by the likelihood of the known force. Where the weights of a few
+draws take over, the draws are resampled and moved by some Metropolis steps, and the force goes on to be
+taken in (iterated batch importance sampling: Chopin, 2002).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.errors import FitError
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.conditioned import Conditioned
-from mfd_bayes.population.drawn import Drawn
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.given_likelihood import GivenLikelihood, Sums
-from mfd_bayes.population.given_part import GivenPart, given_part
-from mfd_bayes.population.pace import Counted, Counting, Pace
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.prior_of_test import TestPrior
-from mfd_bayes.population.residual import Residual, slip_force_of
-from mfd_bayes.population.sequel import standing_of
-from mfd_bayes.population.setting import Setting, setting_of
-from mfd_bayes.population.strokes import strokes_of
-from mfd_bayes.population.tempering import systematic, temper
-from mfd_bayes.population.unshared import stays
+from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor
+from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
+from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.settings import Setting, setting_of
+from mfd_bayes.records.clock import checked_window
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-TRIED = 4000
-"""Draws of the population that are weighted."""
+PARTICLES = 1500
+"""Draws of the population that take in a given part."""
+
+LEAST_EFFECTIVE = 0.3
+"""Share of effective draws below which they are resampled and moved."""
+
+MOVES = 5
+"""Metropolis steps after each resampling."""
 
 LARGEST_K = 0.7
 """Pareto k above which weights cannot be trusted (Vehtari et al., 2024)."""
 
-FEWEST = 0.25
-"""Effective draws of the weights, over those of the band, below which the posterior is sampled."""
+FEWEST = 100
+"""Effective draws below which a band is said not to be reliable."""
 
-POINTS = 1000
-"""Points of the sampler."""
+QUIET = 0.25
+"""Share of the slip force below which a device is taken to be in its gap."""
 
-AT_ONCE = 1 << 22
-"""Draws times samples whose forces are computed at once."""
+SAMPLES = 3
+"""Fewest samples of a given part, at the rate of the calibrated tests."""
 
 ALLOWED = ("new_test", "observation")
 """Kinds of bands of which a given part says something."""
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What is known of n tests after the given part.
+@dataclass(frozen=True)
+class Conditioned:
+    """The given part of a record, and how the population's draws took it in.
 
     Attributes
     ----------
-    labels, points : (n,), (n, D)
-        As in `TestPrior`.
-    log_likelihood : (n,)
-    sums : Sums
-    slip, sd : (n,), kip
-        Slip force and noise sd of each.
+    window : (float, float), s
+    samples : int
+        At the rate of the calibrated tests.
+    pareto_k : float
+        Of the last importance weights.
+    method : {"weights", "sampling"}
+        Importance weights alone, or resampled and moved too.
+    effective : float
+        Effective number of draws behind the band.
+    stages : int
+        How often the draws were resampled and moved.
+    accepted : float
+        Share of the last moves that were accepted; 1 for weights alone.
     """
 
-    labels: Index
-    points: Array
-    log_likelihood: Array
-    sums: Sums
-    slip: Array
-    sd: Array
+    window: tuple[float, float]
+    samples: int
+    pareto_k: float
+    method: str
+    effective: float
+    stages: int = 0
+    accepted: float = 1.0
 
-    def of(self, chosen: Index) -> Known:
-        """That of some of the tests."""
-        return Known(
-            self.labels[chosen],
-            self.points[chosen],
-            self.log_likelihood[chosen],
-            self.sums.of_tests(chosen),
-            self.slip[chosen],
-            self.sd[chosen],
+    def holds(self, time: Array) -> NDArray[np.bool_]:
+        """Whether times (T,), s, are in the given part."""
+        return (time >= self.window[0]) & (time <= self.window[1])
+
+    @property
+    def sentence(self) -> str:
+        """What was given, and how it was used, for the source of a band."""
+        text = f"the force given from {self.window[0]:.4g} s to {self.window[1]:.4g} s"
+        if self.method == "weights":
+            return f"{text} (importance weights, Pareto k {self.pareto_k:.2f})"
+        return f"{text} (resampled and moved {self.stages} times)"
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Reason to trust the band less, if there is one."""
+        if self.effective >= FEWEST and self.pareto_k <= LARGEST_K and self.accepted >= 0.02:
+            return ()
+        return (
+            f"the band is not reliable: {self.effective:.0f} effective draws (Pareto k "
+            f"{self.pareto_k:.2f}) hold what the given part says",
         )
 
 
 @dataclass(frozen=True, eq=False)
-class GivenProblem:
-    """A test that follows a population, and the part of its record that is given.
+class Sums:
+    """Sums of standardised residuals over the strokes, of n draws: all that the likelihood needs.
+
+    Attributes
+    ----------
+    count : (S,)
+        Independent samples of each stroke.
+    first, second : (n, S)
+        Sums of the residuals and of their squares, times the count of each sample.
+    """
+
+    count: Array
+    first: Array
+    second: Array
+
+    @classmethod
+    def of(cls, left: Array, count: Array, strokes: Index, size: int) -> Sums:
+        """Of residuals (n, T) with counts (T,) in strokes (T,) of `size` strokes."""
+        home = (strokes[:, None] == np.arange(size)) * count[:, None]
+        return cls(home.sum(axis=0), left @ home, left**2 @ home)
+
+    def __add__(self, other: Sums) -> Sums:
+        more = other.count.size - self.count.size
+        mine = [np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)]) for a in vars(self).values()]
+        return Sums(*(a + b for a, b in zip(mine, vars(other).values(), strict=True)))
+
+    def log_likelihood(self, sd: Array, share: float) -> Array:
+        """Log likelihood for noise of sd (n,) with a random level of each stroke, (n,)."""
+        rest, level = 1.0 - share**2, share**2
+        known = 1.0 + level * self.count / rest
+        first, second = self.first / sd[:, None], self.second / sd[:, None] ** 2
+        squares = second / rest - level / rest**2 * first**2 / known
+        log = np.log(known) + self.count * np.log(rest)
+        return -0.5 * (squares + log).sum(axis=1) - self.count.sum() * np.log(sd)
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """Draws of one test: numbers of draws of the population (n,), and standard normal numbers."""
+
+    index: Index
+    numbers: Numbers
+
+    def of(self, chosen: Index) -> Particles:
+        """Some of them."""
+        return Particles(self.index[chosen], replace(self.numbers, flat=self.numbers.flat[chosen]))
+
+
+@dataclass(frozen=True, eq=False)
+class KnownTest:
+    """A test of which a part is known.
 
     Attributes
     ----------
     predictor : Predictor
-    prior : TestPrior
-    part : GivenPart
-    counting : Counting
+    setting : Setting
+    trace : Trace
+        Motion of the whole test, which says where it begins.
+    grid : (G,)
+        Actuations at which deviations from the laws are drawn.
     """
 
     predictor: Predictor
-    prior: TestPrior
-    part: GivenPart
-    counting: Counting
+    setting: Setting
+    trace: Trace | None
+    grid: Array
 
     @property
-    def residual(self) -> Residual:
-        """Discrepancy and noise of the population."""
-        return self.counting.residual
+    def population(self) -> Population:
+        """The population that the test is of."""
+        return self.predictor.population
 
-    @cached_property
-    def likelihood(self) -> GivenLikelihood:
-        """Likelihood of sums."""
-        return GivenLikelihood(self.residual)
+    def begin(self, n: int, rng: np.random.Generator) -> Particles:
+        """Particles of which nothing is known."""
+        index = self.population.draw_index(n, self.setting.actuation, rng)
+        return Particles(index, self.population.draw_numbers(n, self.grid.size, rng))
 
-    @cached_property
-    def counted(self) -> Counted:
-        """Functions of the discrepancy and shape of the noise where samples count."""
-        counted = self.counting.counted(self.part.trace, self.part.counted)
-        return self.counting.first(replace(counted, strokes=self.part.strokes[self.part.counted]))
+    def drawn(self, p: Particles, part: Trace) -> Drawn:
+        """Tests of the particles under a part of the motion; δ is at its mean."""
+        knots = np.broadcast_to(self.population.residual.mean, (len(p.index), 2 * 16))
+        found = self.predictor.drawn(part, self.setting, p.index, p.numbers, knots, self.grid)
+        if self.trace is None or self.trace is part:
+            return found
+        x = found.parts.mean + found.parts.scatter
+        model = self.predictor.model
+        unshared = self.population.unshared(model, x, p.numbers.start, self.setting, self.trace)
+        return replace(found, unshared=unshared)
 
-    def known(self, prior: TestPrior, labels: Index, points: Array) -> Known:
-        """What the given part says of points, some at a time to bound the memory."""
-        pieces = -(-len(labels) * self.part.trace.samples // AT_ONCE)
-        parts = [
-            self._known(prior, labels[at], points[at])
-            for at in np.array_split(np.arange(len(labels)), max(pieces, 1))
-        ]
-        sums = parts[0].sums.beside([part.sums for part in parts[1:]])
-        columns = ("log_likelihood", "slip", "sd")
-        found = {name: np.concatenate([getattr(p, name) for p in parts]) for name in columns}
-        return Known(labels, points, sums=sums, **found)
-
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _known(self, prior: TestPrior, labels: Index, points: Array) -> Known:
-        values = values_of(self.predictor, prior, labels, points)
-        model, trace = self.predictor.model, self.part.trace
-        deviation = prior.deviation(points)
-        scales = self.predictor.scales(trace, prior.index[labels], deviation) or None
-        force = model.force_unbounded(model.theta(values), trace, values["start"], scales=scales)
-        slip, sd = slip_force_of(model, values), values["noise_sd"]
-        mean = self.counted.functions @ self.residual.mean
-        left = np.asarray(trace.force)[self.part.counted] - force[:, self.part.counted]
-        left = left - values["offset"][:, None] - np.outer(slip / self.residual.slip_force, mean)
-        lost = ~np.all(np.isfinite(left), axis=1)
-        left[lost] = 0.0
-        sums = Sums.of(left, self.counted)
-        density = self.likelihood(sums, slip, sd)
-        density[lost | ~np.isfinite(density)] = -1e300
-        return Known(labels, points, density, sums, slip, sd)
+    def log_likelihood(self, p: Particles, part: Trace, counted: NDArray[np.bool_]) -> Array:
+        """Log likelihood of the counted samples so far, at the end of each block, (n, blocks)."""
+        residual, size = self.population.residual, int(strokes_of(part)[-1]) + 1
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            drawn = self.drawn(p, part)
+            values = self.predictor.values(drawn)
+            left = np.asarray(part.force) - self.predictor.force(part, drawn)
+            slip = slip_force_of(self.predictor.model, values)
+            left = (left - values["offset"][:, None]) / noise_shape(residual, part, slip)
+            left = np.where(np.isfinite(left), left, 1e6)
+        count, sd, found = counts(residual, part, counted), values["noise_sd"], []
+        total: Sums | None = None
+        for block in np.array_split(np.flatnonzero(counted), blocks_of(count)):
+            sums = Sums.of(left[:, block], count[block], strokes_of(part)[block], size)
+            total = sums if total is None else total + sums
+            found.append(total.log_likelihood(sd, residual.stroke_share))
+        return np.stack(found, axis=1)
 
 
-def counting_of(predictor: Predictor, prior: TestPrior, pace: Pace, setting: Setting) -> Counting:
-    """How samples of a test under a setting are counted.
-
-    Raises
-    ------
-    FitError
-        When the run is older than the noise that all tests have in common.
-    """
-    found = predictor.population.residual
-    if found is None:
-        raise FitError(
-            "the run is of an earlier version, which did not keep the noise that a given part "
-            "needs: calibrate the campaign again"
-        )
-    values = values_of(predictor, prior, np.arange(prior.size), prior.middle)
-    slip = np.median(slip_force_of(predictor.model, values))
-    return Counting(found, pace, pace.step(setting.covariates["velocity"]), float(slip))
+def counts(residual: Residual, part: Trace, counted: NDArray[np.bool_]) -> Array:
+    """Independent samples that each sample counts for, (T,): the first one that counts is one."""
+    count = np.where(counted, residual.counts(part), 0.0)
+    count[np.argmax(counted)] = 1.0
+    return count
 
 
-def values_of(
-    predictor: Predictor, prior: TestPrior, labels: Index, points: Array
-) -> dict[str, Array]:
-    """Quantities of points (n, D) of a prior, by name, (n,) each."""
-    population, n = predictor.population, len(points)
-    others = [name for name in population.priors if name not in population.layout.names]
-    values = {name: np.full(n, population.priors[name].typical) for name in others}
-    values |= {"gamma1": np.ones(n), "start": prior.starts(points)}
-    return values | population.values(prior.parts(labels, points))
+def blocks_of(count: Array) -> int:
+    """Number of blocks in which samples are taken in: of about one independent sample each."""
+    return int(np.clip(count.sum(), 1, 40))
+
+
+def noise_shape(residual: Residual, part: Trace, slip: Array) -> Array:
+    """g along a part, (T,): before a full stroke a device far below slip is as quiet as in its gap."""
+    functions = residual.basis(part)
+    shape = np.exp(functions @ residual.log_shape)
+    quiet = np.abs(np.asarray(part.force)) < QUIET * np.median(slip)
+    unknown = ~np.any(functions, axis=1) & quiet
+    shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
+    return np.asarray(shape)
+
+
+def take_in(
+    test: KnownTest, part: Trace, counted: NDArray[np.bool_], n: int, rng: np.random.Generator
+) -> tuple[Particles, Array, Conditioned]:
+    """Particles given the counted samples of a part, with their log weights (n,)."""
+    p = test.begin(n, rng)
+    log = test.log_likelihood(p, part, counted)
+    active, done, stages, accepted = test.population.active(test.setting, test.grid), -1, 0, 1.0
+    taken = np.zeros(n)  # log likelihood that the particles have been drawn with
+    while True:
+        weights = log[:, done + 1 :] - taken[:, None]
+        effective = effective_draws(weights)
+        low = np.flatnonzero(effective < LEAST_EFFECTIVE * n)
+        if not low.size:
+            break
+        done = done + 1 + max(int(low[0]) - 1, 0) if low[0] else done + 1
+        p = p.of(systematic(weights[:, max(int(low[0]) - 1, 0)], n, rng))
+        log = test.log_likelihood(p, part, counted)
+        for step in range(MOVES):
+            p, log, accepted = _move(test, part, counted, (p, log), done, active, step, rng)
+        taken, stages = log[:, done].copy(), stages + 1
+        if done == log.shape[1] - 1:
+            break
+    last = log[:, -1] - taken
+    smooth, k = psis(np.maximum(last, last.max() - 600.0))
+    window = float(part.time[counted][0]), float(part.time[counted][-1])
+    method = "sampling" if stages else "weights"
+    number = float(effective_draws(smooth[:, None])[0])
+    told = Conditioned(window, int(counted.sum()), k, method, number, stages, accepted)
+    return p, smooth, told
+
+
+def _move(
+    test: KnownTest,
+    part: Trace,
+    counted: NDArray[np.bool_],
+    known: tuple[Particles, Array],
+    done: int,
+    active: Index,
+    step: int,
+    rng: np.random.Generator,
+) -> tuple[Particles, Array, float]:
+    """A Metropolis step given the first blocks: a random walk, or other draws of the population."""
+    p, log = known
+    flat, index = p.numbers.flat.copy(), p.index
+    if step % 2:
+        index = test.population.draw_index(len(index), test.setting.actuation, rng)
+    scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
+    spread = np.cov(flat[:, active].T) + 1e-9 * np.eye(active.size)
+    walk = rng.standard_normal((len(flat), active.size)) @ np.linalg.cholesky(spread).T
+    flat[:, active] += scale * walk
+    new = Particles(index, replace(p.numbers, flat=flat))
+    found = test.log_likelihood(new, part, counted)
+    prior = 0.5 * np.sum(p.numbers.flat[:, active] ** 2 - flat[:, active] ** 2, axis=1)
+    accepted = np.log(rng.random(len(flat))) < found[:, done] - log[:, done] + prior
+    kept = np.where(accepted[:, None], flat, p.numbers.flat)
+    p = Particles(np.where(accepted, index, p.index), replace(p.numbers, flat=kept))
+    return p, np.where(accepted[:, None], found, log), float(accepted.mean())
+
+
+def effective_draws(log_weights: Array) -> Array:
+    """Effective number of draws of log weights (n, m), (m,)."""
+    w = np.exp(log_weights - log_weights.max(axis=0))
+    return np.asarray(w.sum(axis=0) ** 2 / np.sum(w**2, axis=0))
+
+
+def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> Index:
+    """Numbers of n draws by their log weights, by systematic resampling."""
+    edges = np.cumsum(np.exp(log_weights - log_weights.max()))
+    places = (rng.random() + np.arange(n)) / n * edges[-1]
+    return np.minimum(np.searchsorted(edges, places), len(edges) - 1)
 
 
 def predict_given(
-    predictor: Predictor,
-    trace: Trace,
-    forecast: Forecast,
-    window: tuple[float, float],
-    pace: Pace,
+    predictor: Predictor, trace: Trace, forecast: Forecast, window: tuple[float, float]
 ) -> Band:
     """Band of a record of which a part is known; all of it, with the given part.
 
@@ -194,34 +317,27 @@ def predict_given(
         Of the kind `new_test` or `observation`.
     window : (float, float), s
         What is given.
-    pace : Pace
-        Of the calibrated tests.
 
     Raises
     ------
     FitError
         When the kind does not allow it, the window is none, or there is no force in it.
     """
-    check_forecast(forecast)
-    setting = setting_of(trace, forecast.session)
-    part = given_part(trace, window, pace.step(setting.covariates["velocity"]))
+    check_kind(forecast)
+    setting, population = setting_of(trace, forecast.session), predictor.population
+    part, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng = np.random.default_rng(forecast.seed)
-    standing = partial(standing_of, predictor.population, predictor.model, trace=trace)
-    around = predictor.around(trace, setting)
-    prior = TestPrior.of(around, rng, TRIED, standing)
-    counting = counting_of(predictor, prior, pace, setting)
-    problem = GivenProblem(predictor, prior, part, counting)
-    known, told = draw_known(problem, forecast.draws, rng)
-    deviation = prior.deviation(known.points)
-    scales = predictor.scales(trace, prior.index[known.labels], deviation)
-    strokes = int(strokes_of(trace)[-1]) + 1
-    drawn = replace(drawn_of(problem, known, strokes, rng), scales=scales)
+    grid = population.grid(setting.actuation, trace.actuation if trace.varying else None)
+    test = KnownTest(predictor, setting, trace, grid)
+    p, log_weights, told = take_in(test, part, counted, max(PARTICLES, forecast.draws), rng)
+    drawn = test.drawn(p.of(systematic(log_weights, forecast.draws, rng)), trace)
+    drawn = replace(drawn, knots=population.residual.draw_knots(rng, forecast.draws))
     source = f"population laws with scatter, and {told.sentence}"
     band = predictor.finish(trace, forecast, drawn, rng, source)
     return replace(band, given=told, remarks=(*band.remarks, *told.remarks))
 
 
-def check_forecast(forecast: Forecast) -> None:
+def check_kind(forecast: Forecast) -> None:
     """Refuse kinds of which a given part says nothing."""
     if forecast.kind not in ALLOWED:
         raise FitError(
@@ -230,47 +346,73 @@ def check_forecast(forecast: Forecast) -> None:
         )
 
 
-def draw_known(
-    problem: GivenProblem, n: int, rng: np.random.Generator
-) -> tuple[Known, Conditioned]:
-    """Draws of a test given its part: by weights where they can be trusted, else sampled."""
-    prior = problem.prior
-    labels = rng.permutation(prior.size)
-    tried = problem.known(prior, labels, prior.draw(labels, rng))
-    log_weights, k = psis(np.maximum(tried.log_likelihood, tried.log_likelihood.max() - 600.0))
-    effective = float(np.exp(-np.logaddexp.reduce(2.0 * log_weights)))
-    window, samples = problem.part.window, int(np.count_nonzero(problem.part.counted))
-    if k <= LARGEST_K and effective >= FEWEST * n:
-        chosen = systematic(np.exp(log_weights), n, rng)
-        return tried.of(chosen), Conditioned(window, samples, k, "weights", effective)
-    known, powers, accepted = sample_known(problem, n, rng)
-    return known, Conditioned(window, samples, k, "sampling", float(n), powers, accepted)
+def usual_step(residual: Residual, setting: Setting) -> float:
+    """Time between samples, s, at which a motion of such a peak speed would be fitted."""
+    own = -residual.noise_time * np.log(residual.lag_one)
+    speed = setting.covariates["velocity"]
+    usual = 0.5 * np.pi * residual.travel / speed if speed > 0 else np.inf
+    return float(np.clip(usual, 0.25 * own, 4.0 * own))
 
 
-def sample_known(
-    problem: GivenProblem, n: int, rng: np.random.Generator
-) -> tuple[Known, int, float]:
-    """Draws of a test given its part by sampling; powers and share of accepted steps."""
-    smooth = problem.prior.smoothed()
+def given_part(
+    trace: Trace, window: tuple[float, float], step: float
+) -> tuple[Trace, NDArray[np.bool_]]:
+    """The motion up to the end of a window, as means over about `step` s, and which count, (T,).
 
-    def log_likelihood(labels: Index, points: Array) -> Array:
-        return problem.known(smooth, labels, points).log_likelihood
+    It goes on to the second turn, so that its first direction is known.
 
-    stay = stays(np.atleast_1d(problem.part.trace.actuation), smooth.around.level)
-    depends = not stay or smooth.around.size > 0
-    found = temper(smooth, log_likelihood, rng, max(n, POINTS), depends=depends)
-    chosen = rng.permutation(len(found.labels))[:n]
-    known = problem.known(smooth, found.labels[chosen], found.points[chosen])
-    return known, found.powers, found.accepted
+    Raises
+    ------
+    FitError
+        When the window is none, not within the record or too short, or has no force.
+    """
+    begin, end = checked_window(window, "given", FitError)
+    words = f"from {begin:g} s to {end:g} s"
+    if trace.force is None:
+        raise FitError(f"the trace has no force: given {words} needs the force measured there")
+    first, last = float(trace.time[0]), float(trace.time[-1])
+    if begin < first - step or end > last + step:
+        raise FitError(
+            f"the given part {words} must lie within the record, which goes from {first:g} s to "
+            f"{last:g} s"
+        )
+    inside = np.flatnonzero((trace.time >= begin) & (trace.time <= end))
+    size = block_size(float(np.median(np.diff(trace.time))), step)
+    if inside.size < SAMPLES * size:
+        raise FitError(
+            f"the given part {words} holds {inside.size} samples, too few: at least "
+            f"{SAMPLES * size} are expected"
+        )
+    if not np.any(np.asarray(trace.force)[inside]):
+        raise FitError(
+            f"the force is zero in the whole given part {words}: expected a measured force"
+        )
+    turns = trace.turning_points
+    stop = max(int(inside[-1]), int(turns[1]) if turns.size > 1 else trace.samples - 1) + 1
+    edges = np.unique([0, *range(int(inside[0]) % size, stop, size)])
+    edges = edges[edges + size <= stop]
+    part = block_means(trace, edges, int(edges[-1]) + size)
+    return part, (edges >= inside[0]) & (edges + size <= inside[-1] + 1)
 
 
-def drawn_of(problem: GivenProblem, known: Known, strokes: int, rng: np.random.Generator) -> Drawn:
-    """The ingredients of a band of known tests, in a motion of so many strokes."""
-    values = values_of(problem.predictor, problem.prior, known.labels, known.points)
-    shared = problem.predictor.population.layout.names
-    unknown = {name: v for name, v in values.items() if name not in shared}
-    tests, likelihood = (known.slip, known.sd), problem.likelihood
-    coefficients = likelihood.draw_coefficients(known.sums, *tests, rng)
-    levels = likelihood.draw_levels(known.sums, coefficients, tests, strokes, rng)
-    parts = problem.prior.parts(known.labels, known.points)
-    return Drawn(parts, unknown, {}, discrepancy=coefficients, levels=levels)
+def block_size(own: float, step: float) -> int:
+    """Samples `own` s apart that are averaged, so that means are at most about `step` s apart."""
+    return max(1, int(step / own + 0.25))
+
+
+def block_means(trace: Trace, edges: Index, stop: int) -> Trace:
+    """Means of a trace over the samples from each edge to the next, up to sample `stop`."""
+    sizes = np.diff([*edges.tolist(), stop])
+
+    def mean(values: ArrayLike) -> Array:
+        return np.asarray(np.add.reduceat(np.asarray(values)[:stop], edges) / sizes)
+
+    actuation = mean(trace.actuation) if trace.varying else trace.actuation
+    return Trace.from_arrays(
+        mean(trace.time),
+        mean(trace.displacement),
+        actuation,
+        mean(np.asarray(trace.force)),
+        mean(trace.velocity),
+        hysteresis=trace.hysteresis,
+    )

@@ -1,11 +1,10 @@
-"""The population of a set of calibrated tests: laws are compared, then everything is sampled."""
+"""The population of a set of calibrated tests, step by step."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,40 +14,52 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
-from mfd_bayes.jobs.likelihoods import beside, several_processes
-from mfd_bayes.population.apart import joined, set_apart
+from mfd_bayes.jobs.likelihoods import several_processes
+from mfd_bayes.population.design import LEVELS, Design, design_of, usual_dependence
+from mfd_bayes.population.exact import CHAINS, WALKERS, Draws, ExactSampler
+from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
 from mfd_bayes.population.law_scores import (
-    TESTS,
     DependenceScore,
     LawScore,
+    TestGaussians,
     compare_dependence,
     compare_laws,
+    extrapolation_weights,
     free_exponents,
-    varies,
 )
-from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.pilot import fit_pilot
-from mfd_bayes.population.sampling import JointDraws, JointProblem, most_sweeps, sample_joint
-from mfd_bayes.population.sequel import left_by
-from mfd_bayes.population.setting import Setting, setting_of
-from mfd_bayes.population.sharing import share
-from mfd_bayes.population.test_likelihood import TestLikelihood
-from mfd_bayes.population.unloaded import Unloaded, chance_of
-from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
+from mfd_bayes.population.laws import COMPARE, LAW_NAMES, ratio
+from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.population import LawDraws, Population
+from mfd_bayes.population.settings import levels_of, setting_of
+from mfd_bayes.population.starts import Starts, place_left, without_load
+from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
+STEADY = 0.02
+"""Sd of an actuation, over its mean, below which slip forces are taken in proportion to it."""
 
-USUAL = ("amplitude",)
-"""Covariates that slip forces follow by default: no friction model here knows of the stroke, and
-all of them know of the speed."""
+ALTERNATIVES = 400
+"""Draws under all laws together, for actuations beyond the tested levels."""
+
+POOL = 4000
+"""Draws of the variance parameters by emcee."""
+
+STEPS = {"quick": 240, "standard": 600, "thorough": 2000}
+"""Steps of emcee."""
+
+SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
+"""Largest number of sweeps of the exact sampler."""
+
+MANY = 60
+"""With more tests than this, emcee makes fewer steps: the variances are then known well."""
+
+_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
 
 @dataclass(frozen=True)
@@ -59,13 +70,13 @@ class InferenceSettings:
     ----------
     laws : mapping of str to str
         Law of each quantity that follows the actuation, or "compare".
-    dependence : mapping of str to sequence of str
-        Covariates that quantities follow.
     actuation_unit : str
-    sessions : mapping of str to str
-        Session of each test; none where it is missing.
     effort : str
     seed : sequence of int
+    dependence : mapping of str to sequence of str
+        Covariates that quantities follow.
+    sessions : mapping of str to str
+        Session of each test; none where it is missing.
     jobs : int
         Processes that compute the tests' likelihoods; the draws are the same.
     """
@@ -85,19 +96,32 @@ class Inference:
 
     Attributes
     ----------
-    draws : JointDraws
+    population : Population
+    tests : (chain, draw, J, D)
+        Coordinates of the tests in prior units.
     scores : tuple of LawScore
         Every law's, for each quantity that follows the actuation.
     exponents : mapping of str to (float, float, float)
         Quantiles of each proportional law's exponent, estimated as in a power law.
     dependence : tuple of DependenceScore
-        On speed and stroke, for each quantity that follows the actuation.
+    sweeps : int
+    accepted : (float, float)
+        Shares of accepted moves of tests and of the population.
     """
 
-    draws: JointDraws
+    population: Population
+    tests: Array
     scores: tuple[LawScore, ...]
     exponents: Mapping[str, tuple[float, float, float]]
     dependence: tuple[DependenceScore, ...]
+    sweeps: int
+    accepted: tuple[float, float]
+
+    def values(self, j: int) -> dict[str, Array]:
+        """Quantities of test j with the others, by name, (chain, draw)."""
+        x = self.tests[:, :, j]
+        found = self.population.design.coordinates.values(x.reshape(-1, x.shape[-1]))
+        return {name: value.reshape(x.shape[:2]) for name, value in found.items()}
 
 
 def infer_population(
@@ -132,167 +156,284 @@ def _inferred(
     settings: InferenceSettings,
     report: Callable[[Progress], None],
 ) -> Inference:
+    rng, effort = np.random.default_rng(list(settings.seed)), find_effort(settings.effort)
+    design, likelihoods = _likelihoods(tests, priors, settings)
+    start = np.concatenate([_start(design, test) for test in tests.values()])
+    own = _own(design)
+    fit = _fit(likelihoods, start, design, settings.jobs)
+    y, precision = _reduced(fit, own, len(design.names))
+    mixed = MixedModel(design, y, precision)
+    steady = _choices(design, {}, 1)[0]
+    if any(one.scales for one in likelihoods):
+        # tests whose actuation changes follow the laws that all tests tell, as a plug-in
+        likelihoods = _along_laws(likelihoods, design, mixed.mode(steady)[None], steady)
+        fit = _fit(likelihoods, fit.mean, design, settings.jobs)
+        y, precision = _reduced(fit, own, len(design.names))
+        mixed = MixedModel(design, y, precision)
+    levels = np.median(fit.mean, axis=0)[: len(design.names)]
+    gaussians = TestGaussians.given_common(design, y, precision, levels)
+    scores = compare_laws(gaussians)
+    weights = {name: _weights(design, name, scores) for name in design.laws}
+    choice = _choices(design, weights, CHAINS * WALKERS)
+    mixed.set_apart(choice[0])
+    pool = _pools(mixed, choice, rng, effort)
+    draws = _sampled(ExactSampler(mixed, fit, own, choice, pool, rng), settings, effort, report)
+    shapes = draws.h.shape[:2]
+    chosen = np.repeat(choice.reshape(CHAINS, WALKERS, -1), shapes[1] // WALKERS, axis=1)
+    population = _population(
+        mixed, fit, draws, chosen, weights, gaussians, rng, priors, settings.actuation_unit
+    )
+    population = replace(population, starts=_starts(likelihoods, draws, population))
+    return Inference(
+        population, draws.x, scores, free_exponents(gaussians), compare_dependence(gaussians),
+        draws.sweeps, draws.accepted,
+    )  # fmt: skip
+
+
+def _likelihoods(
+    tests: Mapping[str, TestResult], priors: PriorFile, settings: InferenceSettings
+) -> tuple[Design, list[TestLikelihood]]:
+    """Design of the population, and likelihoods of the tests without discrepancy."""
     some = next(iter(tests.values())).posterior
     under = [setting_of(t.trace, settings.sessions.get(name, "")) for name, t in tests.items()]
     noise = set(some.noise.parameters) - {"noise_sd"}
     names = [name for name in some.names if name not in noise]
-    dependence = usual_dependence(some.model, under, names)
+    slips = [name for name in some.model.slip_forces if name in names]
+    dependence: dict[str, Sequence[str]] = dict(usual_dependence(slips, under))
     dependence |= {name: tuple(those) for name, those in settings.dependence.items() if those}
-    layout = lay_out(priors, names, under, settings.laws, dependence)
-    working = [working_likelihood(layout, test.posterior, priors) for test in tests.values()]
-    starts = [_start(one, test) for one, test in zip(working, tests.values(), strict=True)]
-    with several_processes([one.residual for one in working], settings.jobs) as evaluate:
-        pilot = fit_pilot(working, starts, evaluate)
-    likelihoods = pilot.tests
-    layout = share(layout, likelihoods)
-    with beside(settings.jobs, partial(_compare, layout, likelihoods)) as compared:
-        weighed = layout
-        if COMPARE in layout.laws.values():
-            weighed = replace(layout, weights=_weights(layout, compared().scores))
-        apart = set_apart(weighed, likelihoods)
-        given = _priors_of(some, priors), settings.actuation_unit, pilot.residual
-        draws = _sampled(JointProblem(weighed, apart, *given), settings, report)
-        each = [joined(weighed, j, x) for j, x in enumerate(draws.tests)]
-        begun, left = _starts(working, each), _left(working, each)
-        free = _unloaded(working, each)
-        population = replace(draws.population, starts=begun, left=left, unloaded=free)
-        draws = replace(draws, population=population)
-        found = compared()
-    return Inference(draws, found.scores, found.exponents, found.dependence)
+    design = design_of(priors, names, under, settings.laws, dependence)
+    likelihoods = []
+    for test in tests.values():
+        start = "mask" if test.posterior.first else "sample"
+        model, trace = test.posterior.model, test.trace
+        posterior = Posterior(trace, priors, "iid", model, start=start)
+        scales = _proportional(design, posterior)
+        likelihoods.append(TestLikelihood(posterior, design.coordinates, scales))
+    return design, likelihoods
 
 
-def _priors_of(posterior: Posterior, priors: PriorFile) -> dict[str, Prior]:
-    """Priors of what tests have; of the start too where its samples are masked."""
-    found = dict(posterior.priors)
-    if posterior.model.has_gap and "start" in priors.parameters:
-        found.setdefault("start", priors.parameters["start"])
+def swings(design: Design, model: Model, trace: Trace) -> bool:
+    """Whether a test's actuation changes, and its law is not strictly proportional."""
+    mean = trace.reference_actuation
+    if not trace.varying or not mean > 0 or np.std(trace.actuation) < STEADY * mean:
+        return False
+    laws = [design.laws.get(name, "proportional") for name in model.slip_forces]
+    return any(law != "proportional" for law in laws)
+
+
+def _proportional(design: Design, posterior: Posterior) -> dict[str, Array]:
+    """Factors along a changing actuation of what follows it, in proportion so far; else none."""
+    trace, model = posterior.trace, posterior.model
+    if not swings(design, model, trace):
+        return {}
+    along = np.asarray(trace.actuation) / trace.reference_actuation
+    laws = [name for name in design.laws if name in model.parameters]
+    tied = [n for n, o in model.tied_laws.items() if o in laws and n in model.parameters]
+    return dict.fromkeys([*laws, *tied], along)
+
+
+def _along_laws(
+    likelihoods: Sequence[TestLikelihood], design: Design, h: Array, choice: Index
+) -> list[TestLikelihood]:
+    """The likelihoods with factors of the laws at h (1, dim)."""
+    begin = design.free.size + len(design.effects)
+    share, exponent = design.law_shapes(h[:, begin:], choice[None])
+    found = []
+    for one in likelihoods:
+        trace, tied = one.posterior.trace, one.posterior.model.tied_laws
+        scales = {}
+        for name in one.scales:
+            column = list(design.laws).index(tied.get(name, name))
+            p = np.array([*np.asarray(trace.actuation), trace.reference_actuation])
+            followed = ratio(p / design.reference, share[:, column], exponent[:, column])
+            scales[name] = followed[:-1] / max(float(followed[-1]), 1e-300)
+        found.append(replace(one, scales=scales) if scales else one)
     return found
 
 
-@dataclass(frozen=True)
-class _Compared:
-    """What is compared besides the sampling; see `Inference`."""
-
-    scores: tuple[LawScore, ...]
-    exponents: Mapping[str, tuple[float, float, float]]
-    dependence: tuple[DependenceScore, ...]
+def _start(design: Design, test: TestResult) -> Array:
+    """Medians of a test's posterior draws in prior units, (1, D)."""
+    medians = test.intervals or intervals_of(test.stored.values())
+    values = {name: np.array([median]) for name, (median, _, _) in medians.items()}
+    return np.clip(design.coordinates.of(values), -6.0, 6.0)
 
 
-def _compare(layout: Layout, likelihoods: Sequence[TestLikelihood]) -> _Compared:
-    """Scores of laws and dependences, and free exponents."""
-    with threadpool_limits(1, user_api="blas"):
-        scores = compare_laws(layout, likelihoods)
-        exponents = free_exponents(layout, likelihoods)
-        return _Compared(scores, exponents, compare_dependence(layout, likelihoods))
+def _own(design: Design) -> NDArray[np.bool_]:
+    """Coordinates of the tests that do not follow the population, (J, D)."""
+    own = np.zeros((len(design.settings), len(design.coordinates.names)), dtype=bool)
+    own[:, len(design.names) :] = True
+    own[:, : len(design.names)] = ~design.informs
+    return own
 
 
-def _weights(layout: Layout, scores: Sequence[LawScore]) -> dict[str, Mapping[str, float]]:
-    """Weights of laws; those of compared ones by their scores, where these can be trusted."""
-    weights = dict(layout.weights)
-    for name, law in layout.laws.items():
-        if law == COMPARE and scores:
-            found = {s.law: s.weight for s in scores if s.quantity == name}
-            weights[name] = found if any(found.values()) else weights[name]
-    return weights
+def _fit(
+    likelihoods: Sequence[TestLikelihood], start: Array, design: Design, jobs: int
+) -> JointFit:
+    """Joint fit, with slopes of the tests computed by several processes."""
+    common = np.zeros(start.shape[1], dtype=bool)
+    common[: len(design.names)] = design.common
+    with several_processes([one.linearised for one in likelihoods], jobs) as evaluate:
+        return fit_jointly(likelihoods, start, common, evaluate)
+
+
+def _reduced(fit: JointFit, own: NDArray[np.bool_], d: int) -> tuple[Array, Array]:
+    """Gaussians of the shared coordinates, (J, d), (J, d, d), the tests' own integrated out."""
+    pairs = [without(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
+    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
+    return y[:, :d], precision[:, :d, :d]
+
+
+def _weights(design: Design, name: str, scores: Sequence[LawScore]) -> dict[str, float]:
+    """Weights of the laws of a quantity; of compared ones by their scores, if any can be trusted."""
+    laws = design.considered(design.laws[name])
+    if len(laws) == 1:
+        return {laws[0]: 1.0}
+    found = {s.law: float(s.weight) for s in scores if s.quantity == name}
+    return found if any(found.values()) else dict.fromkeys(laws, 1.0 / len(laws))
+
+
+def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int) -> Index:
+    """Numbers of the laws of n chains in proportion to the weights, (n, L); no random numbers."""
+    choice = np.zeros((n, len(design.laws)), dtype=np.intp)
+    for column, (name, law) in enumerate(design.laws.items()):
+        share = weights.get(name) or {"power" if law == COMPARE else law: 1.0}
+        edges = np.cumsum([share.get(one, 0.0) for one in LAW_NAMES])
+        # a low-discrepancy sequence for each quantity, so that their laws are independent
+        place = (0.5 + np.arange(n) * np.sqrt(_PRIMES[column % len(_PRIMES)])) % 1.0
+        choice[:, column] = np.searchsorted(edges / edges[-1], place, side="right")
+    return choice
+
+
+def _pools(
+    mixed: MixedModel, choice: Index, rng: np.random.Generator, effort: Effort
+) -> list[Array]:
+    """Draws of h for each chain, of the laws that it has."""
+    kinds, kind = np.unique(choice, axis=0, return_inverse=True)
+    steps = STEPS.get(effort.name, 600) // (1 if len(mixed.y) <= MANY else 4)
+    steps = max(steps // len(kinds), 60)
+    found = [mixed.sample(one, rng, steps, POOL) for one in kinds]
+    return [found[k] for k in kind.ravel()]
 
 
 def _sampled(
-    problem: JointProblem, settings: InferenceSettings, report: Callable[[Progress], None]
-) -> JointDraws:
-    """Draws of the population and its tests."""
-    effort, rng = find_effort(settings.effort), np.random.default_rng(list(settings.seed))
-    shared = len(problem.layout.names)
-    densities = [test.density(shared) for test in problem.tests]
-    with several_processes(densities, settings.jobs) as evaluate:
-        return sample_joint(problem, effort, rng, _reporter(effort, report), evaluate)
-
-
-def _start(likelihood: WorkingLikelihood, test: TestResult) -> Array:
-    """Medians of a test's posterior draws, in the prior units of its working likelihood."""
-    medians = test.intervals or intervals_of(test.stored.values())
-    values = {name: np.array([median]) for name, (median, _, _) in medians.items()}
-    layout = likelihood.layout
-    coordinates = [layout.coordinates.of(values)]
-    priors = likelihood.posterior.priors
-    coordinates += [priors[name].coordinate(values[name])[:, None] for name in likelihood.own]
-    q = np.concatenate(coordinates, axis=1)[0]
-    x = np.zeros(likelihood.middle.size)  # shapes of a swing begin at the mean of their priors
-    x[: q.size] = (q - likelihood.middle[: q.size]) / likelihood.scale[: q.size]
-    return x
-
-
-def _starts(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> Array | None:
-    """Places in the gap at which the tests began, (chain, draw, J); None where none is inferred."""
-    if any("start" not in one.own for one in working):
-        return None
-    found = []
-    for one, x in zip(working, tests, strict=True):
-        k = len(one.layout.names) + one.own.index("start")
-        prior = one.posterior.priors["start"]
-        found.append(prior.value(one.middle[k] + one.scale[k] * x[..., k]))
-    return np.stack(found, axis=-1)
-
-
-def _left(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> Array | None:
-    """Places at which the tests' own motions leave the device, (J,), by their medians."""
-    if any("start" not in one.own for one in working):
-        return None
-    found = []
-    for one, x in zip(working, tests, strict=True):
-        middle = np.median(x.reshape(-1, x.shape[-1]), axis=0)
-        posterior = one.posterior
-        theta = posterior.model.theta(posterior.values(one.points(middle[None])))
-        scales = one.scales(middle[None])
-        found.append(left_by(posterior.model, theta, posterior.trace, scales))
-    known = [place for place in found if place is not None]
-    return np.array(known) if len(known) == len(found) else None
-
-
-def _unloaded(working: Sequence[WorkingLikelihood], tests: Sequence[Array]) -> float:
-    """Probability that tests begin without load, from where the calibrated ones began.
-
-    It is 0 where the model does not tell load from none, where the start is masked, and where its
-    prior is not even from 0 to 1: then that prior says where tests begin.
-    """
-    found = []
-    for one, x in zip(working, tests, strict=True):
-        values = one.posterior.values(one.points(x.reshape(-1, x.shape[-1])))
-        part, prior = one.posterior.model.unloaded(values), one.posterior.priors.get("start")
-        if part is None or prior is None or not _even(prior):
-            return 0.0
-        found.append((values["start"], Unloaded.checked(*part)))
-    return chance_of(found)
-
-
-def _even(prior: Prior) -> bool:
-    """Whether a prior of the start is uniform from 0 to 1."""
-    return (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
-
-
-def usual_dependence(
-    model: Model, settings: Sequence[Setting], names: Sequence[str]
-) -> dict[str, tuple[str, ...]]:
-    """Covariates that slip forces follow unless a campaign says otherwise.
-
-    They are those of `USUAL` that vary between at least `TESTS` tests; the prior keeps the
-    dependence small.
-    """
-    if len(settings) < TESTS:
-        return {}
-    varied = tuple(c for c in USUAL if varies(settings, c))
-    return {name: varied for name in model.slip_forces if name in names and varied}
-
-
-def _reporter(
-    effort: Effort, report: Callable[[Progress], None]
-) -> Callable[[int, Convergence], None]:
-    """Turns sweeps and convergence into progress."""
-    began, limit = time.perf_counter(), most_sweeps(effort)
+    sampler: ExactSampler,
+    settings: InferenceSettings,
+    effort: Effort,
+    report: Callable[[Progress], None],
+) -> Draws:
+    """Draws of the exact posterior."""
+    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
 
     def tell(sweeps: int, found: Convergence) -> None:
         seconds = time.perf_counter() - began
-        worst = found.worst_r_hat, found.worst_ess
         share = found.share(effort.r_hat, effort.ess)
+        worst = found.worst_r_hat, found.worst_ess
         report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
-    return tell
+    kept = effort.kept // 4
+    functions = [test.log_likelihood for test in sampler.fit.tests]
+    with several_processes(functions, settings.jobs) as evaluate:
+        if evaluate is not None:
+            sampler.evaluate = evaluate
+        return sampler.run(effort.r_hat, effort.ess, limit, kept, tell)
+
+
+def _population(
+    mixed: MixedModel,
+    fit: JointFit,
+    draws: Draws,
+    choice: Index,
+    weights: Mapping[str, Mapping[str, float]],
+    gaussians: TestGaussians,
+    rng: np.random.Generator,
+    priors: PriorFile,
+    actuation_unit: str,
+) -> Population:
+    design, v = mixed.design, mixed.f + mixed.e
+    flat = draws.h.reshape(-1, mixed.dim)
+    share, exponent = design.law_shapes(flat[:, v:], choice.reshape(len(flat), -1))
+    shape = (*draws.h.shape[:2], len(design.laws))
+    posterior = fit.tests[0].posterior
+    known = dict(posterior.priors)
+    if posterior.model.has_gap and "start" in priors.parameters:
+        known.setdefault("start", priors.parameters["start"])
+    other, other_weight = _alternatives(mixed, weights, gaussians, rng)
+    begun = None
+    if "start" in design.coordinates.names:
+        k = design.coordinates.names.index("start")
+        q = design.coordinates.centre[k] + design.coordinates.spread[k] * draws.x[..., k]
+        begun = known["start"].value(q.reshape(-1)).reshape(q.shape)
+    return Population(
+        design=design,
+        draws=LawDraws(draws.h[..., :v], draws.z, share.reshape(shape), exponent.reshape(shape)),
+        choice=choice,
+        weights=weights,
+        alternatives=other,
+        alternative_weight=other_weight,
+        residual=fit.residual,
+        starts=Starts.of(known.get("start")),
+        begun=begun,
+        priors=known,
+        actuation_unit=actuation_unit,
+        walkers=WALKERS,
+        convergence=draws.convergence,
+    )
+
+
+def _alternatives(
+    mixed: MixedModel,
+    weights: Mapping[str, Mapping[str, float]],
+    gaussians: TestGaussians,
+    rng: np.random.Generator,
+) -> tuple[LawDraws, Array]:
+    """Draws under all laws by their Gaussians, for actuations beyond the tested levels, and weights."""
+    design = mixed.design
+    slips = [n for n in gaussians.design.laws if n != "sigma0"]
+    many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
+    considered = design.considered(COMPARE) if many else ("affine", "power")
+    named = {name: law for name, law in design.laws.items() if law != COMPARE}
+    laws = list(dict.fromkeys([*(named[n] for n in slips if n in named), *considered]))
+    share = extrapolation_weights(gaussians, slips, laws)
+    found, weight = [], []
+    for law, w in zip(laws, share, strict=True):
+        if w == 0.0:
+            continue
+        other = MixedModel(design.under(dict.fromkeys(slips, law)), mixed.y, mixed.p)
+        other.weight = mixed.weight
+        choice = _choices(other.design, {**weights, **{n: {law: 1.0} for n in slips}}, 1)
+        n, v = max(int(np.ceil(ALTERNATIVES * w)), 20), other.f + other.e
+        h = other.laplace(choice[0], rng, n)
+        rows = np.broadcast_to(choice, (n, choice.shape[1]))
+        parts = [other.marginal(a, b)[1].draw(rng) for a, b in _some(h, rows)]
+        shapes = other.design.law_shapes(h[:, v:], rows)
+        found.append((h[:, :v], np.concatenate(parts), *shapes))
+        weight.append(np.full(n, w / n))
+    h, z, shares, exponents = (np.concatenate(part) for part in zip(*found, strict=True))
+    return LawDraws(h, z, shares, exponents), np.concatenate(weight)
+
+
+def _some(h: Array, rows: Index) -> list[tuple[Array, Index]]:
+    """A few rows at a time, to bound the memory."""
+    parts = np.array_split(np.arange(len(h)), max(len(h) // 32, 1))
+    return [(h[part], rows[part]) for part in parts]
+
+
+def _starts(
+    likelihoods: Sequence[TestLikelihood], draws: Draws, population: Population
+) -> Starts:
+    """Density of starts, learned from where the tests began."""
+    begun, prior = population.begun, population.priors.get("start")
+    if begun is None or prior is None or population.starts.fixed is not None:
+        return population.starts
+    left, free = [], []
+    even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
+    for j, one in enumerate(likelihoods):
+        model, x = one.posterior.model, draws.x[:, :, j].reshape(-1, draws.x.shape[-1])
+        values = one.values(x)
+        middle = {name: np.array([np.median(v)]) for name, v in values.items()}
+        scales = {name: factor[None] for name, factor in one.scales.items()}
+        left.append(place_left(model, model.theta(middle), one.posterior.trace, scales or None))
+        free.append(without_load(model, values) if even else None)
+    known = [place for place in left if place is not None]
+    places = np.array(known) if len(known) == len(left) else None
+    return population.starts.learned(begun.reshape(-1, begun.shape[-1]), places, free)

@@ -1,9 +1,9 @@
-"""Scores of the laws: how well each predicts levels of actuation that were left out.
+"""Scores of laws and covariates: how well each predicts tests that were left out.
 
-Each quantity is scored by itself, with Gaussians in place of the tests' likelihoods. A law has
-scatter here, but not the effect of the level that predictions allow it, which would excuse any
-law. Scatter and shapes are integrated by importance sampling with quasi-random points near their
-posterior, levels in closed form: the scores are always the same.
+Each quantity is scored by itself, with the Gaussians of the tests given the quantities that all tests
+share. A law has scatter here, but not the level effects that predictions allow it, which would excuse
+any law. Coefficients are integrated in closed form, scatter and shapes over quasi-random draws of their
+prior: the scores are always the same.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
-from mfd_bayes.population.effects import LEVELS
-from mfd_bayes.population.law_points import NEAR, LawPoints, draw_points, worst_k
-from mfd_bayes.population.law_samples import LawProblem, problem_of
-from mfd_bayes.population.laws import COMPARE, LAWS
-from mfd_bayes.population.layout import Layout
-from mfd_bayes.population.setting import Setting, levels_of
-from mfd_bayes.population.test_likelihood import TestLikelihood
+from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.population.design import LEVELS, TESTS, Design
+from mfd_bayes.population.laws import COMPARE, LAW_NAMES, LAWS
+from mfd_bayes.population.mixed_model import MixedModel
+from mfd_bayes.population.settings import levels_of, varies
 from mfd_bayes.store.schema import Figure
 
 Array = NDArray[np.float64]
 
-TESTS = 4
-"""Fewest tests with which a dependence on speed or stroke is scored."""
+POINTS = 1024
+"""Draws of the prior over which scatter and shapes are integrated."""
+
+FOLDS = 10
+"""Most parts of the tests that are left out in turn to score a covariate."""
 
 LARGEST_K = 0.7
 """Pareto k above which a score cannot be trusted, and its law is not weighed."""
@@ -43,8 +44,8 @@ class LawScore:
     ----------
     quantity, law : str
     elpd : float
-        Sum over levels of the log predictive density of the level's tests given the other
-        levels, in prior units.
+        Sum over levels of the log predictive density of the level's tests given the other levels, in
+        prior units.
     se : float
         Standard error of the sum, from the spread of its terms.
     weight : float
@@ -52,7 +53,7 @@ class LawScore:
     levels : tuple of float
         The terms of the sum.
     pareto_k : float
-        Of the importance weights behind the score, the largest; NaN of an earlier version.
+        Of the weights of the prior's draws.
     """
 
     quantity: str
@@ -79,9 +80,9 @@ class DependenceScore:
     covariate : str
         "velocity", "amplitude", or "" for neither.
     elpd : float
-        Sum over tests of the log predictive density of each from the others, in prior units.
+        Sum of the log predictive densities of tests that were left out, in prior units.
     difference, se : float
-        Difference from the score of neither, and its standard error over tests.
+        Difference from the score of neither, and its standard error.
     """
 
     quantity: str
@@ -91,112 +92,173 @@ class DependenceScore:
     se: Figure
 
 
-def compare_laws(
-    layout: Layout, tests: Sequence[TestLikelihood], seed: int = 0
-) -> tuple[LawScore, ...]:
+@dataclass(frozen=True, eq=False)
+class TestGaussians:
+    """Gaussian likelihoods of the tests' free quantities given the common ones.
+
+    Attributes
+    ----------
+    design : Design
+    mean, variance : (J, d)
+        In prior units; those of common quantities are not used.
+    """
+
+    design: Design
+    mean: Array
+    variance: Array
+
+    __test__ = False  # pytest is not to collect it
+
+    @classmethod
+    def given_common(cls, design: Design, y: Array, precision: Array, mode: Array) -> TestGaussians:
+        """From likelihoods (J, d), (J, d, d), with the common quantities at a mode (d,)."""
+        free, common = design.free, np.flatnonzero(design.common)
+        inner = precision[:, free][:, :, free] + 1e-6 * np.eye(free.size)
+        away = (y[:, common] - mode[common])[..., None]
+        shift = np.linalg.solve(inner, precision[:, free][:, :, common] @ away)[..., 0]
+        mean, variance = y.copy(), np.ones_like(y)
+        mean[:, free] += shift
+        variance[:, free] = np.diagonal(np.linalg.inv(inner), axis1=1, axis2=2)
+        return cls(design, mean, variance)
+
+    def densities(
+        self, design: Design, folds: Sequence[Sequence[int]], law: str
+    ) -> tuple[Array, Array, Array]:
+        """Log densities of all tests and without each fold, (n, 1 + folds), h and its exponents."""
+        k = self.design.names.index(design.names[0])
+        informs = design.informs[:, 0]
+        precision = np.where(informs, 1.0 / self.variance[:, k], 0.0)
+        mixed = MixedModel(design, self.mean[:, [k]], precision[:, None, None])
+        number = LAW_NAMES.index(law) if law else 0
+        choice = np.full((POINTS, len(design.laws)), number)
+        h = mixed.draw_prior(POINTS)
+        every = range(len(self.mean))
+        kept = [list(every), *([j for j in every if j not in set(fold)] for fold in folds)]
+        found = np.stack([mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)
+        # where the law has no value the quantity has the prior of a test by itself, N(0, 1)
+        total = 1.0 + self.variance[:, k]
+        alone = -0.5 * (self.mean[:, k] ** 2 / total + np.log(total / self.variance[:, k]))
+        alone[informs] = 0.0
+        return found + np.array([alone[tests].sum() for tests in kept]), h, choice
+
+    def scores(self, design: Design, folds: Sequence[Sequence[int]], law: str) -> tuple[Array, float]:
+        """Log predictive density of each fold given the others, (folds,), and Pareto k."""
+        log = self.densities(design, folds, law)[0]
+        sums = special.logsumexp(log, axis=0)
+        return sums[0] - sums[1:], max(psis(column)[1] for column in log.T)
+
+
+def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
     """Score of every law for each quantity that follows the actuation, each level left out in turn.
 
-    Empty where tests are at fewer than `LEVELS` levels. A law whose score cannot be trusted has no
-    weight; where none can, no law has. With tests at zero actuation, laws that have no value there
-    have none either.
+    Empty where tests are at fewer than `LEVELS` levels. With tests at zero actuation, laws that have
+    no value there have no weight.
     """
-    folds = levels_of(layout.settings)
+    design = tests.design
+    folds = levels_of(design.settings)
     if len(folds) < LEVELS:
         return ()
-    zero = any(setting.actuation == 0 for setting in layout.settings)
-    allowed = np.array([LAWS[law].intercept or not zero for law in LAWS])
-    scores, layout = [], layout.without("level")
-    for name in layout.laws:
-        problems = [problem_of(layout, tests, name, law) for law in LAWS]
-        terms, k = zip(*(_left_out(p, folds, seed) for p in problems), strict=True)
-        weights = _weights(np.stack(terms, axis=1), np.array(k), allowed)
-        for law, found, worst, weight in zip(LAWS, terms, k, weights, strict=True):
-            total, se, levels = float(found.sum()), _error(found), tuple(found.tolist())
-            scores.append(LawScore(name, law, total, se, float(weight), levels, worst))
-    return tuple(scores)
+    found = []
+    allowed = [law in design.considered(COMPARE) for law in LAWS]
+    for name in design.laws:
+        pairs = [tests.scores(design.restricted(name, law), folds, law) for law in LAWS]
+        terms, k = np.array([t for t, _ in pairs]), np.array([k for _, k in pairs])
+        trusted = np.array(allowed) & ~(k > LARGEST_K)
+        weights = np.zeros(len(LAWS))
+        if np.any(trusted):
+            weights[trusted] = stack(terms[trusted].T)
+        for law, levels, worst, weight in zip(LAWS, terms, k, weights, strict=True):
+            total, se = float(levels.sum()), _error(levels)
+            found.append(
+                LawScore(name, law, total, se, float(weight), tuple(levels.tolist()), float(worst))
+            )
+    return tuple(found)
 
 
-def _weights(terms: Array, k: Array, allowed: NDArray[np.bool_]) -> Array:
-    """Stacking weights of allowed laws (laws,) with a good Pareto k; terms are (folds, laws)."""
-    trusted = allowed & ~(k > LARGEST_K)
-    weights = np.zeros(len(k))
-    if np.any(trusted):
-        weights[trusted] = stack(terms[:, trusted])
-    return weights
+def extrapolation_weights(tests: TestGaussians, names: Sequence[str], laws: Sequence[str]) -> Array:
+    """Weights of laws by how well they predict the lowest and the highest level, (laws,).
 
-
-def compare_dependence(
-    layout: Layout, tests: Sequence[TestLikelihood]
-) -> tuple[DependenceScore, ...]:
-    """Scores of dependences on speed or stroke, by leave-one-test-out.
-
-    For each quantity that follows the actuation, under its own law ("power" where laws are
-    compared). Empty where there are fewer than `TESTS` tests, or where no covariate varies.
+    Stacking of the two folds, for some quantities together, with a prior worth one fold: two levels do
+    not rule a law out. With fewer than `LEVELS` levels, equal weights.
     """
-    if len(tests) < TESTS:
+    design = tests.design
+    levels = levels_of([s for s in design.settings if s.actuation > 0])
+    if len(levels) < LEVELS or not names:
+        return np.full(len(laws), 1.0 / len(laws))
+    above = [j for j, s in enumerate(design.settings) if s.actuation > 0]
+    ends = [[above[j] for j in levels[end]] for end in (0, -1)]
+    terms = [
+        np.concatenate([tests.scores(design.restricted(name, law), ends, law)[0] for name in names])
+        for law in laws
+    ]
+    return stack(np.array(terms).T, prior=1.0)
+
+
+def compare_dependence(tests: TestGaussians) -> tuple[DependenceScore, ...]:
+    """Scores of dependences on speed or stroke, parts of the tests left out in turn.
+
+    For each quantity that follows the actuation, under its own law ("power" where laws are compared).
+    Empty where there are fewer than `TESTS` tests, or where no covariate varies.
+    """
+    design = tests.design
+    varied = [c for c in COVARIATES if varies(design.settings, c)]
+    count = len(design.settings)
+    if count < TESTS or not varied:
         return ()
-    scores, layout = [], layout.without("level")
-    varied = [covariate for covariate in COVARIATES if varies(layout.settings, covariate)]
-    for name, law in layout.laws.items():
-        given = layout, tests, name, "power" if law == COMPARE else law
-        terms = {c: _each_left_out(problem_of(*given, [c] if c else [])) for c in ("", *varied)}
-        for covariate, found in terms.items():
-            better = found - terms[""]
-            score = float(found.sum()), float(better.sum()), _error(better)
-            scores.append(DependenceScore(name, covariate, *score))
-    return tuple(scores) if varied else ()
+    folds = [list(range(i, count, min(count, FOLDS))) for i in range(min(count, FOLDS))]
+    found = []
+    for name, law in design.laws.items():
+        law = "power" if law == COMPARE else law
+        terms = {
+            c: tests.scores(design.restricted(name, law, [c] if c else []), folds, law)[0]
+            for c in ("", *varied)
+        }
+        for c, values in terms.items():
+            better = values - terms[""]
+            found.append(
+                DependenceScore(name, c, float(values.sum()), float(better.sum()), _error(better))
+            )
+    return tuple(found)
 
 
-def _error(terms: Array) -> float:
-    """Standard error of the sum of terms."""
-    return float(np.sqrt(len(terms)) * terms.std(ddof=1))
-
-
-def varies(settings: Sequence[Setting], covariate: str) -> bool:
-    """Whether a covariate varies between settings by more than a fifth."""
-    values = [setting.covariates.get(covariate, 0.0) for setting in settings]
-    return min(values) > 0.0 and max(values) > 1.2 * min(values)
-
-
-def free_exponents(
-    layout: Layout, tests: Sequence[TestLikelihood]
-) -> dict[str, tuple[float, float, float]]:
+def free_exponents(tests: TestGaussians) -> dict[str, tuple[float, float, float]]:
     """Quantiles 2.5, 50 and 97.5 % of each proportional law's exponent, were it a power law.
 
-    Levels may deviate from the law as in predictions: the exponent is known no better than the
-    number of levels allows, however many tests each has. Empty where no law is proportional, or
-    the tests are at fewer than `LEVELS` levels above zero.
+    Levels may deviate from the law as in predictions: the exponent is known no better than the number
+    of levels allows. Empty where no law is proportional, or at fewer than `LEVELS` levels above zero.
     """
-    if len(levels_of([s for s in layout.settings if s.actuation > 0])) < LEVELS:
+    design = tests.design
+    if len(levels_of([s for s in design.settings if s.actuation > 0])) < LEVELS:
         return {}
     found = {}
-    for name in (name for name, law in layout.laws.items() if law == "proportional"):
-        problem = problem_of(layout, tests, name, "power")
-        drawn, densities = [], []
-        for sample, weights in draw_points(problem).parts():
-            drawn.append(sample.exponent)
-            densities.append(weights + sample.log_density(sample.sums(slice(None))))
-        exponents, shares = np.concatenate(drawn), special.softmax(np.concatenate(densities))
-        order = np.argsort(exponents)
-        mass = np.cumsum(shares[order])
-        low, middle, high = np.interp([0.025, 0.5, 0.975], mass, exponents[order])
+    for name in (n for n, law in design.laws.items() if law == "proportional"):
+        restricted = design.restricted(name, "power", leveled=True)
+        log, h, choice = tests.densities(restricted, [], "power")
+        shapes = h[:, h.shape[1] - len(restricted.shapes) :]
+        exponent = restricted.law_shapes(shapes, choice)[1][:, 0]
+        order = np.argsort(exponent)
+        mass = np.cumsum(special.softmax(log[:, 0])[order])
+        low, middle, high = np.interp([0.025, 0.5, 0.975], mass, exponent[order])
         found[name] = (float(low), float(middle), float(high))
     return found
 
 
-def stack(scores: Array) -> Array:
+def stack(scores: Array, prior: float = 0.0) -> Array:
     """Stacking weights: those of the mixture that predicts best (Yao et al., 2018), (laws,).
 
     Parameters
     ----------
     scores : (folds, laws)
         Log predictive densities.
+    prior : float
+        Folds that equal weights are worth.
     """
     laws = scores.shape[1]
     level = np.exp(scores - scores.max(axis=1, keepdims=True))
 
     def loss(q: Array) -> float:
-        return -float(np.log(level @ special.softmax(q)).sum())
+        gain = np.log(level @ special.softmax(q)).sum() + prior * special.log_softmax(q).mean()
+        return -float(gain)
 
     starts = [np.zeros(laws), *(3.0 * np.eye(laws))]
     best = min((optimize.minimize(loss, start) for start in starts), key=lambda fit: fit.fun)
@@ -205,40 +267,6 @@ def stack(scores: Array) -> Array:
     return np.asarray(kept / kept.sum())
 
 
-def _left_out(
-    problem: LawProblem, folds: Sequence[Sequence[int]], seed: int
-) -> tuple[Array, float]:
-    """Log predictive density of the tests of each fold given the others, (folds,), and Pareto k."""
-    every = np.arange(len(problem.data))
-    others = [np.setdiff1d(every, fold).tolist() for fold in folds]
-    log_weights = _densities(draw_points(problem, others, seed), folds)
-    sums: Array = special.logsumexp(log_weights, axis=0)
-    return sums[0] - sums[1:], worst_k(log_weights)
-
-
-def _densities(points: LawPoints, folds: Sequence[Sequence[int]]) -> Array:
-    """Log weights of the points by all tests, and by those outside each fold, (n, 1 + folds)."""
-    found = []
-    for sample, weights in points.parts():
-        whole = sample.sums(slice(None))
-        columns = [sample.log_density(whole)]
-        for fold in folds:
-            gram, pull, rest = (a - b for a, b in zip(whole, sample.sums(fold), strict=True))
-            columns.append(sample.log_density((gram, pull, rest)))
-        found.append(weights[:, None] + np.stack(columns, axis=1))
-    return np.concatenate(found)
-
-
-def _each_left_out(problem: LawProblem) -> Array:
-    """Log predictive density of each test given the others, (J,)."""
-    everything, others = [], []
-    tests = len(problem.data)
-    few = [[i for i in range(tests) if i != j] for j in range(tests)] if tests <= NEAR else []
-    for sample, weights in draw_points(problem, few).parts():
-        whole = sample.sums(slice(None))
-        density = weights + sample.log_density(whole)
-        everything.append(density)
-        rest = density[:, None] - sample.log_density_of_each(whole)
-        others.append(special.logsumexp(rest, axis=0))
-    found: Array = special.logsumexp(np.concatenate(everything)) - special.logsumexp(others, axis=0)
-    return found
+def _error(terms: Array) -> float:
+    """Standard error of the sum of terms."""
+    return float(np.sqrt(len(terms)) * terms.std(ddof=1)) if len(terms) > 1 else 0.0

@@ -1,85 +1,190 @@
-"""The population of tests: levels, laws and test-to-test scatter, as draws."""
+"""The population of tests: laws, levels, effects and scatter, as draws."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.population import checks
-from mfd_bayes.population.beyond import unknown_beyond
-from mfd_bayes.population.laws import TIED, ratio, ratios_along
-from mfd_bayes.population.layout import Choice, Layout
-from mfd_bayes.population.parts import Expected, Parts
-from mfd_bayes.population.residual import Residual
-from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.starts import UNKNOWN, Standing, StartDensity, anywhere, fixed, learned
-from mfd_bayes.population.straight import StraightLaws
+from mfd_bayes.errors import FitError, NotThereError
+from mfd_bayes.friction.model import Model
+from mfd_bayes.population.design import Design
+from mfd_bayes.population.discrepancy import Residual
+from mfd_bayes.population.laws import INTERCEPTS, TIED, ratio
+from mfd_bayes.population.settings import Setting, folds_beyond, same_level
+from mfd_bayes.population.starts import Starts, place_left, without_load
+from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
-SHORTER = 0.9
-"""Share of the smallest calibrated stroke below which a motion counts as shorter than all."""
+STROKE, RATE = 0.2, 0.1
+"""Sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and of
+speed or frequency, outside the tests."""
+
+LIKE = 1.1
+"""Factor of stroke within which a motion repeats a calibrated test, and so may begin as it did."""
+
+LIKE_STROKES = 0.25
+"""Difference in the share of full strokes up to which motions are of one kind."""
+
+OCTAVE = 0.25
+"""Octaves between the actuations at which deviations along a history are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
-class Population(StraightLaws):
-    """Draws of the hyperparameters, (chain, draw) first.
+class Numbers:
+    """Standard normal numbers of n drawn tests of d quantities.
 
     Attributes
     ----------
-    layout : Layout
-    h : (chain, draw, dim)
-        Scatter, effects' sd and shapes, as in `Layout`.
-    latent : (chain, draw, 1 + cells, d)
-        Levels at the reference actuation, then the cells' effects, in prior units.
+    flat : (n, m)
+    quantities, leveled, grid : int
+        d; M quantities with level effects; G actuations.
+    """
+
+    flat: Array
+    quantities: int
+    leveled: int
+    grid: int
+
+    @classmethod
+    def size(cls, quantities: int, leveled: int, grid: int) -> int:
+        """Numbers m of a test."""
+        return 3 * quantities + leveled * grid + 2
+
+    def _block(self, i: int) -> Array:
+        return self.flat[:, i * self.quantities : (i + 1) * self.quantities]
+
+    @property
+    def scatter(self) -> Array:
+        """From test to test, (n, d)."""
+        return self._block(0)
+
+    @property
+    def beyond(self) -> Array:
+        """Of a motion outside the tests, (n, d)."""
+        return self._block(1)
+
+    @property
+    def session(self) -> Array:
+        """Of a new session, (n, d)."""
+        return self._block(2)
+
+    @property
+    def level(self) -> Array:
+        """Of level effects, (n, M, G)."""
+        return self.flat[:, 3 * self.quantities : -2].reshape(len(self.flat), self.leveled, self.grid)
+
+    @property
+    def start(self) -> Array:
+        """Of the place in the gap, (n, 2)."""
+        return self.flat[:, -2:]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """What the coordinates of n tests are made of, in prior units, (n, d) each.
+
+    `mean`: levels, laws, covariates and effects; `scatter`: from test to test.
+    """
+
+    mean: Array
+    scatter: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LawDraws:
+    """Draws of the population, (n, …) or (chain, draw, …).
+
+    Attributes
+    ----------
+    h : (…, F + E)
+        Logarithms of the scatter of the F free quantities and of the sds of the E effects.
+    z : (…, Z)
+        Linear coefficients, as in `Design`.
+    share, exponent : (…, L)
+        Shapes of the law of each quantity that follows the actuation.
+    """
+
+    h: Array
+    z: Array
+    share: Array
+    exponent: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Draws of the population of a campaign's tests, (chain, draw) first.
+
+    Attributes
+    ----------
+    design : Design
+    draws : LawDraws
+        (chain, draw, …).
     choice : (chain, draw, L) int
-        Law of each quantity that follows the actuation.
-    together : (chain, draw, d, d)
-        Cholesky factor of the correlation of the scatter between quantities.
+        Number of the law of each quantity that follows the actuation.
+    weights : mapping of str to mapping of str to float
+        Weights of the laws of each such quantity.
+    alternatives : LawDraws
+        (m, …): draws under all laws, for actuations beyond the tested levels.
+    alternative_weight : (m,)
+        Of each of these.
+    residual : Residual
+        Discrepancy and noise that the tests have in common.
+    starts : Starts
+    begun : (chain, draw, J), or None
+        Places in the gap at which the calibrated tests began.
     priors : mapping of str to Prior
     actuation_unit : str
     walkers : int
-        Walkers of each chain, by which its draws are ordered.
+        Chains of each group, by which its draws are ordered.
     convergence : Convergence
         Of scatter, effects' sd, shapes and levels.
-    residual : Residual, optional
-        Discrepancy and noise that the tests have in common; runs of older versions have none.
-    starts : (chain, draw, J), optional
-        Places in the gap at which the tests began; none with a model or a run without them.
-    left : (J,), optional
-        Places at which their own motions leave the device.
-    unloaded : float
-        Probability that tests begin without load (`chance_of`); 0 where nothing is known of it.
     """
 
-    layout: Layout
-    h: Array
-    latent: Array
-    choice: Choice
-    together: Array
+    design: Design
+    draws: LawDraws
+    choice: Index
+    weights: Mapping[str, Mapping[str, float]]
+    alternatives: LawDraws
+    alternative_weight: Array
+    residual: Residual
+    starts: Starts
+    begun: Array | None
     priors: Mapping[str, Prior]
     actuation_unit: str
     walkers: int
     convergence: Convergence
-    residual: Residual | None = None
-    starts: Array | None = None
-    left: Array | None = None
-    unloaded: float = 0.0
 
     @property
     def size(self) -> int:
         """Number of draws of all chains."""
-        return int(self.h.shape[0] * self.h.shape[1])
+        return int(np.prod(self.shape))
 
     @property
-    def levels(self) -> Array:
-        """Shared coordinates of the medians at the reference actuation, (chain, draw, d)."""
-        return self.layout.centre + self.layout.spread * self.latent[:, :, 0]
+    def shape(self) -> tuple[int, int]:
+        """Numbers of chains, and of draws of each."""
+        return self.draws.h.shape[0], self.draws.h.shape[1]
+
+    @cached_property
+    def _all(self) -> LawDraws:
+        """All draws and those under other laws, (n, …)."""
+        own, other = vars(self.draws), vars(self.alternatives)
+        flat = {k: np.concatenate([v.reshape(self.size, -1), other[k]]) for k, v in own.items()}
+        return LawDraws(**flat)
+
+    # --- what tables show -------------------------------------------------------------------------
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Quantities that are the same in all tests."""
+        return tuple(self.design.names[k] for k in np.flatnonzero(self.design.common))
 
     @property
     def scatters(self) -> dict[str, Array]:
@@ -87,35 +192,35 @@ class Population(StraightLaws):
 
         It is the sd of the logarithm of a positive quantity, and in kip for the offset.
         """
-        return {
-            name: np.exp(self.h[..., k])
-            for k, name in enumerate(self.layout.names)
-            if name not in self.common
-        }
-
-    @property
-    def common(self) -> tuple[str, ...]:
-        """Quantities that are the same in all tests."""
-        return tuple(self.layout.names[k] for k in np.flatnonzero(self.layout.common))
+        names = [self.design.names[k] for k in self.design.free]
+        return {name: np.exp(self.draws.h[..., i]) for i, name in enumerate(names)}
 
     @property
     def effect_sds(self) -> dict[str, Array]:
         """Sd of each effect, by "name_group", (chain, draw)."""
-        begin = len(self.layout.names)
+        begin = self.design.free.size
         return {
-            f"{effect.name}_{self.layout.groups[effect.group]}": np.exp(self.h[..., begin + i])
-            for i, effect in enumerate(self.layout.effects)
+            f"{effect.name}_{effect.group}": np.exp(self.draws.h[..., begin + i])
+            for i, effect in enumerate(self.design.effects)
         }
+
+    @property
+    def scatter_scales(self) -> Array:
+        """Scale of the half-normal prior of each of `scatters` and `effect_sds`."""
+        effects = [effect.scale for effect in self.design.effects]
+        return np.concatenate([self.design.scatter_sd[self.design.free], effects])
 
     @property
     def dependences(self) -> dict[str, Array]:
         """Change of a quantity's coordinate per e-fold of a covariate, (chain, draw)."""
-        begin = len(self.layout.names) + len(self.layout.effects)
-        return {
-            f"{name}_{shape}": self.h[..., begin + i]
-            for i, (name, shape) in enumerate(self.layout.shapes)
-            if shape in self.layout.covariate_reference
-        }
+        pairs = [(name, c) for name, those in self.design.dependence.items() for c in those]
+        begin = len(self.design.names)
+        return {f"{name}_{c}": self.draws.z[..., begin + i] for i, (name, c) in enumerate(pairs)}
+
+    @property
+    def law_weights(self) -> dict[str, dict[str, float]]:
+        """Weight of each law that was considered, by quantity."""
+        return {name: dict(weights) for name, weights in self.weights.items()}
 
     def shapes(self, name: str) -> tuple[Array, Array]:
         """Share and exponent of a quantity's law, (chain, draw) each.
@@ -125,46 +230,17 @@ class Population(StraightLaws):
         NotThereError
             When it has no law.
         """
-        checks.check_known("law of", name, self.layout.laws)
-        shape = self.h.shape[:2]
-        flat = self.h.reshape(self.size, -1), self.choice.reshape(self.size, -1)
-        share, exponent = self.layout.law_shapes(*flat, name)
-        return share.reshape(shape), exponent.reshape(shape)
+        if name not in self.design.laws:
+            known = ", ".join(self.design.laws) or "none"
+            raise NotThereError(f"no law of {name!r}: there are {known}")
+        column = list(self.design.laws).index(name)
+        return self.draws.share[..., column], self.draws.exponent[..., column]
 
-    def ratio(self, name: str, actuation: Array) -> Array:
-        """Law's value at each actuation over that at the reference, (chain, draw, m).
+    def ratio(self, name: str, actuation: ArrayLike, index: Index | None = None) -> Array:
+        """Law's value at actuations (m,) over that at the reference.
 
-        It is 1 for a quantity without a law. What follows another, such as static friction, has
-        its law.
-
-        Raises
-        ------
-        NotThereError
-            When there is no such quantity.
-        FitError
-            When an actuation is no number, 0 or more.
-        """
-        names = self.layout.names
-        checks.check_known("quantity", name, (*names, *(n for n in TIED if TIED[n] in names)))
-        name = name if name in names else TIED[name]
-        relative = checks.check_actuations(actuation) / self.layout.reference
-        if name not in self.layout.laws:
-            return np.ones((*self.h.shape[:2], relative.size))
-        share, exponent = self.shapes(name)
-        return ratio(relative, share[..., None], exponent[..., None])
-
-    def ratio_of(self, name: str, actuation: Array, index: NDArray[np.intp]) -> Array:
-        """The same of draws by number (n,), of a quantity with a law, (n, m)."""
-        share, exponent = (shape.reshape(-1, 1)[index] for shape in self.shapes(name))
-        return ratio(np.asarray(actuation) / self.layout.reference, share, exponent)
-
-    def ratios_along(self, name: str, history: Array, index: NDArray[np.intp]) -> Array:
-        """The same along a history of actuation (T,), time first, (T, n)."""
-        share, exponent = (shape.ravel()[index] for shape in self.shapes(name))
-        return ratios_along(history / self.layout.reference, share, exponent)
-
-    def median(self, name: str, actuation: Array) -> Array:
-        """Median over tests of a quantity at each actuation, (chain, draw, m).
+        It is (chain, draw, m), or (n, m) for draws by number. It is 1 for a quantity without a law;
+        what follows another, such as static friction, has its law.
 
         Raises
         ------
@@ -173,122 +249,276 @@ class Population(StraightLaws):
         FitError
             When an actuation is no number, 0 or more.
         """
-        checks.check_known("quantity", name, self.layout.names)
-        level = self.layout.coordinates.values(self.levels.reshape(self.size, -1))[name]
-        return level.reshape(*self.h.shape[:2], 1) * self.ratio(name, actuation)
+        at = np.atleast_1d(np.asarray(actuation, dtype=np.float64))
+        if not np.all((at >= 0.0) & np.isfinite(at)):
+            raise FitError(f"actuation must be finite numbers of at least 0, got {actuation!r}")
+        name = TIED.get(name, name) if name not in self.design.names else name
+        if name not in self.design.names:
+            raise NotThereError(f"no quantity {name!r}: there are {', '.join(self.design.names)}")
+        chosen = np.arange(self.size) if index is None else index
+        found = np.ones((chosen.size, at.size))
+        if name in self.design.laws:
+            column = list(self.design.laws).index(name)
+            shape = (a[chosen, column, None] for a in (self._all.share, self._all.exponent))
+            found = ratio(at / self.design.reference, *shape)
+        return found.reshape(*self.shape, -1) if index is None else found
+
+    def median(self, name: str, actuation: ArrayLike) -> Array:
+        """Median over tests of a quantity at actuations (m,) by the laws alone, (chain, draw, m).
+
+        Raises
+        ------
+        NotThereError
+            When there is no such quantity.
+        FitError
+            When an actuation is no number, 0 or more.
+        """
+        followed = self.ratio(name, actuation)
+        levels = self.draws.z[..., : len(self.design.names)].reshape(self.size, -1)
+        return self.values(levels)[name].reshape(*self.shape, 1) * followed
 
     @property
-    def law_weights(self) -> dict[str, dict[str, float]]:
-        """Weight of each law that was considered, by quantity."""
-        return {name: dict(weights) for name, weights in self.layout.weights.items()}
+    def slopes(self) -> dict[str, Array]:
+        """The paper's constants of those laws that are straight, and the laws' intercepts.
 
-    def start_density(
-        self,
-        rng: np.random.Generator,
-        n: int,
-        setting: Setting | None = None,
-        standing: Standing = UNKNOWN,
-    ) -> StartDensity:
-        """Densities of the places in the gap where n tests begin.
-
-        They are learned from the calibrated tests (`learned`). A motion that is shorter
-        than all of theirs, or of which no setting is known, begins anywhere, or anywhere without
-        load: its start decides the force for long, and nothing says that such tests begin like the
-        others. A start that the prior file fixes is kept.
+        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of actuation; what
+        is left without actuation: `Fc_fwd_0` and its like in kip, `sigma0_0` in kip/in. All are
+        (chain, draw).
         """
-        prior = self.priors.get("start")
-        if prior is not None and prior.fixed:
-            return fixed(n, prior.typical)
-        if self.starts is None or setting is None or self._shorter(setting):
-            return anywhere(rng, n, self.unloaded, standing.luck)
-        known = self.starts.reshape(-1, self.starts.shape[-1])[rng.integers(self.size, size=n)]
-        left = None if self.left is None else standing.left()
-        both = None if self.left is None or left is None else (self.left, left)
-        return learned(known, both, rng)
+        found: dict[str, Array] = {}
+        p0, laws = self.design.reference, self.design.laws
+        for name, slope in (("Fc_fwd", "K_c_fwd"), ("Fc_bwd", "K_c_bwd"), ("sigma0", "alpha_sigma0")):
+            if laws.get(name) not in ("proportional", "affine"):
+                continue
+            zero, one = np.moveaxis(self.median(name, [0.0, p0]), -1, 0)
+            found[slope] = (one - zero) / p0
+            excess = name.replace("Fc", "static_excess")
+            if excess != name and excess in self.design.names:
+                static = 1.0 + self.median(excess, [p0])[..., 0]
+                found[slope.replace("K_c", "K_s")] = found[slope] * static
+        for name, law in laws.items():
+            if law in ("affine", "residual_power") and f"{name}_0" in INTERCEPTS:
+                found[f"{name}_0"] = self.median(name, [0.0])[..., 0]
+        return found
 
-    def draw_starts(
-        self,
-        rng: np.random.Generator,
-        n: int,
-        setting: Setting | None = None,
-        standing: Standing = UNKNOWN,
-    ) -> Array:
-        """Places in the gap at which n tests begin, (n,); see `start_density`."""
-        return self.start_density(rng, n, setting, standing).draw(rng, standing.unloaded)
+    # --- new tests --------------------------------------------------------------------------------
 
-    def _shorter(self, setting: Setting) -> bool:
-        """Whether a test's stroke is shorter than that of every calibrated test."""
-        strokes = [tested.covariates.get("amplitude", 0.0) for tested in self.layout.settings]
-        return setting.covariates.get("amplitude", 0.0) < SHORTER * min(strokes)
+    def values(self, x: Array) -> dict[str, Array]:
+        """Shared quantities at coordinates x (n, d), by name, (n,) each, internal units."""
+        coordinates = self.design.coordinates
+        more = np.zeros((len(x), len(coordinates.names) - x.shape[1]))
+        found = coordinates.values(np.concatenate([x, more], axis=1))
+        return {name: found[name] for name in self.design.names}
 
-    def draw_test(
-        self,
-        setting: Setting,
-        index: NDArray[np.intp],
-        rng: np.random.Generator,
-        *,
-        scattered: bool = True,
+    def within_levels(self, actuation: float) -> bool:
+        """Whether an actuation lies between the lowest and the highest tested level, or at one."""
+        levels = [s.actuation for s in self.design.settings]
+        inside = min(levels) <= actuation <= max(levels)
+        return inside or any(same_level(actuation, level) for level in levels)
+
+    def draw_index(self, n: int, actuation: float, rng: np.random.Generator) -> Index:
+        """Numbers of draws for n new tests, (n,).
+
+        Beyond the tested levels they mix over the laws: numbers from `size` on are those under
+        other laws.
+        """
+        found = rng.choice(self.size, size=n, replace=n > self.size)
+        if self.within_levels(actuation) or not self.alternative_weight.size:
+            return found
+        edges = np.cumsum(self.alternative_weight)
+        other = np.searchsorted(edges, rng.random(n))
+        return np.where(other < edges.size, self.size + other, found)
+
+    @property
+    def _leveled(self) -> list[tuple[int, int, Index]]:
+        """Effect, quantity and columns of z of each quantity with a level effect."""
+        found, design = [], self.design
+        for e, effect in enumerate(design.effects):
+            if effect.name == "level":
+                for k in effect.members:
+                    own = np.flatnonzero((design.effect == e) & (design.quantity == k))
+                    found.append((e, k, own))
+        return found
+
+    def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
+        """Numbers of n tests with a grid of so many actuations."""
+        sizes = len(self.design.names), len(self._leveled), grid
+        return Numbers(rng.standard_normal((n, Numbers.size(*sizes))), *sizes)
+
+    def active(self, setting: Setting, grid: Array) -> Index:
+        """Columns of the numbers that matter under a setting and a grid (G,)."""
+        design, d = self.design, len(self.design.names)
+        free = np.zeros(d, dtype=bool)
+        free[design.free] = True
+        new = free & (len(design.sessions) > 0 and setting.session not in design.sessions)
+        cells = [design.cell_of(Setting(float(p), setting.session)) for p in grid]
+        rest = np.any(np.abs(design.krige(cells)[1]) > 1e-9)
+        level = np.full(len(self._leveled) * grid.size, rest)
+        return np.flatnonzero([*free, *(self._beyond(setting) > 0), *new, *level, True, True])
+
+    def level_effects(
+        self, index: Index, session: str, actuations: ArrayLike, numbers: Array
     ) -> dict[str, Array]:
-        """Quantities of tests under a setting, by name, (n,) each; see `draw_parts`.
+        """Deviations from the laws at actuations (G,): logarithms, (n, G) each, by quantity.
 
-        Raises
-        ------
-        FitError
-            When the setting, a number of a draw or the generator is none.
+        Tested levels have those of the tests; others are drawn together, given these, by numbers
+        (n, M, G).
         """
-        checks.check_generator(rng)
-        return self.values(self.draw_parts(setting, index, rng, scattered=scattered))
+        h, z = self._all.h, self._all.z
+        cells = [self.design.cell_of(Setting(float(p), session)) for p in np.atleast_1d(actuations)]
+        weights, rest = self.design.krige(cells)
+        values, vectors = np.linalg.eigh(rest)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        found = {}
+        for m, (e, k, own) in enumerate(self._leveled):
+            omega = np.exp(h[index, self.design.free.size + e])
+            drawn = omega[:, None] * (numbers[:, m] @ root.T)
+            found[self.design.names[k]] = z[np.ix_(index, own)] @ weights.T + drawn
+        return found
 
-    def values(self, parts: Parts) -> dict[str, Array]:
-        """Quantities of drawn tests, by name, (n,) each, internal units."""
-        layout = self.layout
-        return layout.coordinates.values(layout.centre + layout.spread * parts.total)
-
-    def draw_parts(
+    def parts(
         self,
         setting: Setting,
-        index: NDArray[np.intp],
-        rng: np.random.Generator,
+        index: Index,
+        numbers: Numbers,
+        effects: Mapping[str, Array],
         *,
-        scattered: bool = True,
-        leveled: bool = True,
+        scatter: bool = True,
     ) -> Parts:
         """What tests under a setting are made of.
 
         Parameters
         ----------
         setting : Setting
-            Of calibrated tests or a new one.
         index : (n,) int
-            Number of the draw of the hyperparameters for each.
-        rng : numpy.random.Generator
-        scattered : bool
-            Whether to add test-to-test scatter, and what is unknown of a new session; without
-            it, the median over tests, with what is unknown of a new level and of a motion outside
-            those of the tests.
-        leveled : bool
-            Whether to add what is unknown of a new level.
+            Draws of the population, by number.
+        numbers : Numbers
+        effects : mapping of str to (n,)
+            Level effects of quantities at the setting's actuation.
+        scatter : bool
+            Whether to add the scatter from test to test, and what is unknown of a new session;
+            without it, this is the mean property of the device.
         """
-        expected = self.expected(setting, index)
-        return expected.parts(lambda *_: rng, scattered=scattered, leveled=leveled)
+        design, draws = self.design, self._all
+        h, z, spread, d = draws.h, draws.z, design.spread, len(design.names)
+        row = design.row(setting, level=np.zeros(len(design.cells)))
+        at = np.array([setting.actuation])
+        mean = design.offsets(draws.share[index], draws.exponent[index], at)[:, 0]
+        for k in range(d):
+            own = design.quantity == k
+            mean[:, k] += z[index][:, own] @ row[own]
+        for name, value in effects.items():
+            k = design.names.index(name)
+            mean[:, k] += value / spread[k]
+        mean += self._beyond(setting) * numbers.beyond
+        scattered = np.zeros_like(mean)
+        if scatter:
+            for i, k in enumerate(design.free):
+                scattered[:, k] = np.exp(h[index, i]) / spread[k] * numbers.scatter[:, k]
+            if setting.session not in design.sessions:
+                for e, effect in enumerate(design.effects):
+                    if effect.name == "session":
+                        omega = np.exp(h[index, design.free.size + e])
+                        for k in effect.members:
+                            scattered[:, k] += omega / spread[k] * numbers.session[:, k]
+        return Parts(mean, scattered)
 
-    def expected(self, setting: Setting, index: NDArray[np.intp]) -> Expected:
-        """What draws of the hyperparameters, (n,) by number, say of a test under a setting."""
-        checks.check_setting(setting, self.layout.covariate_reference)
-        index = checks.check_draws(index, self.size)
-        layout, h = self.layout, self.h.reshape(self.size, -1)[index]
-        latent = self.latent.reshape(self.size, *self.latent.shape[2:])[index]
-        choice = self.choice.reshape(self.size, -1)[index]
-        law = layout.offsets(h, choice, [setting])[:, 0]
-        sd, begin, unknown = layout.effect_sd(h), 0, []
-        for effect in layout.effects:
-            row, new = effect.row(effect.cell_of(setting, layout.settings))
-            parts = latent[:, 1 + begin : 1 + begin + len(row)]
-            for k in effect.members:
-                law[:, k] += parts[:, :, k] @ row
-                if new > 0:
-                    unknown.append((effect.name, k, new * sd[:, begin, k]))
-            begin += len(row)
-        unknown += unknown_beyond(layout, setting, len(law))
-        together = self.together.reshape(self.size, *self.together.shape[2:])[index]
-        return Expected(latent[:, 0], law, tuple(unknown), layout.scatter(h), together)
+    def _beyond(self, setting: Setting) -> Array:
+        """Sd of what a motion outside those of the tests may change, in prior units, (d,)."""
+        stroke, rate = folds_beyond(setting, self.design.settings)
+        found = np.zeros(len(self.design.names))
+        for k in self.design.free:
+            name = self.design.names[k]
+            if name != "offset" and not name.startswith("noise_"):
+                change = np.hypot(STROKE * stroke, RATE * rate * (name in self.design.laws))
+                found[k] = change / self.design.spread[k]
+        return found
+
+    def repeats(self, setting: Setting) -> bool:
+        """Whether a motion repeats those of the tests: of their kind and of their stroke."""
+        here = setting.covariates
+        for one in self.design.settings:
+            known = one.covariates
+            if {"amplitude", "full_strokes"} <= known.keys() & here.keys():
+                stroke = abs(np.log(here["amplitude"] / known["amplitude"])) <= np.log(LIKE)
+                kind = abs(here["full_strokes"] - known["full_strokes"]) <= LIKE_STROKES
+                if stroke and kind:
+                    return True
+        return False
+
+    def unshared(
+        self,
+        model: Model,
+        x: Array,
+        numbers: Array,
+        setting: Setting | None = None,
+        trace: Trace | None = None,
+    ) -> dict[str, Array]:
+        """What tests of coordinates x (n, d) do not share, by name, (n,): start, γ1, what is fixed.
+
+        The numbers (n, 2) are those of the start; setting and trace are those of the motion, where
+        it is known.
+        """
+        n = len(x)
+        others = {k: p for k, p in self.priors.items() if k not in self.design.names}
+        found = {"gamma1": np.ones(n)} | {k: np.full(n, p.typical) for k, p in others.items()}
+        if not model.has_gap:
+            return found | {"start": np.full(n, 0.5)}
+        values = found | self.values(x)
+        repeat = setting is not None and self.repeats(setting)
+        left = None
+        if repeat and trace is not None and self.starts.weights is not None:
+            middle = {name: np.array([np.median(v)]) for name, v in values.items()}
+            left = place_left(model, model.theta(middle), trace)
+        start = self.starts.place(numbers, left, without_load(model, values), repeat=repeat)
+        return found | {"start": start}
+
+    def scales(
+        self,
+        model: Model,
+        actuation: Array,
+        index: Index,
+        level: float,
+        deviations: tuple[Array, Mapping[str, Array]],
+    ) -> dict[str, Array]:
+        """Factors along a history of actuation (T,) of what follows it, over a level, (n, T) each.
+
+        Parameters
+        ----------
+        model : Model
+        actuation : (T,), ksi or kip
+        index : (n,) int
+        level : float
+        deviations : (G,) and mapping of str to (n, G)
+            Actuations, increasing, the level among them, and level effects there.
+        """
+        grid, effects = deviations
+        found = {}
+        for name in self.design.laws:
+            over = self.ratio(name, [level], index)
+            along = self.ratio(name, actuation, index) / np.where(over > 0.0, over, 1.0)
+            along = np.where(over > 0.0, along, 1.0)  # without any actuation it stays at its level
+            if name in effects and grid.size > 1:
+                log = np.log(np.maximum(grid, 1e-300))
+                here = np.clip(np.log(np.maximum(actuation, 1e-300)), log[0], log[-1])
+                at = int(np.argmin(np.abs(grid - level)))
+                lines = np.array([np.interp(here, log, unit) for unit in np.eye(grid.size)])
+                along = along * np.exp((effects[name] - effects[name][:, [at]]) @ lines)
+            found[name] = along
+        return found | {n: found[o] for n, o in model.tied_laws.items() if o in found}
+
+    def grid(self, level: float, history: ArrayLike | None) -> Array:
+        """Actuations at which deviations are drawn for a level and a history, increasing, (G,)."""
+        if history is None or level <= 0.0:
+            return np.array([level])
+        driven = np.asarray(history, dtype=np.float64)
+        least = level / 16.0
+        low, high = np.clip([min(driven.min(), level), max(driven.max(), level)], least, 16.0 * level)
+        if high <= low * (1.0 + 1e-9):
+            return np.array([level])
+        octaves = np.arange(np.log2(low / level), np.log2(high / level) + OCTAVE, OCTAVE)
+        grid = level * 2.0**octaves
+        tested = [p for _, p in self.design.cells if low < p < high]
+        grid = np.sort(np.concatenate([grid, tested]))
+        return np.sort(np.append(grid[np.abs(np.log(grid / level)) > 0.02], level))
+

@@ -1,153 +1,226 @@
-"""Where in the gap tests begin, learned from the calibrated ones.
+"""Where in the gap tests begin.
 
-Tests are often made one after the other with the same or a like motion, and the device is not reset
-in between. It then stands where such a motion leaves it. So the place at which a test begins is
-near the middle of the gap, or near the place at which its own motion ends; which of the two, and
-how near, is learned.
+Tests are often made one after the other with the same motion, and the device is not reset in between:
+it then stands where such a motion leaves it. So a repeat of the calibrated tests begins near the middle
+of the gap, or near the place at which its own motion ends; which of the two, and how near, is learned
+from the calibrated tests (Beta densities on a grid of shapes). For every other motion nothing is learned
+from repeats: it begins without load, or anywhere. A repeat does so with probability `ELSEWHERE` too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import betaln, log_expit, softmax
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import betaincinv, betaln, expit, logit, ndtr, softmax
 
-from mfd_bayes.population.unloaded import Unloaded
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.friction.model import Model
+from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 SHAPES = np.geomspace(1.0, 100.0, 41)
-"""Equally probable shapes a of the starts' density: from anywhere (1) to one place."""
+"""Equally probable shapes a of the Beta densities: from anywhere (1) to one place."""
 
-SHARP = 1e6
-"""Shape a of a start that is known: it is then within a thousandth of one place."""
+ELSEWHERE = 0.2
+"""Probability that a repeat begins without load or anywhere, and not as the tests did."""
 
+BEFORE = 0.75
+"""Probability, before the tests of a run, that tests begin without load and not anywhere.
 
-def _nothing() -> None:
-    return None
+All records of the three sessions in shared/data/brfd begin with less than a tenth of the slip force.
+With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here, so that none
+of the three is counted twice.
+"""
 
+MOST = 0.95
+"""Largest probability that tests begin without load."""
 
-@dataclass(frozen=True, eq=False)
-class Standing:
-    """What is known of where n tests begin, before they are made; computed when it is needed.
-
-    Attributes
-    ----------
-    left : callable
-        Gives the place at which the motion leaves the device, `left_by`; None if not known.
-    unloaded : callable
-        Gives where each test bears no load; None with a model in which that is everywhere.
-    luck : (n,), optional
-        Uniform numbers from 0 to 1 that decide which tests begin without load. Dampers of one
-        building have the same. By default each test has its own.
-    """
-
-    left: Callable[[], float | None] = _nothing
-    unloaded: Callable[[], Unloaded | None] = _nothing
-    luck: Array | None = None
-
-
-UNKNOWN = Standing()
+SLOW = 1e3
+"""Time between two displacements of a motion without speed, s."""
 
 
 @dataclass(frozen=True, eq=False)
-class StartDensity:
-    """Densities of the place w, between 0 and 1, where n tests begin.
+class Starts:
+    """Density of the place in the gap, from 0 to 1, where a new test begins.
 
     Attributes
     ----------
-    a, b : (n,)
-        Exponents of Beta densities.
-    without_load : (n,) bool
-        Which tests have the density of `Standing.unloaded` instead.
+    weights : (2, A)
+        Posterior of the modes (middle of the gap, where the motion ends) and of the shapes.
+    unloaded : float
+        Probability of a start without load; 0 where the model does not tell load from none.
+    fixed : float, or None
+        The start that the prior file fixes.
     """
 
-    a: Array
-    b: Array
-    without_load: NDArray[np.bool_]
+    weights: Array | None = None
+    unloaded: float = 0.0
+    fixed: float | None = None
 
-    def draw(self, rng: np.random.Generator, unloaded: Callable[[], Unloaded | None]) -> Array:
-        """A place of each test, (n,)."""
-        found = rng.beta(self.a, self.b)
-        part = unloaded() if np.any(self.without_load) else None
-        if part is not None:
-            found[self.without_load] = part.of(self.without_load).draw(rng)
-        return np.asarray(found)
+    @classmethod
+    def of(cls, prior: Prior | None) -> Starts:
+        """Of a prior alone."""
+        known = prior is not None and prior.fixed
+        return cls(fixed=float(prior.typical) if prior is not None and known else None)
 
-    def of(self, chosen: Index) -> StartDensity:
-        """Those of some of the tests."""
-        return StartDensity(self.a[chosen], self.b[chosen], self.without_load[chosen])
+    def learned(
+        self, begun: Array, left: Array | None, without_load: Sequence[tuple[Array, Array] | None]
+    ) -> Starts:
+        """What draws of the places (n, J) say where tests began.
 
-    @cached_property
-    def log_size(self) -> Array:
-        """Logarithms of the Beta functions that normalise the densities; 0 without load, (n,)."""
-        return np.where(self.without_load, 0.0, betaln(self.a, self.b))
+        Parameters
+        ----------
+        begun : (n, J)
+        left : (J,) or None
+            Where the tests' own motions leave the device.
+        without_load : sequence of two (n,), or None
+            Ends of the part of the gap without load, of each test.
+        """
+        w = np.clip(np.median(begun, axis=0), 1e-6, 1.0 - 1e-6)
+        log = []
+        for mode in (np.full(w.size, 0.5), left):
+            if mode is None:
+                log.append(np.full(SHAPES.size, -np.inf))
+                continue
+            a, b = _exponents(SHAPES[:, None], mode)
+            density = (a - 1.0) * np.log(w) + (b - 1.0) * np.log1p(-w) - betaln(a, b)
+            log.append(density.sum(axis=1))
+        chance = self.unloaded
+        if all(part is not None for part in without_load):
+            factors = 0.0
+            for j, part in enumerate(without_load):
+                lower, upper = part if part is not None else (np.zeros(1), np.ones(1))
+                inside = (begun[:, j] >= lower) & (begun[:, j] <= upper)
+                width = np.clip(upper, 0.0, 1.0) - np.clip(lower, 0.0, 1.0)
+                factors += np.log((inside.mean() + 1e-3) / (width.mean() + 1e-3))
+            chance = min(float(expit(logit(BEFORE) + factors)), MOST)
+        return Starts(softmax(np.array(log)), chance, self.fixed)
 
-    def log_beta(self, t: Array, chosen: Index) -> Array:
-        """Log Beta densities of logits t of places of chosen tests, without `log_size`."""
-        return np.asarray(self.a[chosen] * log_expit(t) + self.b[chosen] * log_expit(-t))
+    def place(
+        self,
+        numbers: Array,
+        left: float | None,
+        without_load: tuple[Array, Array] | None,
+        *,
+        repeat: bool,
+    ) -> Array:
+        """Places of tests, (n,), of standard normal numbers (n, 2): which density, and where in it.
+
+        Parameters
+        ----------
+        numbers : (n, 2)
+        left : float or None
+            Where the new motion leaves the device.
+        without_load : two (n,), or None
+        repeat : bool
+            Whether the motion repeats those of the calibrated tests.
+        """
+        n = len(numbers)
+        if self.fixed is not None:
+            return np.full(n, self.fixed)
+        which, u = ndtr(numbers).T
+        found, share = u.copy(), ELSEWHERE if repeat and self.weights is not None else 1.0
+        if without_load is not None:
+            lower, upper = (np.clip(end, 0.0, 1.0) for end in without_load)
+            loaded_less = which < share * self.unloaded
+            found = np.where(loaded_less, lower + (upper - lower) * u, found)
+        if share < 1.0 and self.weights is not None:
+            edges = np.cumsum(self.weights.ravel())
+            pick = np.searchsorted(edges / edges[-1], (which - share) / (1.0 - share))
+            mode, shape = np.divmod(np.clip(pick, 0, edges.size - 1), SHAPES.size)
+            modes = np.array([0.5, 0.5 if left is None else left])
+            a, b = _exponents(SHAPES[shape], modes[mode])
+            found = np.where(which >= share, betaincinv(a, b, u), found)
+        return np.clip(found, 1e-9, 1.0 - 1e-9)
 
 
-def learned(
-    begun: Array, left: tuple[Array, float] | None, rng: np.random.Generator
-) -> StartDensity:
-    """Beta densities of the place where n new tests begin.
+def _exponents(shape: Array, mode: Array) -> tuple[Array, Array]:
+    """Exponents of Beta densities of these shapes a and modes, with the sum 2a."""
+    return 1.0 + 2.0 * (shape - 1.0) * mode, 1.0 + 2.0 * (shape - 1.0) * (1.0 - mode)
 
-    Parameters
+
+def without_load(model: Model, values: Mapping[str, Array]) -> tuple[Array, Array] | None:
+    """Ends of the part of the gap without load, (n,) each, of quantities by name; None if all."""
+    found = model.unloaded(values)
+    if found is None:
+        return None
+    lower, upper, edge = found
+    fine = np.isfinite(lower) & np.isfinite(upper) & np.isfinite(edge)
+    half = 0.5 * np.clip(np.where(fine, edge, 0.0), 0.0, 0.5)
+    ends = np.where(fine, lower - half, 0.0), np.where(fine, upper + half, 1.0)
+    return np.clip(ends[0], 0.0, 1.0), np.clip(ends[1], 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Ending:
+    """Where a test ended, as draws: another that follows without a reset begins there.
+
+    Attributes
     ----------
-    begun : (n, J)
-        Draws of the places where the tests began.
-    left : ((J,), float) or None
-        Places where their own motions leave the device, and the one where the new motion does;
-        None where they are not known: tests then begin about the middle.
-    rng : numpy.random.Generator
+    test : str
+        Its id.
+    theta : (m, p)
+    place : (m,), 1
+        Place in the gap when the next test begins, as `Model.end` has it.
+    predicted : bool
+        Whether it was predicted itself, and not calibrated.
     """
-    sides = np.clip(begun, 1e-6, 1.0 - 1e-6)
-    half = np.full(begun.shape[1], 0.5)
-    modes = [(half, 0.5)] if left is None else [(half, 0.5), left]
-    log = np.concatenate([_log_likelihood(sides, places) for places, _ in modes], axis=1)
-    edges = np.cumsum(softmax(log, axis=1), axis=1)
-    chosen = np.argmax(rng.random((len(begun), 1)) * edges[:, -1:] < edges, axis=1)
-    which, shape = np.divmod(chosen, SHAPES.size)
-    return _beta_densities(SHAPES[shape], np.array([mode for _, mode in modes])[which])
+
+    test: str
+    theta: Array
+    place: Array
+    predicted: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        test: str,
+        trace: Trace,
+        values: Mapping[str, Array],
+        scales: Mapping[str, Array] | None = None,
+    ) -> Ending:
+        """Ending of a test of a motion, of draws of its quantities by name, with `start`."""
+        theta = model.theta(values)
+        return cls(test, theta, model.end(theta, trace, values["start"], scales=scales))
+
+    @property
+    def words(self) -> str:
+        """What a test that follows begins with."""
+        how = ", which is predicted itself," if self.predicted else ""
+        return f"begun where in its gap test {self.test}{how} ended"
+
+    def starts(self, model: Model, theta: Array, trace: Trace, seed: int) -> Array:
+        """Draws of the `start` of a motion that follows, with parameters theta (n, p), (n,)."""
+        rng = np.random.default_rng((seed, 1))  # of its own: all other draws stay as they are
+        pick = rng.choice(len(self.place), size=len(theta))
+        return model.start_at(self.place[pick], trace, self.theta[pick], theta)
+
+    def moved(self, model: Model, way: ArrayLike) -> Ending:
+        """The same after a slow motion, straight from each displacement (M,), in, to the next."""
+        x = np.asarray(way, dtype=np.float64)
+        x = np.concatenate([x[:1], x[:1], x])  # a trace has three samples at least
+        time = SLOW * np.arange(x.size)
+        trace = Trace.from_arrays(time, x, velocity=np.zeros(x.size), hysteresis=0.0)
+        place = model.end(self.theta, trace, model.start_at(self.place, trace))
+        return Ending(self.test, self.theta, place, self.predicted)
 
 
-def fixed(n: int, place: float) -> StartDensity:
-    """Densities of n tests that begin at one place."""
-    return _beta_densities(np.full(n, SHARP), np.full(n, place))
+def place_left(
+    model: Model, theta: Array, trace: Trace, scales: Mapping[str, Array] | None = None
+) -> float | None:
+    """Place, as a `start` of it, at which a motion leaves a device with theta (1, p).
 
-
-def anywhere(
-    rng: np.random.Generator, n: int, chance: float, luck: Array | None = None
-) -> StartDensity:
-    """Densities of n tests that begin anywhere, or with this chance without load.
-
-    For `luck` see `Standing`.
+    The device goes straight back to the first displacement. None for a model without a gap, or one
+    that does not say where a motion ends.
     """
-    if chance == 0.0:
-        without = np.zeros(n, dtype=bool)
-    else:
-        without = (rng.random(n) if luck is None else luck) < chance
-    return StartDensity(np.ones(n), np.ones(n), without)
-
-
-def _beta_densities(a: Array, mode: Array) -> StartDensity:
-    """Beta densities of shapes a with these modes, (n,) each."""
-    return StartDensity(*_exponents(a, mode), np.zeros(a.shape, dtype=bool))
-
-
-def _exponents(a: Array, mode: Array) -> tuple[Array, Array]:
-    """Exponents of the Beta densities of shapes a with these modes, and sum 2a, (n,) each."""
-    return 1.0 + 2.0 * (a - 1.0) * mode, 1.0 + 2.0 * (a - 1.0) * (1.0 - mode)
-
-
-def _log_likelihood(begun: Array, places: Array) -> Array:
-    """Log likelihood of every shape a for starts (n, J) about these places (J,), (n, A)."""
-    alpha, beta = _exponents(SHAPES[:, None], places)
-    log = np.log(begun) @ (alpha - 1.0).T + np.log1p(-begun) @ (beta - 1.0).T
-    return np.asarray(log - betaln(alpha, beta).sum(axis=1))
+    own = type(model).end
+    if not model.has_gap or getattr(own, "__wrapped__", own) is Model.end:
+        return None
+    ended = Ending("", theta, model.end(theta, trace, scales=scales))
+    ended = ended.moved(model, trace.displacement[[-1, 0]])
+    return float(np.clip(model.start_at(ended.place, trace)[0], 0.0, 1.0))

@@ -16,7 +16,7 @@ from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
     from mfd_bayes.calibration.result import TestResult
-    from mfd_bayes.population.band import Band
+    from mfd_bayes.population.bands import Band
     from mfd_bayes.runs.systems import System
 
 
@@ -72,7 +72,7 @@ class Notebook:
 
     def inference_data(self, result: TestResult | Band) -> Any:
         """Groups of a test, or of a band, as ArviZ's functions take them."""
-        from mfd_bayes.population.band import Band
+        from mfd_bayes.population.bands import Band
         from mfd_bayes.store.netcdf import arviz_data, load_groups
 
         if isinstance(result, Band):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mfd_bayes.population.setting import SAME_LEVEL
+from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Span

@@ -24,8 +24,8 @@ from mfd_bayes.assessment.views import (
     ScoreRow,
 )
 from mfd_bayes.planning.advice import Advice
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.kinds import KIND_NAMES
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.noises import noted
 from mfd_bayes.reporting.symbols import printable

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Model
-from mfd_bayes.newpop.discrepancy import slip_force_of
-from mfd_bayes.newpop.population import Numbers, Population
-from mfd_bayes.newpop.settings import Setting
+from mfd_bayes.population.discrepancy import slip_force_of
+from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.choice import Choice
 from mfd_bayes.response.devices import Dampers

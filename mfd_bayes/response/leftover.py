@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.banks.bank import with_state
-from mfd_bayes.newpop.discrepancy import FINE, KNOTS, TravelBasis
+from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis
 
 Array = NDArray[np.float64]
 

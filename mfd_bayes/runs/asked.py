@@ -11,58 +11,17 @@ import numpy as np
 
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.checks import check_text
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.kinds import THIS_TEST
-from mfd_bayes.population.recalibration import PROBABILITIES, chosen_factor, promise
-from mfd_bayes.population.sequel import Ending
-from mfd_bayes.population.setting import same_level
-from mfd_bayes.population.shares import PERMUTATIONS
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.settings import THIS_TEST
+from mfd_bayes.population.starts import Ending
+from mfd_bayes.population.settings import same_level
 from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Departure
 from mfd_bayes.runs.verdict import Use
-
-
-def left_out_factors(manifest: Manifest, folder: Path, forecast: Forecast) -> tuple[float, ...]:
-    """Scores of the tests that were left out, for a band of this probability.
-
-    Raises
-    ------
-    FitError
-        When the band's kind or probability has no scores, or the run in the folder has none.
-    """
-    if forecast.kind != "observation":
-        raise FitError(
-            f"only the kind observation can be recalibrated, not {forecast.kind}: tests that "
-            "were left out show the force with its offset and noise"
-        )
-    if forecast.probability not in PROBABILITIES:
-        known = ", ".join(f"{p:g}" for p in PROBABILITIES)
-        raise FitError(
-            f"a band can be recalibrated for a probability of {known}, got {forecast.probability:g}"
-        )
-    found = manifest.crossvalidation
-    at = PROBABILITIES.index(forecast.probability)
-    scores = [p.factors[at] for p in found.predictions if p.factors] if found else []
-    if found is None or len(scores) < len(found.predictions):
-        raise FitError(
-            f"the run in {folder} has no tests that were left out, by which to "
-            "recalibrate; first run: mfd-bayes crossvalidate CAMPAIGN.toml "
-            f"-o {folder} --resume"
-        )
-    return tuple(scores)
-
-
-def recalibrated(band: Band, scores: tuple[float, ...], manifest: Manifest) -> Band:
-    """The band, widened by the scores of tests that were left out."""
-    found = manifest.crossvalidation
-    said = promise(scores, band.probability, found.by if found else "test")
-    factor, _ = chosen_factor(scores, band.probability)
-    return replace(band.widened(factor), remarks=(*band.remarks, said))
 
 
 def this_test(
@@ -75,7 +34,8 @@ def this_test(
     FitError
         When the kind is another, or there is no calibrated test of this name.
     """
-    check_text("test", name)
+    if not isinstance(name, str):
+        raise FitError(f"test must be text, got {name!r}")
     if forecast.kind != THIS_TEST:
         raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
     known = f"one of {', '.join(tests)}"
@@ -105,19 +65,6 @@ def own_session(own: str, asked: str) -> str:
     return own
 
 
-def permutations_of(explain: Any) -> int:
-    """Number of permutations for the shares of a band, where they are asked for; 0 for none.
-
-    Raises
-    ------
-    FitError
-        When it is neither True or False, nor such a number.
-    """
-    if isinstance(explain, bool | np.bool_):
-        return PERMUTATIONS if explain else 0
-    return whole_number("explain (True, False, or a number of permutations)", explain, 0, FitError)
-
-
 def check_level(test: TestResult, asked: Trace, unit: str, system: System) -> None:
     """Refuse an actuation (`unit` is ksi or kip) that is not that of the test."""
     made, wanted = test.trace.reference_actuation, asked.reference_actuation
@@ -129,18 +76,13 @@ def check_level(test: TestResult, asked: Trace, unit: str, system: System) -> No
         )
 
 
-def check_given(test: str, after: str | Ending, *, recalibrate: bool) -> None:
+def check_given(test: str, after: str | Ending) -> None:
     """Refuse what a given part cannot be combined with."""
     if after:
         name = after.test if isinstance(after, Ending) else after
         raise FitError(
             f"after ({name!r}) cannot be combined with given: the given part itself shows where "
             "in its gap the device stands"
-        )
-    if recalibrate:
-        raise FitError(
-            "recalibrate cannot be combined with given: the tests that were left out were "
-            "predicted without a part of them"
         )
     if test:
         raise FitError(

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.population.band import Band, band_of
-from mfd_bayes.population.conditioned import Conditioned
-from mfd_bayes.population.forecast import FEWEST, Forecast
-from mfd_bayes.population.kinds import THIS_TEST
+from mfd_bayes.population.bands import FEWEST, Band, Forecast
+from mfd_bayes.population.given import Conditioned
+from mfd_bayes.population.settings import THIS_TEST
 from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.run import Run
@@ -122,7 +121,7 @@ class ModelAverage:
         ]
         named = dict(zip(self.models, bands, strict=True))
         return replace(
-            band_of(trace.time, np.concatenate([b.draws for b in bands]), forecast, _source(named)),
+            Band.of(trace.time, np.concatenate([b.draws for b in bands]), forecast, _source(named)),
             remarks=_remarks(named),
             given=_given([band.given for band in bands if band.given]),
             extras=self.runs[0].extras,
@@ -207,6 +206,6 @@ def _given(parts: Sequence[Conditioned]) -> Conditioned | None:
         max(part.pareto_k for part in parts),
         "sampling" if any(part.method == "sampling" for part in parts) else "weights",
         sum(part.effective for part in parts),
-        max(part.powers for part in parts),
+        max(part.stages for part in parts),
         min(part.accepted for part in parts),
     )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from mfd_bayes.calibration.extras import Extras
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import Span, leaving, reach_of

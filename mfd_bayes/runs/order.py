@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.kinds import THIS_TEST
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.settings import THIS_TEST
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.sequel import Ending, ending_of, pooled_values
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import check_stored, pooled_of
 from mfd_bayes.runs.manifest import Manifest
@@ -145,7 +145,7 @@ class Order:
             total = len(values["start"])
             pick = np.linspace(0, total - 1, min(forecast.draws, total)).astype(np.intp)
             taken = {quantity: draws[pick] for quantity, draws in values.items()}
-            return ending_of(model, name, self.tests[name].trace, taken)
+            return Ending.of(model, name, self.tests[name].trace, taken)
         if name not in self.motions:
             return None  # it could not be calibrated
         kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
@@ -153,7 +153,7 @@ class Order:
         asked, trace = replace(forecast, kind=kind, session=session), self.motions[name]
         drawn = self.predictor.draw(trace, asked, np.random.default_rng((forecast.seed, 2)))
         values = self.predictor.values(self.predictor.begun(trace, asked, drawn))
-        found = ending_of(model, name, trace, values, drawn.scales or None)
+        found = Ending.of(model, name, trace, values, drawn.scales or None)
         return replace(found, predicted=True)
 
 
@@ -179,8 +179,8 @@ class StoredPooled:
             return {}
         path = check_stored(self.folder, file, self.manifest.files or {})
         values, _ = load_arrays(path)
-        shared = {k: values[k] for k in population.layout.names if k in values}
-        shapes = {draws.shape for draws in shared.values()}
-        if len(shared) < len(population.layout.names) or shapes != {population.h.shape[:2]}:
+        known = [k for k in population.design.coordinates.names if k in values]
+        fits = all(values[k].shape == population.shape for k in known)
+        if len(known) < len(population.design.coordinates.names) or not fits:
             raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
-        return pooled_values(self.population, self.tests.index(name), shared)
+        return {k: np.ravel(values[k]).astype(np.float64) for k in known}

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from mfd_bayes.population.recalibration import PROBABILITIES
 from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Three
 
 PartKind = Literal["test", "level", "session"]
@@ -56,9 +55,6 @@ class Prediction:
     whole : bool or None
         Whether the whole force is inside the 95 % band of whole histories; None where an earlier
         version left it out.
-    factors : tuple of float
-        Factors by which its bands must be widened to cover what they say, by the probabilities of
-        `population.recalibration`; empty where an earlier version left it out.
     """
 
     part: str
@@ -66,13 +62,8 @@ class Prediction:
     score: Score
     fitted: Score
     whole: bool | None = None
-    factors: tuple[Figure, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.factors and len(self.factors) != len(PROBABILITIES):
-            raise ValueError(f"factors must be {len(PROBABILITIES)}, or none")
-        if not all(factor >= 0 for factor in self.factors):
-            raise ValueError("factors must be 0 or more")
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,13 @@ from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Effort
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.checks import check_flag
+from mfd_bayes.population.bands import Band
 from mfd_bayes.population.follow import Forecaster
-from mfd_bayes.population.forecast import Forecast
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.kinds import THIS_TEST
+from mfd_bayes.population.settings import THIS_TEST
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.sequel import Ending
-from mfd_bayes.population.setting import planned_setting
+from mfd_bayes.population.starts import Ending
+from mfd_bayes.population.settings import planned_setting
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs import asked
 from mfd_bayes.runs.folder import POPULATION, check_stored
@@ -137,8 +135,7 @@ class Run(RunSteps):
         session: str = "",
         test: str = "",
         whole: bool = False,
-        recalibrate: bool = False,
-        explain: bool | int = False,
+        explain: bool = False,
         given: tuple[float, float] | None = None,
         after: str | Ending = "",
     ) -> Band:
@@ -163,11 +160,8 @@ class Run(RunSteps):
             Id of the calibrated test, for the kind `this_test`.
         whole : bool
             Whether to compute `Band.whole` at once.
-        recalibrate : bool
-            Whether to widen a band of kind `observation` by what tests showed that were left
-            out; its `remarks` say what it promises. Needs a cross-validation in the run.
-        explain : bool or int
-            Whether to compute `Band.shares` at once; or the number of permutations for them.
+        explain : bool
+            Whether to compute `Band.shares` at once.
         given : (float, float), s, optional
             Window of the record in which the trace's force is known: the band of all the record,
             given that part, for the kinds `new_test` and `observation`.
@@ -182,20 +176,18 @@ class Run(RunSteps):
         Raises
         ------
         FitError
-            When the trace has no actuation, an option is of another type or unknown, the trace has
-            no force in the given window, or the run cannot be used to recalibrate.
+            When the trace has no actuation, an option is of another type or unknown, or the trace
+            has no force in the given window.
         """
         check_trace("trace", trace, FitError)
-        check_flag("recalibrate", recalibrate)
+        check_flag("explain", explain)
         if given is not None:
-            asked.check_given(test, after, recalibrate=recalibrate)
-        permutations = asked.permutations_of(explain)
-        forecast = Forecast(kind, probability, draws, seed, session, whole, permutations)
-        scores = asked.left_out_factors(self.manifest, self.folder, forecast) if recalibrate else ()
+            asked.check_given(test, after)
+        forecast = Forecast(kind, probability, draws, seed, session, whole, bool(explain))
         predictor = self._predictor()
         forecast = self.order.begun(forecast, trace, after) if after else forecast
         if given is not None:
-            band = predict_given(predictor, trace, forecast, given, self._pace)
+            band = predict_given(predictor, trace, forecast, given)
         elif kind == THIS_TEST or test:
             band = self._repeated(trace, forecast, test)
         else:
@@ -204,8 +196,7 @@ class Run(RunSteps):
         remarks = asked.remarks_of(left, self.manifest, self.system, widened=not test)
         remarks += (NO_GAP,) if after and forecast.before is None else ()
         remarks += (*asked.new_session(self.manifest, session), *forecast.remarks, *band.remarks)
-        band = replace(band, remarks=remarks, extras=self.extras)
-        return asked.recalibrated(band, scores, self.manifest) if recalibrate else band
+        return replace(band, remarks=remarks, extras=self.extras)
 
     def respond(
         self,
@@ -262,11 +253,11 @@ class Run(RunSteps):
         FitError
             When an option is of another type or unknown, or the model has no steps.
         """
-        tested = self.population.layout.settings
+        tested = self.population.design.settings
         planned = {"amplitude": amplitude, "velocity": velocity}
         setting = planned_setting(tested, actuation, session, planned)
         forecast = Forecast(kind, probability, draws, seed, session)
-        found = Forecaster(self._predictor(), setting, forecast, self._pace, refresh=refresh)
+        found = Forecaster(self._predictor(), setting, forecast, refresh=refresh)
         found.complete = self._following(setting)
         return found
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.population.band import Band
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.pace import Pace
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs import asked
 from mfd_bayes.runs.following import Following
@@ -30,11 +28,6 @@ class RunSteps:
         title = f"{self.manifest.title}: {counted(len(self.tests), 'calibrated test')}"
         sentence = asked.sentence_of(self.manifest, self.system)
         return grid(title, ("test", "may be used"), rows, sentence)
-
-    @cached_property
-    def _pace(self: Any) -> Pace:
-        """Rates at which the calibrated tests were fitted."""
-        return Pace.of(test.trace for test in self.tests.values())
 
     @property
     def _some(self: Any) -> Posterior:

@@ -22,15 +22,12 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.population.apart import joined
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.inference import Inference, infer_population
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.recalibration import factors_of
-from mfd_bayes.population.sequel import pooled_values
-from mfd_bayes.population.setting import Setting, levels_of, setting_of
-from mfd_bayes.population.whole import holds_whole
-from mfd_bayes.population.zeros import with_zeros
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import Setting, levels_of, setting_of
+from mfd_bayes.population.bands import holds_whole
+from mfd_bayes.population.settings import with_zeros
 from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.order import Order
@@ -68,7 +65,7 @@ class Fold:
     kept: tuple[str, ...]
     effort: str
     seed: int
-    scores: int = 3
+    scores: int = 4
     """Number of the kind of scores, so that those of earlier versions are computed anew."""
     rests_on: str = ""
     """Digest of what the run's population rests on, so that those under other laws are too."""
@@ -236,25 +233,22 @@ def leave_out(
     for name in fold.left_out:
         test = run.tests[name]
         posterior = test.posterior
-        predictor = Predictor(inference.draws.population, posterior.model, posterior.noise)
+        predictor = Predictor(inference.population, posterior.model, posterior.noise)
         forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=run.session(name))
         order = Order(run.manifest, others, motions, predictor, partial(_pooled, inference, others))
         forecast = replace(forecast, before=order.before(name, test.trace, forecast))
         band = predictor.predict(test.trace, forecast)
         force = np.asarray(test.trace.force)
         scores = score(band.draws, force), _fitted(test)
-        more = holds_whole(band.draws, force), factors_of(band.draws, force)
-        found.append(Prediction(fold.part, name, *scores, *more))
+        whole = holds_whole(band.draws, force)
+        found.append(Prediction(fold.part, name, *scores, whole))
     return tuple(found)
 
 
 def _pooled(inference: Inference, others: Mapping[str, Any], name: str) -> dict[str, Array]:
     """Quantities of one of the other tests as pooled with them, by name, (n,) each."""
-    population, j = inference.draws.population, list(others).index(name)
-    layout = population.layout
-    draws = joined(layout, j, inference.draws.tests[j])[..., : len(layout.names)]
-    q = (layout.centre + layout.spread * draws).reshape(population.size, -1)
-    return pooled_values(population, j, layout.coordinates.values(q))
+    values = inference.values(list(others).index(name))
+    return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
 
 
 def _fitted(test: TestResult) -> Score:

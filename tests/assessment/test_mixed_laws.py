@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.assessment.mixed_laws import FEWEST, mixed_rows
-from mfd_bayes.population.layout import LAW_NAMES
+from mfd_bayes.population.design import LAW_NAMES
 from mfd_bayes.runs.systems import SI, US
 
 REFERENCE = 2.0  # ksi

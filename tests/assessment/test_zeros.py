@@ -4,8 +4,8 @@ import pytest
 
 from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.settings import Setting
 
 NAMES = ("Fc_fwd", "Fc_bwd", "sigma0", "k3")
 IDS = ("idle", "low", "high")

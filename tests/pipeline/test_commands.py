@@ -25,7 +25,7 @@ from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.pipeline import calibration as execution
 from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.population.predict import Predictor
+from mfd_bayes.population.bands import Predictor
 from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
 from mfd_bayes.runs.systems import SI_SMALL

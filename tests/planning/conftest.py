@@ -12,9 +12,9 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.study import Situation
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.settings import Setting
 
 MEDIANS = {
     "sigma0": 30.0,

@@ -13,9 +13,9 @@ from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.loop import loop_of
 from mfd_bayes.planning.regression import fit_left_out
 from mfd_bayes.planning.study import Effort, advise, goals_of
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import setting_of
 
 SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
 AT_ONE = Candidate(1.0, 0.5, 1.0)

@@ -13,10 +13,10 @@ from scipy import linalg, special
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.design import Layout
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population import follow, given, tempering
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.follow import Forecaster
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.records.trace import Trace
 
 SD = 0.3

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.population.apart import Apart, Joined, joined, set_apart
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.settings import Setting
 
 NAMES = ("Fc_fwd", "Fc_bwd", "static_excess_fwd", "v_s", "sigma0", "offset")
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.population.beyond import RATE, STROKE, folds_beyond, unknown_beyond
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.population import RATE, STROKE, folds_beyond, unknown_beyond
+from mfd_bayes.population.settings import Setting
 
 
 def setting(stroke: float, speed: float) -> Setting:

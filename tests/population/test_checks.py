@@ -9,9 +9,9 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, MfdError, NotThereError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import Setting, planned_setting, setting_of
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import Setting, planned_setting, setting_of
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(101) / 50

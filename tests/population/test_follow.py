@@ -9,11 +9,11 @@ from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population import follow, given, tempering
 from mfd_bayes.population.follow import Forecaster
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.incoming import AHEAD, Incoming
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import planned_setting, setting_of
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import planned_setting, setting_of
 from mfd_bayes.records.trace import Trace
 
 

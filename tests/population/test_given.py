@@ -6,8 +6,8 @@ import pytest
 from mfd_bayes.assessment.bands import compare
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.population import given
-from mfd_bayes.population.conditioned import Conditioned
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.given import Conditioned
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.population.given_part import given_part
 from mfd_bayes.population.strokes import strokes_of

@@ -7,11 +7,11 @@ import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.sampling import sample
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Predictor
+from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.strokes import no_levels
 
 PRIORS = 4000

@@ -8,9 +8,9 @@ from scipy.stats import multivariate_normal
 
 from mfd_bayes.population.given_likelihood import GivenLikelihood, Sums
 from mfd_bayes.population.pace import Counted
-from mfd_bayes.population.residual import Residual
+from mfd_bayes.population.discrepancy import Residual
 from mfd_bayes.population.strokes import StrokeLevels
-from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.population.discrepancy import TravelBasis
 
 SAMPLES, STROKES, TESTS = 60, 5, 3
 

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from mfd_bayes.population.chains import Chains
 from mfd_bayes.population.joint import Joint
-from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.design import Layout
 from mfd_bayes.population.moves import glide as gliding
 from mfd_bayes.population.moves import leaps as leaping
 from mfd_bayes.population.moves import one_test, shared

@@ -19,8 +19,8 @@ from mfd_bayes.population.law_scores import (
     stack,
 )
 from mfd_bayes.population.laws import LAWS, SENSITIVITY
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.settings import Setting
 
 LEVELS = (0.5, 0.5, 0.8, 1.5)
 MANY = tuple(np.repeat([0.4, 0.6, 0.9, 1.4, 2.0], 2))

@@ -8,9 +8,9 @@ from scipy import special, stats
 
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.laws import COMPARE, LAWS
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.layout import LAW_NAMES
-from mfd_bayes.population.setting import Setting, levels_of, same_level
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.design import LAW_NAMES
+from mfd_bayes.population.settings import Setting, levels_of, same_level
 
 NAMES = ("Fc_fwd", "Fc_bwd", "sigma0", "k3", "offset")
 LEVELS = (0.5, 0.8, 0.8, 1.5)

@@ -7,10 +7,10 @@ import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.population import pilot
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.pilot import Pilot, fit_pilot
-from mfd_bayes.population.setting import Setting
-from mfd_bayes.population.travel import FINE, KNOTS, TravelBasis
+from mfd_bayes.population.settings import Setting
+from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis
 from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 from mfd_bayes.records.trace import Trace
 

@@ -11,11 +11,11 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.band import band_of
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.kinds import NESTED
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.bands import band_of
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.settings import NESTED
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(401) / 100

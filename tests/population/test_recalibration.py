@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.population.band import band_of
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import band_of
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.recalibration import (
     PROBABILITIES,
     chosen_factor,

@@ -7,7 +7,7 @@ import pytest
 
 from mfd_bayes.population.chains import Chains
 from mfd_bayes.population.joint import Joint
-from mfd_bayes.population.layout import WIDER
+from mfd_bayes.population.design import WIDER
 from mfd_bayes.population.moves import hyperparameters, one_test
 from mfd_bayes.population.moves.lines import transport
 from mfd_bayes.population.sweep import Sampler

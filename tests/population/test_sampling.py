@@ -9,11 +9,11 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.population import sampling, warm_up
 from mfd_bayes.population.apart import joined, set_apart
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.moves import exchange
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.sampling import WALKERS, JointProblem, _correlate, sample_joint
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.surrogate import Surrogate
 
 EFFORT = Effort(ess=800, limit=1000, r_hat=1.03, ensembles=12, kept=3000)

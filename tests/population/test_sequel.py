@@ -6,9 +6,9 @@ import pytest
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.sequel import Ending, ending_of
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.starts import Ending, ending_of
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(401) / 100

@@ -10,10 +10,10 @@ from mfd_bayes.assessment.width import width_sentence
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.drawn import Drawn
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.parts import Parts
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.shares import ADVICE, GROUPS, PERMUTATIONS, SOURCES, shapley, shares_of
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.bands import ADVICE, GROUPS, PERMUTATIONS, SOURCES, shapley, shares_of
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(401) / 100

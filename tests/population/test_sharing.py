@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from mfd_bayes.population import sharing
 from mfd_bayes.population.joint import Joint
-from mfd_bayes.population.layout import NONE
+from mfd_bayes.population.design import NONE
 from mfd_bayes.population.sharing import draw_common, share
 from mfd_bayes.population.sweep import Sampler
 

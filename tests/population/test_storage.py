@@ -13,14 +13,14 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.laws import COMPARE
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.layout import Layout
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.design import Layout
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.residual import Residual
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.discrepancy import Residual
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.storage import (
     effect_of,
     load_population,
@@ -28,7 +28,7 @@ from mfd_bayes.population.storage import (
     save_test_draws,
 )
 from mfd_bayes.population.strokes import StrokeLevels
-from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.population.discrepancy import TravelBasis
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_arrays
 

@@ -9,9 +9,9 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.errors import StoreError
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.storage import load_population, save_population
 
 NAMES = ("sigma0", "Fc_fwd", "Fc_bwd", "static_excess_fwd", "static_excess_bwd", "v_s", "offset")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population.residual import Residual
+from mfd_bayes.population.discrepancy import Residual
 from mfd_bayes.population.strokes import (
     Standardised,
     StrokeLevels,
@@ -11,7 +11,7 @@ from mfd_bayes.population.strokes import (
     no_levels,
     strokes_of,
 )
-from mfd_bayes.population.travel import KNOTS, TravelBasis
+from mfd_bayes.population.discrepancy import KNOTS, TravelBasis
 from mfd_bayes.records.trace import Trace
 
 MEMORY = 0.6

@@ -7,8 +7,8 @@ import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.population.apart import Joined
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.surrogate import Surrogate, surrogate_of, surrogates_of, terms
 from mfd_bayes.population.test_likelihood import TestLikelihood
 from mfd_bayes.population.working import working_likelihood

@@ -8,9 +8,9 @@ import pytest
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.population.lay_out import lay_out
+from mfd_bayes.population.design import lay_out
 from mfd_bayes.population.pilot import fit_pilot
-from mfd_bayes.population.setting import setting_of
+from mfd_bayes.population.settings import setting_of
 from mfd_bayes.population.swing import swing_of
 from mfd_bayes.population.working import working_likelihood
 from mfd_bayes.records.trace import Trace

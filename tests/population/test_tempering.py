@@ -7,7 +7,7 @@ from mfd_bayes.population import tempering
 from mfd_bayes.population.along import Along
 from mfd_bayes.population.parts import Expected
 from mfd_bayes.population.prior_of_test import TestPrior
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.starts import StartDensity
 from mfd_bayes.population.tempering import temper
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mfd_bayes.population.travel import KNOTS, TravelBasis
+from mfd_bayes.population.discrepancy import KNOTS, TravelBasis
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(400) / 100.0

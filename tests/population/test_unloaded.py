@@ -17,12 +17,12 @@ from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.friction.weakened import Weakened
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.given import values_of
 from mfd_bayes.population.inference import _unloaded
 from mfd_bayes.population.prior_of_test import TestPrior
-from mfd_bayes.population.sequel import standing_of
-from mfd_bayes.population.setting import Setting, setting_of
+from mfd_bayes.population.starts import standing_of
+from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.starts import Standing, anywhere
 from mfd_bayes.population.unloaded import BEFORE, Unloaded, chance_of
 from mfd_bayes.records.trace import Trace

@@ -4,7 +4,7 @@ import pytest
 
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.population.inference import usual_dependence
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.settings import Setting
 
 NAMES = ("Fc_fwd", "Fc_bwd", "sigma0", "d2")
 

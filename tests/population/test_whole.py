@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population.whole import holds_whole, whole_band
+from mfd_bayes.population.bands import holds_whole, whole_band
 
 TIME = np.linspace(0.0, 4.0, 300)
 

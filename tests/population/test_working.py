@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.population.lay_out import lay_out
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.design import lay_out
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.working import working_likelihood
 from mfd_bayes.records.trace import Trace
 

@@ -11,7 +11,7 @@ import mfd_bayes as mb
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import MODELS
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.regular import path_of
 from mfd_bayes.records.trace import check_trace

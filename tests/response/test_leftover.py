@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mfd_bayes.population.travel import TravelBasis
+from mfd_bayes.population.discrepancy import TravelBasis
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.leftover import SETTLE, Leftover
 

@@ -8,9 +8,9 @@ import pytest
 from scipy import stats
 
 import mfd_bayes as mb
-from mfd_bayes.population.band import band_of
-from mfd_bayes.population.conditioned import Conditioned
-from mfd_bayes.population.forecast import Forecast
+from mfd_bayes.population.bands import band_of
+from mfd_bayes.population.given import Conditioned
+from mfd_bayes.population.bands import Forecast
 
 TIME = np.arange(200) / 100.0
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.population.band import band_of
-from mfd_bayes.population.forecast import Forecast
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.bands import band_of
+from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.following import Following
 from mfd_bayes.runs.systems import US

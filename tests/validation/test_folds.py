@@ -9,8 +9,8 @@ import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.population.apart import joined
-from mfd_bayes.population.predict import Predictor
-from mfd_bayes.population.setting import Setting
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.storage import save_test_draws
 from mfd_bayes.runs.folder import hash_stored, pooled_of
 from mfd_bayes.runs.opening import open_run

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.newpop.coordinates import Coordinates
-from mfd_bayes.newpop.discrepancy import (
+from mfd_bayes.population.coordinates import Coordinates
+from mfd_bayes.population.discrepancy import (
     Residual,
     TravelBasis,
     knot_covariance,

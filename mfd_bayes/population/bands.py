@@ -15,10 +15,10 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.newpop.discrepancy import slip_force_of
-from mfd_bayes.newpop.population import Numbers, Parts, Population
-from mfd_bayes.newpop.settings import KIND_NAMES, KINDS, Setting, setting_of
-from mfd_bayes.newpop.starts import Ending
+from mfd_bayes.population.discrepancy import slip_force_of
+from mfd_bayes.population.population import Numbers, Parts, Population
+from mfd_bayes.population.settings import KIND_NAMES, KINDS, Setting, setting_of
+from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.numbers import real_number, whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy import optimize, special
 from scipy.stats import qmc
 
-from mfd_bayes.newpop.design import Design
-from mfd_bayes.newpop.laws import EXPONENT, log_shape_prior
+from mfd_bayes.population.design import Design
+from mfd_bayes.population.laws import EXPONENT, log_shape_prior
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

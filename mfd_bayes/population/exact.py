@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence, measure
-from mfd_bayes.newpop.joint_fit import JointFit
-from mfd_bayes.newpop.mixed_model import LARGEST, MixedModel
+from mfd_bayes.population.joint_fit import JointFit
+from mfd_bayes.population.mixed_model import LARGEST, MixedModel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -22,8 +22,8 @@ from scipy.special import expit
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import known_quantities
 from mfd_bayes.errors import FitError, PriorError
-from mfd_bayes.newpop.coordinates import Coordinates
-from mfd_bayes.newpop.laws import (
+from mfd_bayes.population.coordinates import Coordinates
+from mfd_bayes.population.laws import (
     COMPARE,
     LAW_NAMES,
     LAWS,
@@ -32,7 +32,7 @@ from mfd_bayes.newpop.laws import (
     ratio,
     shapes_of,
 )
-from mfd_bayes.newpop.settings import (
+from mfd_bayes.population.settings import (
     Setting,
     geometric_mean,
     levels_of,
