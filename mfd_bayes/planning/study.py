@@ -138,7 +138,7 @@ def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """A simulated test: its gain, directions of its summaries, a large quantile of its peak force."""
+    """A simulated test: its gain, directions of its summaries, a high quantile of its peak."""
 
     gain: Gain
     directions: Array

@@ -210,6 +210,46 @@ def test_design_prints_mean_and_bounding_properties(ask, tmp_path):
         assert derived.loc[what, ["lower", "upper"]].to_numpy(float) == pytest.approx(bounds)
 
 
+def laws_of(out, name, what):
+    """Rows of the figure of the laws of one quantity and one kind of band."""
+    rows = pd.read_csv(out / "figures" / "laws.csv")
+    rows = rows[(rows["quantity"] == name) & (rows["what"] == f"{what}, 95 %")]
+    return rows.set_index(rows.filter(like="actuation").columns[0])[["lower", "median", "upper"]]
+
+
+@pytest.mark.usefixtures("small_pictures")
+@pytest.mark.parametrize("level", [0.5, 1.0, 1.5])
+def test_figure_of_laws_and_design_call_one_thing_mean_property(ask, out, tmp_path, level):
+    """The device at this actuation: its law and the effect of its level, without scatter."""
+    motion = "1 in, 0.5 Hz, 3 cycles"
+    said = ask("--sine", motion, "--actuation", f"{level} ksi", "--design", "--quiet")
+    assert said.exit_code == 0, said.output
+    rows = pd.read_csv(tmp_path / "bands_design.csv", comment="#")
+    for what in ("mean property", "this device tested again"):
+        for slip in ("fwd", "bwd"):
+            row = rows[(rows["property"] == f"slip_{slip}") & (rows["of"] == what)].iloc[0]
+            drawn = laws_of(out, f"Fc_{slip}", what).loc[level]
+            near = {"abs": 0.2 * (row["upper"] - row["lower"])}
+            assert drawn["lower"] == pytest.approx(row["lower"], **near)
+            assert drawn["upper"] == pytest.approx(row["upper"], **near)
+            if what == "mean property":
+                assert drawn["median"] == pytest.approx(row["nominal"], **near)
+
+
+@pytest.mark.parametrize("name", ["Fc_fwd", "Fc_bwd", "sigma0"])
+def test_the_bands_of_a_law_are_nested_and_smooth(out, name):
+    inner, outer = (
+        laws_of(out, name, what) for what in ("mean property", "this device tested again")
+    )
+    assert np.all(outer["lower"] <= inner["lower"])
+    assert np.all(outer["upper"] >= inner["upper"])
+    between = outer[(outer.index > 0.51) & (outer.index < 0.99)]  # a kink is at a tested level
+    width = (between["upper"] - between["lower"]).to_numpy()
+    for bound in ("lower", "upper"):
+        spikes = np.diff(between[bound].to_numpy(), 2)
+        assert np.max(np.abs(spikes) / width[1:-1]) < 0.02
+
+
 def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_path, monkeypatch):
     from mfd_bayes.reporting import publication
     from mfd_bayes.reporting.forms import Forms
