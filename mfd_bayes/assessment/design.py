@@ -12,9 +12,7 @@ from mfd_bayes.calibration.derived import UNITS, derive_from_force, derive_from_
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
-from mfd_bayes.population.settings import KIND_NAMES, NESTED
-from mfd_bayes.population.settings import levels_of, setting_of
-from mfd_bayes.population.settings import with_zeros
+from mfd_bayes.population.settings import KIND_NAMES, NESTED, levels_of, setting_of, with_zeros
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 

@@ -83,23 +83,22 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     tests are of the declared sessions. Both bands have the same draws, with the same random
     numbers at every actuation.
     """
-    layout = run.population.layout
+    population = run.population
+    laws = population.design.laws
     levels = [test.trace.reference_actuation for test in run.tests.values()]
     grid = np.union1d(np.linspace(0.0, 1.15 * max(levels), 60), levels)
-    drawn = [_drawn(run, float(p)) for p in grid]
-    tested = _tested(run, list(layout.laws))
+    drawn, tested = _drawn(run, grid), _tested(run, list(laws))
     views = []
-    for name, law in layout.laws.items():
-        starts = np.any(run.population.ratio(name, grid) > 0.0, axis=(0, 1))  # not at zero
+    for name, law in laws.items():
+        starts = np.any(population.ratio(name, grid) > 0.0, axis=(0, 1))  # not at zero
         device, again = (
-            fan_of(kind, starts * np.stack([at[kind][name] for at in drawn], axis=1))
-            for kind in ("device", "new_test")
+            fan_of(kind, starts * drawn[kind][name]) for kind in ("device", "new_test")
         )
         views.append(
             LawView(
                 name=name,
                 unit=units()[name],
-                law=weighed(law, run.population.law_weights[name]),
+                law=weighed(law, population.law_weights[name]),
                 actuation=grid,
                 device=device,
                 new_test=_around(again, device),
@@ -109,21 +108,36 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     return tuple(views)
 
 
-def _drawn(run: Run, actuation: float) -> dict[str, dict[str, Array]]:
-    """Draws of all quantities at an actuation, (n,) each, by kind, in the tests' sessions."""
+def _drawn(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
+    """Draws of the quantities with a law on a grid of actuations, (n, G) each, by kind.
+
+    The tests are of the declared sessions; the numbers are the same at every actuation.
+    """
     population, sessions = run.population, sessions_of(run)
-    index = np.linspace(0, population.size - 1, DRAWS).astype(np.intp)
-    typical = dict(population.layout.covariate_reference)
-    device, again = [], []
-    for number, session in enumerate(sessions):
-        setting = Setting(actuation, session, typical)
-        expected = population.expected(setting, index[number :: len(sessions)])
-        for found, scattered in ((device, False), (again, True)):
-            parts = expected.parts(_same_numbers, scattered=scattered)
-            found.append(population.values(parts))
+    rng, parts = np.random.default_rng(0), []
+    for session in sessions:
+        n = DRAWS // len(sessions)
+        index = population.draw_index(n, float(grid[-1]), rng)
+        inside = np.where(index < population.size, index, index % population.size)
+        numbers = population.draw_numbers(n, grid.size, rng)
+        effects = population.level_effects(index, session, grid, numbers.level)
+        found: dict[str, list[dict[str, Array]]] = {"device": [], "new_test": []}
+        for at, p in enumerate(grid.tolist()):
+            setting = Setting(p, session, dict(population.design.covariates))
+            here = {name: effect[:, at] for name, effect in effects.items()}
+            chosen = inside if population.within_levels(p) else index
+            made = population.parts(setting, chosen, numbers, here)
+            found["device"].append(population.values(made.mean))
+            found["new_test"].append(population.values(made.mean + made.scatter))
+        parts.append(found)
     return {
-        kind: {name: np.concatenate([values[name] for values in found]) for name in found[0]}
-        for kind, found in (("device", device), ("new_test", again))
+        kind: {
+            name: np.concatenate(
+                [np.stack([at[name] for at in part[kind]], axis=1) for part in parts]
+            )
+            for name in population.design.laws
+        }
+        for kind in ("device", "new_test")
     }
 
 
@@ -137,11 +151,6 @@ def _around(wide: Fan, narrow: Fan) -> Fan:
             for w, n in pairs
         ),
     )
-
-
-def _same_numbers(name: str, k: int) -> np.random.Generator:
-    """Generator of one source of chance: its numbers are the same at every actuation."""
-    return np.random.default_rng([k, *name.encode()])
 
 
 def _tested(

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +17,8 @@ from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step
-from mfd_bayes.jobs.likelihoods import in_turn, several_processes
 from mfd_bayes.pipeline.plan import Plan
-from mfd_bayes.population.inference import Inference, infer_population
+from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
     CAMPAIGN,

@@ -11,9 +11,9 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.file import Test
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.inference import swings
+from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.declared import contradictions
 from mfd_bayes.records.faults import Fault, find_faults, without_spikes
 from mfd_bayes.records.record import Record

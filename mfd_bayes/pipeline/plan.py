@@ -23,8 +23,8 @@ from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
-from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.design import Design, design_of
+from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.record import Record

@@ -14,8 +14,7 @@ from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import remove_known, write_picture
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.bands import DRAWS
+from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace

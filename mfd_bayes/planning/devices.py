@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.friction.model import Model
+from mfd_bayes.planning.loop import Loop
 from mfd_bayes.population.bands import Drawn, Predictor
 from mfd_bayes.population.population import Numbers, Population
 from mfd_bayes.population.settings import Setting, setting_of
-from mfd_bayes.planning.loop import Loop
 
 Array = NDArray[np.float64]
 

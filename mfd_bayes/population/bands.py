@@ -420,7 +420,9 @@ class Predictor:
         values, residual = self.values(drawn), self.population.residual
         theta = self.model.theta(values)
         check_magnitude("a predicted parameter", theta, RANGE)
-        scales = {k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in drawn.scales.items()}
+        scales = {
+            k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in drawn.scales.items()
+        }
         start = values.get("start")
         force = self.model.force_unbounded(theta, trace, start, scales=scales or None)
         return force + residual.discrepancy(trace, slip_force_of(self.model, values), drawn.knots)
@@ -511,12 +513,16 @@ def sources_of(population: Population, drawn: Drawn) -> dict[str, Free]:
         own = [k for k, n in enumerate(names) if n in group]
         return partial(_vary, source=drawn, part="scatter", columns=own)
 
-    found: dict[str, Free] = {f"test-to-test scatter of {n}": of_scatter(g) for n, g in GROUPS.items()}
+    found: dict[str, Free] = {
+        f"test-to-test scatter of {n}": of_scatter(g) for n, g in GROUPS.items()
+    }
     found["test-to-test scatter of other quantities"] = of_scatter(tuple(rest))
     if drawn.noise is None:
         del found["test-to-test scatter of the offset"]
     others = [k for k in range(len(names)) if k not in laws and names[k] != "offset"]
-    found["law, level and session effects"] = partial(_vary, source=drawn, part="mean", columns=laws)
+    found["law, level and session effects"] = partial(
+        _vary, source=drawn, part="mean", columns=laws
+    )
     found["parameters"] = partial(_vary, source=drawn, part="mean", columns=others)
     found["start in the gap"] = lambda fixed, few: replace(
         fixed, unshared={**fixed.unshared, "start": drawn.unshared["start"][few]}

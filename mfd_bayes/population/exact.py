@@ -78,7 +78,9 @@ class State:
             shape = (*accepted.shape, *[1] * (mine.ndim - accepted.ndim))
             return np.where(accepted.reshape(shape), its, mine)
 
-        return State(*(choose(a, b) for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+        return State(
+            *(choose(a, b) for a, b in zip(vars(self).values(), vars(other).values(), strict=True))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +142,9 @@ class ExactSampler:
         local = np.any(own, axis=0)
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
-        self.scatters = np.searchsorted(self.local, mixed.free)  # places of the free among the local
+        self.scatters = np.searchsorted(
+            self.local, mixed.free
+        )  # places of the free among the local
         self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.4
         self.rates: list[tuple[Array, float]] = []
         n, z = len(choice), mixed.design.quantity.size
@@ -183,13 +187,17 @@ class ExactSampler:
     def _of(self, h: Array, z: Array, e_z: Array, e: Array) -> State:
         base, mean, factor = self._conditional(h, z)
         x = base
-        x[..., self.local] += mean + np.linalg.solve(np.swapaxes(factor, -1, -2), e[..., None])[..., 0]
+        x[..., self.local] += (
+            mean + np.linalg.solve(np.swapaxes(factor, -1, -2), e[..., None])[..., 0]
+        )
         return State(h, z, e_z, e, x, self._excess(x))
 
     def _excess(self, x: Array) -> Array:
         """Exact less approximate log density of each test at x (n, J, D), (n, J)."""
         away = x - self.fit.mean
-        gaussian = -0.5 * np.einsum("nja,jab,njb->nj", away, self.fit.precision, away, optimize=True)
+        gaussian = -0.5 * np.einsum(
+            "nja,jab,njb->nj", away, self.fit.precision, away, optimize=True
+        )
         exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
         found = np.stack(list(exact), axis=1) - gaussian
         for j, own in enumerate(self.own):
@@ -239,7 +247,9 @@ class ExactSampler:
         without_law = s.x[..., :d] - mixed.fixed(s.z)
         for i in range(mixed.dim):
             new = h.copy()
-            new[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < mixed.f + mixed.e else 0.3)
+            new[:, i] += (
+                RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < mixed.f + mixed.e else 0.3)
+            )
             change = self._log_given_tests(new, s.z, without_law) - self._log_given_tests(
                 h, s.z, without_law
             )
@@ -274,7 +284,12 @@ class ExactSampler:
         return replace(s, e_z=e_z, e=np.einsum("njab,nja->njb", factor, away))
 
     def run(
-        self, r_hat: float, ess: float, limit: int, kept: int, report: Callable[[int, Convergence], None]
+        self,
+        r_hat: float,
+        ess: float,
+        limit: int,
+        kept: int,
+        report: Callable[[int, Convergence], None],
     ) -> Draws:
         """Sweep until the targets or the limit of sweeps are reached; `kept` draws of each group."""
         history: list[Array] = []

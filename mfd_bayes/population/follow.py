@@ -223,9 +223,7 @@ class Forecaster:
         if np.any(np.abs(actuation - self._level) > 1e-9 * self._level) and self._level > 0:
             population, index = self._predictor.population, self._particles.index
             session, grid = self._test.setting.session, self._test.grid
-            effects = population.level_effects(
-                index, session, grid, self._particles.numbers.level
-            )
+            effects = population.level_effects(index, session, grid, self._particles.numbers.level)
             scales = population.scales(model, actuation, index, self._level, (grid, effects))
         before, force = np.diff(trace.time, prepend=trace.time[0]), np.empty((n, new.size))
         for i, at in enumerate(new.tolist()):
@@ -321,7 +319,9 @@ class Forecaster:
             noise = residual.draw_noise(rng, joined, values["noise_sd"])
             force = force + values["offset"][:, None] + noise[:, last]
         window, samples = (self._first, self._last), self._rows.shape[1] - AHEAD
-        told = Conditioned(window, samples, k, "weights", float(effective_draws(log_weights[:, None])[0]))
+        told = Conditioned(
+            window, samples, k, "weights", float(effective_draws(log_weights[:, None])[0])
+        )
         if self._told is not None:
             stages, accepted = self._told.stages, self._told.accepted
             told = replace(told, method="sampling", stages=stages, accepted=accepted)
@@ -339,7 +339,9 @@ def _trace(rows: Array) -> Trace:
     return Trace.from_arrays(time, displacement, level, force, speed, hysteresis=0.0)
 
 
-def _rows(time: ArrayLike, displacement: ArrayLike, actuation: ArrayLike, force: ArrayLike) -> Array:
+def _rows(
+    time: ArrayLike, displacement: ArrayLike, actuation: ArrayLike, force: ArrayLike
+) -> Array:
     """Samples that came in, (4, m), checked."""
     given = time, displacement, actuation, force
     columns = [real_numbers(name, column) for name, column in zip(ROWS, given, strict=True)]

@@ -418,9 +418,7 @@ def _some(h: Array, rows: Index) -> list[tuple[Array, Index]]:
     return [(h[part], rows[part]) for part in parts]
 
 
-def _starts(
-    likelihoods: Sequence[TestLikelihood], draws: Draws, population: Population
-) -> Starts:
+def _starts(likelihoods: Sequence[TestLikelihood], draws: Draws, population: Population) -> Starts:
     """Density of starts, learned from where the tests began."""
     begun, prior = population.begun, population.priors.get("start")
     if begun is None or prior is None or population.starts.fixed is not None:

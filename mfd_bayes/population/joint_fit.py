@@ -267,7 +267,10 @@ class _Fit:
         common, free = self.common, self.free
         a, b, eliminated = np.eye(common.size), -self.x[0, common], []
         for j, w in enumerate(weights):
-            shared, own = self.slopes[j][:, common] * w[:, None], self.slopes[j][:, free] * w[:, None]
+            shared, own = (
+                self.slopes[j][:, common] * w[:, None],
+                self.slopes[j][:, free] * w[:, None],
+            )
             left = (self.left[j] - self.given[j]) * w
             h = own.T @ own
             h += np.diag(1.0 + damping * np.diag(h))

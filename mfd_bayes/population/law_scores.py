@@ -141,7 +141,9 @@ class TestGaussians:
         alone[informs] = 0.0
         return found + np.array([alone[tests].sum() for tests in kept]), h, choice
 
-    def scores(self, design: Design, folds: Sequence[Sequence[int]], law: str) -> tuple[Array, float]:
+    def scores(
+        self, design: Design, folds: Sequence[Sequence[int]], law: str
+    ) -> tuple[Array, float]:
         """Log predictive density of each fold given the others, (folds,), and Pareto k."""
         log = self.densities(design, folds, law)[0]
         sums = special.logsumexp(log, axis=0)

@@ -170,7 +170,9 @@ class MixedModel:
     def _inner(self, js: Index, tau: Array) -> Array:
         """Precision of the deviations of tests js given the rest, (n, m, F, F)."""
         prior = self.weight[js] / tau[:, None] ** 2
-        return np.asarray(self.p[js][:, self.free][:, :, self.free] + prior[..., None] * np.eye(self.f))
+        return np.asarray(
+            self.p[js][:, self.free][:, :, self.free] + prior[..., None] * np.eye(self.f)
+        )
 
     def deviations(self, h: Array, choice: Index, z: Array) -> tuple[Array, Array]:
         """Mean of the deviations of all tests given the rest, (n, J, F), and factors of precision."""
@@ -223,7 +225,9 @@ class MixedModel:
         mode, step = self.mode(choice), 1e-2
         unit = step * np.eye(self.dim)
         i, k = np.triu_indices(self.dim)
-        points = np.concatenate([mode + a * unit[i] + b * unit[k] for a in (1, -1) for b in (1, -1)])
+        points = np.concatenate(
+            [mode + a * unit[i] + b * unit[k] for a in (1, -1) for b in (1, -1)]
+        )
         parts = np.array_split(points, max(len(points) // 64, 1))
         f = np.concatenate([self.log_prob(part, choice) for part in parts]).reshape(4, -1)
         hessian = np.zeros((self.dim, self.dim))

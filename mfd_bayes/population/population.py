@@ -79,7 +79,9 @@ class Numbers:
     @property
     def level(self) -> Array:
         """Of level effects, (n, M, G)."""
-        return self.flat[:, 3 * self.quantities : -2].reshape(len(self.flat), self.leveled, self.grid)
+        return self.flat[:, 3 * self.quantities : -2].reshape(
+            len(self.flat), self.leveled, self.grid
+        )
 
     @property
     def start(self) -> Array:
@@ -287,7 +289,11 @@ class Population:
         """
         found: dict[str, Array] = {}
         p0, laws = self.design.reference, self.design.laws
-        for name, slope in (("Fc_fwd", "K_c_fwd"), ("Fc_bwd", "K_c_bwd"), ("sigma0", "alpha_sigma0")):
+        for name, slope in (
+            ("Fc_fwd", "K_c_fwd"),
+            ("Fc_bwd", "K_c_bwd"),
+            ("sigma0", "alpha_sigma0"),
+        ):
             if laws.get(name) not in ("proportional", "affine"):
                 continue
             zero, one = np.moveaxis(self.median(name, [0.0, p0]), -1, 0)
@@ -513,7 +519,9 @@ class Population:
             return np.array([level])
         driven = np.asarray(history, dtype=np.float64)
         least = level / 16.0
-        low, high = np.clip([min(driven.min(), level), max(driven.max(), level)], least, 16.0 * level)
+        low, high = np.clip(
+            [min(driven.min(), level), max(driven.max(), level)], least, 16.0 * level
+        )
         if high <= low * (1.0 + 1e-9):
             return np.array([level])
         octaves = np.arange(np.log2(low / level), np.log2(high / level) + OCTAVE, OCTAVE)
@@ -521,4 +529,3 @@ class Population:
         tested = [p for _, p in self.design.cells if low < p < high]
         grid = np.sort(np.concatenate([grid, tested]))
         return np.sort(np.append(grid[np.abs(np.log(grid / level)) > 0.02], level))
-

@@ -45,15 +45,11 @@ def save_population(path: Path, population: Population) -> None:
         **{f"scatter_{name}": tau for name, tau in population.scatters.items()},
         **{f"deviation_{name}": omega for name, omega in population.effect_sds.items()},
         **{f"draws_{k}": v for k, v in vars(population.draws).items()},
-        **{f"alternatives_{k}": v for k, v in vars(population.alternatives).items()},
-        "alternatives_weight": population.alternative_weight,
         "law": population.choice.astype(np.float64),
-        **{f"discrepancy_{name}": getattr(residual, name) for name in _RESIDUAL},
     }
     if population.begun is not None:
         arrays["starts"] = population.begun
-    if population.starts.weights is not None:
-        arrays["start_weights"] = population.starts.weights
+    weights = population.starts.weights
     facts = {
         "format": FORMAT,
         "names": [*design.names, *design.coordinates.names[len(design.names) :]],
@@ -61,11 +57,15 @@ def save_population(path: Path, population: Population) -> None:
         "laws": design.laws,
         "dependence": design.dependence,
         "weights": population.weights,
+        "alternatives": {k: v.tolist() for k, v in vars(population.alternatives).items()},
+        "alternative_weight": population.alternative_weight.tolist(),
+        "start_weights": None if weights is None else weights.tolist(),
         "unloaded": population.starts.unloaded,
         "actuation_unit": population.actuation_unit,
         "walkers": population.walkers,
         "basis": asdict(residual.basis),
         "residual": {name: getattr(residual, name) for name in _FIGURES},
+        "discrepancy": {name: getattr(residual, name).tolist() for name in _RESIDUAL},
         **{name: value.tolist() for name, value in vars(found).items()},
     }
     save_arrays(path, arrays, json.loads(json_text(facts)))
@@ -98,11 +98,9 @@ def _population(
     settings = [Setting(**one) for one in facts["settings"]]
     design = design_of(priors, facts["names"], settings, facts["laws"], facts["dependence"])
 
-    def laws(prefix: str) -> LawDraws:
-        fields = ("h", "z", "share", "exponent")
-        return LawDraws(**{name: values[f"{prefix}_{name}"] for name in fields})
-
-    draws, other, z = laws("draws"), laws("alternatives"), design.quantity.size
+    draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
+    other = LawDraws(**{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()})
+    z = design.quantity.size
     sizes = (draws.h.shape[-1], draws.z.shape[-1], other.z.shape[-1])
     if sizes != (design.free.size + len(design.effects), z, z):
         raise ValueError("its draws do not fit its design")
@@ -112,16 +110,20 @@ def _population(
     starts = Starts.of(known.get("start"))
     begun = values.get("starts")
     if begun is not None and starts.fixed is None:
-        starts = Starts(values.get("start_weights"), float(facts["unloaded"]))
-    residual = {name: values[f"discrepancy_{name}"] for name in _RESIDUAL}
+        weights = facts["start_weights"]
+        learned = None if weights is None else np.array(weights)
+        starts = Starts(learned, float(facts["unloaded"]))
+    learned_residual = {k: np.array(v) for k, v in facts["discrepancy"].items()}
     return Population(
         design=design,
         draws=draws,
         choice=values["law"].astype(np.intp),
         weights=facts["weights"],
         alternatives=other,
-        alternative_weight=values["alternatives_weight"],
-        residual=Residual(TravelBasis(**facts["basis"]), **residual, **facts["residual"]),
+        alternative_weight=np.array(facts["alternative_weight"]),
+        residual=Residual(
+            TravelBasis(**facts["basis"]), **learned_residual, **facts["residual"]
+        ),
         starts=starts,
         begun=begun,
         priors=priors.parameters,

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import NotThereError
-from mfd_bayes.population.checks import check_known
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.ground import Ground
@@ -244,5 +243,6 @@ class Response:
             "base_shear": self.base_shear[..., None],
             "travel": self.travel,
         }
-        check_known("measure", name, measures)
+        if name not in measures:
+            raise NotThereError(f"no measure {name!r}: there are {', '.join(measures)}")
         return np.asarray(measures[name].max(axis=-1))

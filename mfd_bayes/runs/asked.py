@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError
-from mfd_bayes.population.bands import Band
 from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.settings import THIS_TEST
+from mfd_bayes.population.settings import THIS_TEST, same_level
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.population.settings import same_level
-from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.systems import System

@@ -98,7 +98,7 @@ def respond_of_run(
         *([source.use] if source.use else []),
         *uncovered(built, moved),
     ]
-    if dampers.count and source.population.layout.covariate_reference:
+    if dampers.count and source.population.design.dependence:
         remarks.append(
             "quantities that depend on speed or amplitude are taken at those of the typical test"
         )

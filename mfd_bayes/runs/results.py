@@ -63,8 +63,6 @@ class Prediction:
     fitted: Score
     whole: bool | None = None
 
-    def __post_init__(self) -> None:
-
 
 @dataclass(frozen=True)
 class CampaignCrossValidation:

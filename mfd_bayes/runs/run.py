@@ -18,13 +18,12 @@ from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Effort
-from mfd_bayes.population.bands import Band
+from mfd_bayes.population.bands import Band, Forecast, check_flag
 from mfd_bayes.population.follow import Forecaster
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.settings import THIS_TEST
 from mfd_bayes.population.population import Population
+from mfd_bayes.population.settings import THIS_TEST, planned_setting
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.population.settings import planned_setting
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs import asked
 from mfd_bayes.runs.folder import POPULATION, check_stored

@@ -6,9 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.bands import Band, Forecast, Predictor
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs import asked

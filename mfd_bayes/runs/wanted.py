@@ -94,7 +94,7 @@ def next_test(
     system = manifest.system_of(test.trace for test in tests.values())
     shown = Shown(system.factor(manifest.settings.actuation_unit), system.factor("in"))
     # an actuation that is next to nothing is zero there
-    settings = population.layout.settings
+    settings = population.design.settings
     done = tuple(
         replace(tested_of(test.trace, shown), actuation=setting.actuation)
         for test, setting in zip(tests.values(), settings, strict=True)

@@ -22,12 +22,9 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.inference import Inference, infer_population
-from mfd_bayes.population.bands import Predictor
-from mfd_bayes.population.settings import Setting, levels_of, setting_of
-from mfd_bayes.population.bands import holds_whole
-from mfd_bayes.population.settings import with_zeros
+from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.order import Order
