@@ -97,7 +97,7 @@ def check_place(plan: Plan, out: Path) -> None:
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
     inputs = (campaign.path, plan.priors.path, *(test.path for test in campaign.tests))
-    check_apart(out, inputs, force=options.force)
+    check_apart(out, inputs, force=options.force, resume=options.resume)
 
 
 def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:

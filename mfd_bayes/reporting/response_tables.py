@@ -54,7 +54,7 @@ def limits_csv(found: Iterable[Passing], system: System) -> str:
 
 def shares_csv(shares: Iterable[Shares]) -> str:
     """Shares of variance as CSV."""
-    lines = [
+    lines: list[Sequence[str | float]] = [
         [one.quantity, one.ground, source, share]
         for one in shares
         for source, share in one.shares.items()

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.regular import path_of
 from mfd_bayes.response.content import read_content
 from mfd_bayes.response.damping import damping_matrix
 from mfd_bayes.response.modes import Modes, modes_of
 from mfd_bayes.response.schema import Content, Damper, History, Limits
-from mfd_bayes.response.structures import Skeleton, skeleton_of
+from mfd_bayes.response.structures import LARGEST, Skeleton, skeleton_of
 from mfd_bayes.units import parse_actuation
 
 Array = NDArray[np.float64]
@@ -86,6 +86,16 @@ class Building:
     devices: tuple[Device, ...]
     limits: Limits
     folder: Path = Path()
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "damping", "stiffness"):
+            matrix = real_numbers(f"{name} of a building", getattr(self, name), BuildingError)
+            if matrix.ndim != 2 or len(matrix) != matrix.shape[1] or len(matrix) > LARGEST:
+                raise BuildingError(
+                    f"{name} of a building must be a square matrix of up to {LARGEST} rows, got "
+                    f"the shape {matrix.shape}"
+                )
+            object.__setattr__(self, name, matrix)
 
     @property
     def freedoms(self) -> int:

@@ -20,7 +20,7 @@ from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.regular import path_of, why_no_file
 from mfd_bayes.records.roles import header_unit
-from mfd_bayes.response.ground_text import LONGEST_STEP, parse_step, read_text
+from mfd_bayes.response.ground_text import LONGEST_STEP, SAME_STEP, parse_step, read_text
 from mfd_bayes.response.measures import acceleration_factor
 from mfd_bayes.units import GRAVITY, factor
 
@@ -34,9 +34,6 @@ MOST = 200_000
 
 WEAKEST, STRONGEST = 1e-4, 5.0
 """Peaks of ground motions that are believed without being asked, g."""
-
-SAME_STEP = 5e-3
-"""Share by which a step that is given may differ from the file's, which is rounded there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,7 +318,7 @@ def _digit(values: Array) -> float:
     power = 10.0 ** np.floor(np.log10(np.maximum(np.abs(values), 1e-300)))
     lead = values / power
     digits = next((n for n in range(15) if np.allclose(lead, np.round(lead, n), 1e-12, 0)), 99)
-    return max(10.0**-places, 10.0 ** (np.floor(np.log10(most or 1.0)) - digits))
+    return float(max(10.0**-places, 10.0 ** (np.floor(np.log10(most or 1.0)) - digits)))
 
 
 def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None, str]:

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 LONGEST_STEP = 0.2
 """Longest step that a file may have without being asked, s: it may be in ms."""
 
+SAME_STEP = 5e-3
+"""Share by which two steps of one motion may differ: files round them."""
+
 _HEAD = 50  # lines in which a header may say the step
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
 _WHOLE = (
@@ -120,17 +123,17 @@ def read_text(path: Path) -> Text:
             "as time_s,acceleration_g in its first line"
         )
     scale, unit, said = _scale(path, header)
-    for own, words in _units(header):
+    for own, place in _units(header):
         if unit and not _alike(unit, own):
-            raise BuildingError(f"{path}: the header says {said!r} and {words!r}: correct the file")
-        unit, said = (unit, said) if unit else (own, words)
-    known = {words: step for words, step in steps if step}
-    first, *others = known.values() or [None]
-    if any(not math.isclose(first, other, rel_tol=_UNEVEN) for other in others if first):
-        raise BuildingError(f"{path}: {' and '.join(map(repr, known))} are two steps")
-    unread = next((words for words, step in steps if step is None), "")
+            raise BuildingError(f"{path}: the header says {said!r} and {place!r}: correct the file")
+        unit, said = (unit, said) if unit else (own, place)
+    known = [(place, step) for place, step in steps if step is not None]
+    if known and max(s for _, s in known) > (1.0 + SAME_STEP) * min(s for _, s in known):
+        two = " and ".join(repr(place) for place, _ in known)
+        raise BuildingError(f"{path}: {two} are different steps: correct the file")
+    unread = next((place for place, step in steps if step is None), "")
     flat = scale * np.array([value for row in values for value in row])
-    return Text(flat, first, unit, said, unread)
+    return Text(flat, known[0][1] if known else None, unit, said, unread)
 
 
 def _head(lines: Sequence[str]) -> int:

@@ -138,4 +138,4 @@ def _of_npy(path: Path) -> Array:
         if math.prod(shape) > LARGEST**2:
             raise ValueError(f"its shape is {shape}, and there are up to {LARGEST} rows")
         file.seek(0)
-        return np.asarray(np.lib.format.read_array(file, allow_pickle=False), dtype=np.float64)
+        return np.asarray(np.lib.format.read_array(file), dtype=np.float64)

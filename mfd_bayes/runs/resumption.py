@@ -143,7 +143,8 @@ def prepare_folder(manifest: Manifest, home: Path, out: Path, existing: Existing
     found = _with_results(manifest.changed(files=files), before, kept, out)
     if not same_population or _order(manifest) != _order(before):
         remove_folder(out / CROSSVALIDATED)
-        before = before.changed(crossvalidation=None)
+        if before.crossvalidation is not None:
+            before = before.changed(crossvalidation=None)
     if not same_population:
         before.changed(status=Status.RUNNING).write(out)  # what is left is no finished run
     for name in {*before.tests, *manifest.tests}.difference(kept):

@@ -1,6 +1,7 @@
 """Building files: what is read, and one sentence for each mistake."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +160,17 @@ def test_a_matrix_declared_huge_or_complex_is_refused_before_it_is_read(tmp_path
     path.write_text('[matrices]\nmass = "M.csv"\nstiffness = "M.csv"\n')
     with pytest.raises(BuildingError, match=r"matrices\.mass.*M\.csv as numbers"):
         read_building(path)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.eye(2) * 1j, np.zeros((2, 3)), np.broadcast_to(0.0, (100_000, 100_000)), "x", None],
+)
+def test_a_matrix_of_a_building_is_real_and_square(matrix):
+    building = made(GOOD)
+    for name in ("mass", "damping", "stiffness"):
+        with pytest.raises(BuildingError, match=f"{name} of a building must"):
+            replace(building, **{name: matrix})
 
 
 def test_a_limit_of_the_residual_drift_needs_heights_too():

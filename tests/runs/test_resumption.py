@@ -156,7 +156,7 @@ def test_a_run_that_was_begun_without_keys_is_refused_and_stays(plan, out):
     manifest = json.loads((out / "manifest.json").read_text())
     del manifest["population_key"]
     (out / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(StoreError, match="an earlier version began it.*--force"):
+    with pytest.raises(StoreError, match=r"an earlier version began it.*--force"):
         resume(plan, out)
     assert (out / "tests/a/posterior.nc").is_file()
 
