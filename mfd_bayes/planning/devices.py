@@ -101,8 +101,8 @@ class Devices:
         rng, residual = np.random.default_rng(seed), self.population.residual
         drawn = self.drawn(setting_of(loop.trace, session), rng, scattered=True)
         sd = self.predictor.values(drawn)["noise_sd"]
-        # variance of the mean of the noise over each sample's step over its variance, for noise with
-        # a correlation that falls by exp(-dt/τ)
+        # variance of the mean of the noise over a sample's step, over its variance, where its
+        # correlation falls by exp(-dt/τ)
         r = np.maximum(loop.steps / residual.noise_time, 1e-6)
         averaged = np.minimum(2.0 * (r + np.expm1(-r)) / r**2, 1.0)
         rest, level = np.sqrt(averaged / cycles), float(np.sqrt(1.0 / cycles))

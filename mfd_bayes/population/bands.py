@@ -180,8 +180,8 @@ class Band:
     def shares(self) -> Mapping[str, float]:
         """What makes the band wide: share of each source in the variance; their sum is 1.
 
-        Each source varies by itself, the others at their means. Empty for several models at once, of
-        a `Forecaster`, and where nothing varies.
+        Each source varies by itself, the others at their means. Empty for several models at once,
+        of a `Forecaster`, and where nothing varies.
         """
         return self.explained or (self.explain() if self.explain else {})
 
@@ -228,9 +228,9 @@ def read_only(values: Array) -> Array:
 def whole_band(draws: Array, probability: float) -> tuple[Array, Array]:
     """Lower and upper bound that hold whole curves (n, T) with a probability, (T,) each, kip.
 
-    The bounds are centre ± q · scale. Centre and scale are mean and sd of the draws at each sample; q
-    is the quantile, over the draws, of the largest |F(t) - centre(t)| / scale(t). They are nowhere
-    inside the band of single samples.
+    The bounds are centre ± q · scale. Centre and scale are mean and sd of the draws at each
+    sample; q is the quantile, over the draws, of the largest |F(t) - centre(t)| / scale(t). They
+    are nowhere inside the band of single samples.
     """
     centre, scale = draws.mean(axis=0), draws.std(axis=0)
     tiny = 1e-9 * max(float(np.max(np.abs(draws))), 1e-300)
@@ -392,7 +392,7 @@ class Predictor:
         rng: np.random.Generator,
         source: str,
     ) -> Band:
-        """Band of drawn tests with their noise, if it is asked for; what is no number is refused."""
+        """Band of drawn tests, with noise if it is asked for; what is no number is refused."""
         values = self.values(drawn)
         if forecast.kind == "observation" and drawn.noise is None:
             noise = self.population.residual.draw_noise(rng, trace, values["noise_sd"])
@@ -435,7 +435,7 @@ class Predictor:
         return np.asarray(force + self.values(drawn)["offset"][:, None] + drawn.noise)
 
     def _shares(self, trace: Trace, drawn: Drawn) -> dict[str, float]:
-        """Share of each source in the variance, averaged over the samples: each varies by itself."""
+        """Share of each source in the mean variance: each varies by itself."""
         sources, few = sources_of(self.population, drawn), slice(SHARE_DRAWS)
         fixed = {name: at_mean(drawn, few) for name in sources}
         variances = {}
@@ -535,7 +535,7 @@ def sources_of(population: Population, drawn: Drawn) -> dict[str, Free]:
 
 
 def _vary(fixed: Drawn, few: slice, *, source: Drawn, part: str, columns: list[int]) -> Drawn:
-    """Fixed draws with some columns of a part as they were drawn; laws take their histories along."""
+    """Fixed draws with some columns of a part as drawn; laws take their histories along."""
     values = np.array(getattr(fixed.parts, part))
     values[:, columns] = getattr(source.parts, part)[few][:, columns]
     scales = fixed.scales

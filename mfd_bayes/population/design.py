@@ -270,7 +270,7 @@ class Design:
         choice : (n, L) int
             Number of the law of each quantity of `laws`.
         """
-        found = []
+        found: list[Array] = []
         for shape in ("share", "exponent"):
             given = np.array([getattr(LAWS[law], shape) for law in LAW_NAMES], dtype=np.float64)
             value = given[choice]  # NaN where it is inferred
@@ -383,10 +383,10 @@ def design_of(
 def usual_dependence(
     slip_forces: Sequence[str], settings: Sequence[Setting]
 ) -> dict[str, tuple[str, ...]]:
-    """Covariates that slip forces follow unless a campaign says otherwise: the stroke, if it varies.
+    """Covariates that slip forces follow by default: the stroke, if it varies.
 
     No friction model here knows of the stroke, and all of them know of the speed.
     """
     if len(settings) < TESTS or not varies(settings, "amplitude"):
         return {}
-    return {name: ("amplitude",) for name in slip_forces}
+    return dict.fromkeys(slip_forces, ("amplitude",))

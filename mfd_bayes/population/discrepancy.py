@@ -126,7 +126,7 @@ class Residual:
         return rng.multivariate_normal(self.mean, self.covariance, size=n, method="eigh")
 
     def discrepancy(self, trace: Trace, slip_force: Array, knots: Array) -> Array:
-        """f δ(u) of tests of these slip forces (n,) and values at the knots (n, K), (n, T), kip."""
+        """Discrepancy f δ(u), (n, T), kip, for slip forces (n,) and values at the knots (n, K)."""
         relative = slip_force / self.slip_force
         return np.asarray(relative[:, None] * (knots @ self.basis(trace).T))
 

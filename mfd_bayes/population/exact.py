@@ -1,9 +1,9 @@
 """The exact joint posterior of population and tests, from the Gaussian one.
 
 Under the Gaussian approximation the population's h has known draws, and given h the coefficients z
-and the tests' own coordinates are affine in standard normal numbers e. Moves change these numbers by
-the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which leaves the approximation as it
-is, and are accepted by the exact over the approximate likelihoods (Rudolf and Sprungk, 2018):
+and the tests' own coordinates are affine in standard normal numbers e. Moves change these numbers
+by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which leaves the approximation as
+it is, and are accepted by the exact over the approximate likelihoods (Rudolf and Sprungk, 2018):
 
 1. the numbers of each test, each accepted by its own likelihood;
 2. those of z, with h from its draws under the approximation, accepted by all tests. The mean and
@@ -171,12 +171,13 @@ class ExactSampler:
         return np.where(self.own[:, self.local], 1.0, sd)
 
     def _conditional(self, h: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Base, and mean and factor of precision of the local coordinates under the approximation."""
+        """Base, and mean and factor of precision of the local coordinates, approximately."""
         base, local = self._base(h, z), self.local
         p = self.fit.precision[:, local]
         inner = p[:, :, local] + self._local_sd(h)[..., None] ** -2.0 * np.eye(local.size)
         pull = np.einsum("jla,nja->njl", p, self.fit.mean - base)
-        return base, np.linalg.solve(inner, pull[..., None])[..., 0], np.linalg.cholesky(inner)
+        mean = np.asarray(np.linalg.solve(inner, pull[..., None])[..., 0])
+        return base, mean, np.asarray(np.linalg.cholesky(inner))
 
     def _at(self, h: Array, e_z: Array, e: Array) -> State:
         """State of these numbers; the forces of all tests are computed."""
@@ -291,7 +292,7 @@ class ExactSampler:
         kept: int,
         report: Callable[[int, Convergence], None],
     ) -> Draws:
-        """Sweep until the targets or the limit of sweeps are reached; `kept` draws of each group."""
+        """Sweep until targets or limit are reached; `kept` draws of each group are kept."""
         history: list[Array] = []
         for step in range(1, WARM_UP + 1):
             self.sweep()

@@ -1,8 +1,9 @@
 """Predictions of a test while it runs, for hybrid simulation: a band that learns with each sample.
 
 Draws of the population are stepped along the motion with the model's own steps, and weighted by the
-likelihood of the force so far. An update costs the same however long the test has run. Where the weights
-can no longer be trusted, the force so far is taken in again as a given part is (`given.take_in`).
+likelihood of the force so far. An update costs the same however long the test has run. Where the
+weights can no longer be trusted, the force so far is taken in again as a given part is
+(`given.take_in`).
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ class Forecaster:
     Attributes
     ----------
     complete : callable
-        Called with each band and with the motion from the first sample to the band's last; gives the
-        band with what the run says of such a motion.
+        Called with each band and with the motion from the first sample to the band's last; gives
+        the band with what the run says of such a motion.
     """
 
     complete: Callable[[Band, Trace], Band]
@@ -103,8 +104,8 @@ class Forecaster:
     ) -> None:
         """Take in the samples that were measured since the last update.
 
-        They are averaged to about the rate of the calibrated tests; what is left of a block waits for
-        the next update.
+        They are averaged to about the rate of the calibrated tests; what is left of a block waits
+        for the next update.
 
         Parameters
         ----------
@@ -118,8 +119,8 @@ class Forecaster:
         Raises
         ------
         RecordError
-            When shapes do not fit, a value is not finite, time does not increase, or a test that was
-            planned without actuation has one.
+            When shapes do not fit, a value is not finite, time does not increase, or a test that
+            was planned without actuation has one.
         """
         level = self._level if actuation is None else actuation
         self._check_actuation(level)
@@ -128,7 +129,8 @@ class Forecaster:
         if np.any(np.diff(times) <= 0):
             at = int(np.argmax(np.diff(times) <= 0))
             raise RecordError(
-                f"time must increase; it does not at sample {at} of the update (t = {rows[0, at]:g} s)"
+                f"time must increase; it does not at sample {at} of the update "
+                f"(t = {rows[0, at]:g} s)"
             )
         if not rows.size:
             return
@@ -247,7 +249,7 @@ class Forecaster:
         return psis(np.maximum(np.nan_to_num(log, nan=-np.inf), np.nanmax(log) - 600.0))
 
     def refresh(self) -> None:
-        """Take in all samples so far anew, which takes some seconds; nothing before the first motion."""
+        """Take in all samples so far anew, in some seconds; nothing before the first motion."""
         if self._state is None:
             return
         trace = _trace(self._rows)
@@ -272,7 +274,8 @@ class Forecaster:
         Parameters
         ----------
         trace : Trace
-            Its first sample is after the last one measured. Its actuation, if it has one, may differ.
+            Its first sample is after the last one measured. Its actuation, if it has one, may
+            differ.
 
         Raises
         ------

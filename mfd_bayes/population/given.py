@@ -1,8 +1,8 @@
 """Predictions of a test of which a first part is known, or arrives sample by sample.
 
-Draws of the population are weighted by the likelihood of the known force. Where the weights of a few
-draws take over, the draws are resampled and moved by some Metropolis steps, and the force goes on to be
-taken in (iterated batch importance sampling: Chopin, 2002).
+Draws of the population are weighted by the likelihood of the known force. Where the weights of a
+few draws take over, the draws are resampled and moved by some Metropolis steps, and the force goes
+on to be taken in (iterated batch importance sampling: Chopin, 2002).
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ def blocks_of(count: Array) -> int:
 
 
 def noise_shape(residual: Residual, part: Trace, slip: Array) -> Array:
-    """g along a part, (T,): before a full stroke a device far below slip is as quiet as in its gap."""
+    """Shape g, (T,): before a full stroke a device far below slip is as quiet as in its gap."""
     functions = residual.basis(part)
     shape = np.exp(functions @ residual.log_shape)
     quiet = np.abs(np.asarray(part.force)) < QUIET * np.median(slip)

@@ -284,7 +284,7 @@ def _reduced(fit: JointFit, own: NDArray[np.bool_], d: int) -> tuple[Array, Arra
 
 
 def _weights(design: Design, name: str, scores: Sequence[LawScore]) -> dict[str, float]:
-    """Weights of the laws of a quantity; of compared ones by their scores, if any can be trusted."""
+    """Weights of the laws of a quantity; compared ones have those of their scores."""
     laws = design.considered(design.laws[name])
     if len(laws) == 1:
         return {laws[0]: 1.0}
@@ -386,7 +386,7 @@ def _alternatives(
     gaussians: TestGaussians,
     rng: np.random.Generator,
 ) -> tuple[LawDraws, Array]:
-    """Draws under all laws by their Gaussians, for actuations beyond the tested levels, and weights."""
+    """Draws under all laws, for actuations beyond the tested levels, and their weights."""
     design = mixed.design
     slips = [n for n in gaussians.design.laws if n != "sigma0"]
     many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS

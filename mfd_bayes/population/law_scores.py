@@ -1,9 +1,9 @@
 """Scores of laws and covariates: how well each predicts tests that were left out.
 
-Each quantity is scored by itself, with the Gaussians of the tests given the quantities that all tests
-share. A law has scatter here, but not the level effects that predictions allow it, which would excuse
-any law. Coefficients are integrated in closed form, scatter and shapes over quasi-random draws of their
-prior: the scores are always the same.
+Each quantity is scored by itself, with the Gaussians of the tests given the quantities that all
+tests share. A law has scatter here, but not the level effects that predictions allow it, which
+would excuse any law. Coefficients are integrated in closed form, scatter and shapes over
+quasi-random draws of their prior: the scores are always the same.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class LawScore:
     ----------
     quantity, law : str
     elpd : float
-        Sum over levels of the log predictive density of the level's tests given the other levels, in
-        prior units.
+        Sum over levels of the log predictive density of the level's tests given the other levels,
+        in prior units.
     se : float
         Standard error of the sum, from the spread of its terms.
     weight : float
@@ -153,8 +153,8 @@ class TestGaussians:
 def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
     """Score of every law for each quantity that follows the actuation, each level left out in turn.
 
-    Empty where tests are at fewer than `LEVELS` levels. With tests at zero actuation, laws that have
-    no value there have no weight.
+    Empty where tests are at fewer than `LEVELS` levels. With tests at zero actuation, laws that
+    have no value there have no weight.
     """
     design = tests.design
     folds = levels_of(design.settings)
@@ -180,8 +180,8 @@ def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
 def extrapolation_weights(tests: TestGaussians, names: Sequence[str], laws: Sequence[str]) -> Array:
     """Weights of laws by how well they predict the lowest and the highest level, (laws,).
 
-    Stacking of the two folds, for some quantities together, with a prior worth one fold: two levels do
-    not rule a law out. With fewer than `LEVELS` levels, equal weights.
+    Stacking of the two folds, for some quantities together, with a prior worth one fold: two
+    levels do not rule a law out. With fewer than `LEVELS` levels, equal weights.
     """
     design = tests.design
     levels = levels_of([s for s in design.settings if s.actuation > 0])
@@ -199,8 +199,8 @@ def extrapolation_weights(tests: TestGaussians, names: Sequence[str], laws: Sequ
 def compare_dependence(tests: TestGaussians) -> tuple[DependenceScore, ...]:
     """Scores of dependences on speed or stroke, parts of the tests left out in turn.
 
-    For each quantity that follows the actuation, under its own law ("power" where laws are compared).
-    Empty where there are fewer than `TESTS` tests, or where no covariate varies.
+    For each quantity that follows the actuation, under its own law ("power" where laws are
+    compared). Empty where there are fewer than `TESTS` tests, or where no covariate varies.
     """
     design = tests.design
     varied = [c for c in COVARIATES if varies(design.settings, c)]
@@ -226,8 +226,9 @@ def compare_dependence(tests: TestGaussians) -> tuple[DependenceScore, ...]:
 def free_exponents(tests: TestGaussians) -> dict[str, tuple[float, float, float]]:
     """Quantiles 2.5, 50 and 97.5 % of each proportional law's exponent, were it a power law.
 
-    Levels may deviate from the law as in predictions: the exponent is known no better than the number
-    of levels allows. Empty where no law is proportional, or at fewer than `LEVELS` levels above zero.
+    Levels may deviate from the law as in predictions: the exponent is known no better than the
+    number of levels allows. Empty where no law is proportional, or at fewer than `LEVELS` levels
+    above zero.
     """
     design = tests.design
     if len(levels_of([s for s in design.settings if s.actuation > 0])) < LEVELS:

@@ -1,9 +1,9 @@
 """Linear mixed model of the tests, each known by a Gaussian likelihood (a two-stage model).
 
-The coordinates of test j are x_j = A_j z + law(h)_j + d_j with d_j ~ N(0, diag τ²), and its likelihood
-is N(y_j, P_j⁻¹). Given the variance parameters and the shapes of the laws, together h, all is Gaussian
-and is integrated in closed form: first the deviations d_j, then the coefficients z (levels, slopes on
-covariates, effects). The few h are sampled by emcee on the marginal likelihood.
+The coordinates of test j are x_j = A_j z + law(h)_j + d_j with d_j ~ N(0, diag τ²), and its
+likelihood is N(y_j, P_j⁻¹). Given the variance parameters and the shapes of the laws, together h,
+all is Gaussian and is integrated in closed form: first the deviations d_j, then the coefficients z
+(levels, slopes on covariates, effects). The few h are sampled by emcee on the marginal likelihood.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ LARGEST = 12.0
 """Largest size of a coordinate of h."""
 
 ODD, WIDER = 0.01, 10.0
-"""Probability that a quantity of a test stands apart from the others, and its scatter over theirs."""
+"""Probability that a quantity of a test stands apart from the others, and its scatter over
+theirs."""
 
 ROUNDS = 4
 """Largest number of rounds of expectation-maximisation of what stands apart."""
@@ -47,8 +48,8 @@ class Coefficients:
 class MixedModel:
     """Density of h, and Gaussians given h.
 
-    h holds the logarithms of τ of the F free quantities (natural units), those of the effects' sd, and
-    the coordinates of the laws' shapes, in this order.
+    h holds the logarithms of τ of the F free quantities (natural units), those of the effects' sd,
+    and the coordinates of the laws' shapes, in this order.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ class MixedModel:
             block = self.level_precision if effect.name == "level" else np.eye(len(design.sessions))
             own = np.flatnonzero(design.effect == e).reshape(len(effect.members), -1)
             for columns in own:
-                at = np.ix_(range(len(omega)), columns, columns)
+                at = np.ix_(np.arange(len(omega)), columns, columns)
                 found[at] = omega[:, e, None, None] ** -2.0 * block
         return found
 
@@ -150,16 +151,16 @@ class MixedModel:
             total += log_density - 0.5 * np.einsum("nja,nja->n", left, pulled)
             b[:, active] += np.einsum("jm,njm->nm", row, pulled[:, :, q])
             grams = known[:, :, q[:, None], q]
-            at = np.ix_(range(n), active, active)
+            at = np.ix_(np.arange(n), active, active)
             a[at] += np.einsum("jml,njml->nml", row[:, :, None] * row[:, None], grams)
-        factor = np.linalg.cholesky(a)
+        factor = np.asarray(np.linalg.cholesky(a))
         u = _forward(factor, b)
         total += 0.5 * np.sum(u**2, axis=1)
         total -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return total, Coefficients(_back(factor, u), factor)
 
     def _deviations_out(self, js: Index, tau: Array) -> tuple[Array, Array]:
-        """Precision of A z + law by tests js, their deviations integrated, (n, m, d, d), and log."""
+        """Precision of A z + law without the deviations of tests js, (n, m, d, d), and its log."""
         p, free = self.p[js], self.free
         inner = self._inner(js, tau)
         across = np.broadcast_to(p[:, free], (len(tau), *p[:, free].shape))
@@ -175,11 +176,12 @@ class MixedModel:
         )
 
     def deviations(self, h: Array, choice: Index, z: Array) -> tuple[Array, Array]:
-        """Mean of the deviations of all tests given the rest, (n, J, F), and factors of precision."""
+        """Mean of the deviations given the rest, (n, J, F), and factors of their precision."""
         left = self.y - self.offsets(h, choice) - self.fixed(z)
         pulled = np.einsum("jfa,nja->njf", self.p[:, self.free], left)
         inner = self._inner(np.arange(len(self.y)), self.tau(h))
-        return np.linalg.solve(inner, pulled[..., None])[..., 0], np.linalg.cholesky(inner)
+        mean = np.asarray(np.linalg.solve(inner, pulled[..., None])[..., 0])
+        return mean, np.asarray(np.linalg.cholesky(inner))
 
     def fixed(self, z: Array) -> Array:
         """Levels, covariates and effects of the tests, A z, (n, J, d)."""

@@ -283,9 +283,9 @@ class Population:
     def slopes(self) -> dict[str, Array]:
         """The paper's constants of those laws that are straight, and the laws' intercepts.
 
-        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of actuation; what
-        is left without actuation: `Fc_fwd_0` and its like in kip, `sigma0_0` in kip/in. All are
-        (chain, draw).
+        K_c and K_s in kip per unit of actuation, `alpha_sigma0` in kip/in per unit of actuation;
+        what is left without actuation: `Fc_fwd_0` and its like in kip, `sigma0_0` in kip/in. All
+        are (chain, draw).
         """
         found: dict[str, Array] = {}
         p0, laws = self.design.reference, self.design.laws

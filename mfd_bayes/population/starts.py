@@ -1,10 +1,11 @@
 """Where in the gap tests begin.
 
-Tests are often made one after the other with the same motion, and the device is not reset in between:
-it then stands where such a motion leaves it. So a repeat of the calibrated tests begins near the middle
-of the gap, or near the place at which its own motion ends; which of the two, and how near, is learned
-from the calibrated tests (Beta densities on a grid of shapes). For every other motion nothing is learned
-from repeats: it begins without load, or anywhere. A repeat does so with probability `ELSEWHERE` too.
+Tests are often made one after the other with the same motion, and the device is not reset in
+between: it then stands where such a motion leaves it. So a repeat of the calibrated tests begins
+near the middle of the gap, or near the place at which its own motion ends; which of the two, and
+how near, is learned from the calibrated tests (Beta densities on a grid of shapes). For every
+other motion nothing is learned from repeats: it begins without load, or anywhere. A repeat does so
+with probability `ELSEWHERE` too.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ ELSEWHERE = 0.2
 BEFORE = 0.75
 """Probability, before the tests of a run, that tests begin without load and not anywhere.
 
-All records of the three sessions in shared/data/brfd begin with less than a tenth of the slip force.
-With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here, so that none
-of the three is counted twice.
+All records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
+force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here, so
+that none of the three is counted twice.
 """
 
 MOST = 0.95
@@ -135,7 +136,7 @@ class Starts:
             modes = np.array([0.5, 0.5 if left is None else left])
             a, b = _exponents(SHAPES[shape], modes[mode])
             found = np.where(which >= share, betaincinv(a, b, u), found)
-        return np.clip(found, 1e-9, 1.0 - 1e-9)
+        return np.asarray(np.clip(found, 1e-9, 1.0 - 1e-9))
 
 
 def _exponents(shape: Array, mode: Array) -> tuple[Array, Array]:

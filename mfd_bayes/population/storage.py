@@ -82,8 +82,8 @@ def load_population(path: Path, priors: PriorFile) -> Population:
     arrays, facts = load_arrays(path)
     if facts.get("format") != FORMAT:
         raise StoreError(
-            f"{path} holds a population of another version of this program: run mfd-bayes calibrate "
-            "again"
+            f"{path} holds a population of another version of this program: run "
+            "mfd-bayes calibrate again"
         )
     try:
         return _population(arrays, facts, priors)
@@ -121,9 +121,7 @@ def _population(
         weights=facts["weights"],
         alternatives=other,
         alternative_weight=np.array(facts["alternative_weight"]),
-        residual=Residual(
-            TravelBasis(**facts["basis"]), **learned_residual, **facts["residual"]
-        ),
+        residual=Residual(TravelBasis(**facts["basis"]), **learned_residual, **facts["residual"]),
         starts=starts,
         begun=begun,
         priors=priors.parameters,
