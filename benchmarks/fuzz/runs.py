@@ -239,8 +239,8 @@ def read_resumed(path: Path) -> object:
     plan = plan_of(small=True)
     effort_of(path.parent, None, resume=True)
     home = plan.campaign.folder
-    manifest, before = prepare_folder(plan.manifest, home, path.parent, Existing.RESUMED)
-    return json_text(manifest.content), before and before.content.keys()
+    resumed = prepare_folder(plan.manifest, home, path.parent, Existing.RESUMED)
+    return json_text(resumed.manifest.content), resumed.before and resumed.before.content.keys()
 
 
 def read_fold(path: Path) -> object:

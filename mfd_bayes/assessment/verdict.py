@@ -174,6 +174,9 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
         "platform": manifest.platform,
         "versions": ", ".join(f"{k} {v}" for k, v in manifest.versions.items()),
     }
+    for number, machine in enumerate(manifest.machines):
+        name = f"machine {number + 1}" if number else "machine"
+        facts[name] = ", ".join(f"{part} {words}" for part, words in machine.items())
     for name, digest in manifest.inputs.items():
         facts[f"SHA-256 of {name}"] = digest
     return facts

@@ -28,7 +28,7 @@ FRAME = 0.25
 ENDED = (State.DONE, State.KEPT, State.FAILED)
 """Stages of work that has ended."""
 
-ALARMS = (State.FAILED, State.RESTARTED)
+ALARMS = (State.FAILED, State.RESTARTED, State.NOTE)
 """Stages that are printed even with --quiet, and above the table on a terminal."""
 
 _STATES = (State.DONE, State.KEPT, State.FAILED, "running", State.WAITING)
@@ -45,7 +45,7 @@ _NAME, _STAGE, _LONGEST_STAGE = 8, 14, 36
 def watch(*, quiet: bool = False) -> Iterator[Observe]:
     """Function that shows a step: in a table on a terminal, as a line elsewhere.
 
-    With `quiet`, only failures and restarts are shown.
+    With `quiet`, only failures, restarts and notes are shown.
     """
     if quiet:
         yield lambda step: say(_line(step), err=True) if step.stage in ALARMS else None
@@ -75,7 +75,8 @@ def _live() -> Iterator[Observe]:
 
     def observe(step: Step) -> None:
         with drawing:
-            board.hear(step)
+            if step.stage != State.NOTE:
+                board.hear(step)
             if step.stage in ALARMS:
                 live.console.print(clean(_line(step)))
 

@@ -20,6 +20,8 @@ class State(StrEnum):
     KEPT = "kept"
     """An earlier session of the run has done it."""
     FAILED = "failed"
+    NOTE = "note:"
+    """No work, but a sentence that the user must see."""
     HELD_OUT = "held out"
     """A test that is predicted and never fitted."""
 

@@ -50,8 +50,8 @@ Observe = Callable[[Step], None]
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""
 
-_OF_FINISHED = ("status", "finished", "crossvalidation", "verdicts")
-"""Keys of a finished run that rest on its population."""
+_OF_FINISHED = ("status", "finished", "crossvalidation", "verdicts", "machines")
+"""Keys of a finished run that nothing is computed of again."""
 
 
 def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
@@ -102,23 +102,23 @@ def check_place(plan: Plan, out: Path) -> None:
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
     inputs = (campaign.path, plan.priors.path, *(test.path for test in campaign.tests))
-    check_apart(out, inputs, force=options.force)
+    check_apart(out, inputs, force=options.force, resume=options.resume)
 
 
 def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
     options = plan.options
-    manifest, before = prepare_folder(
-        plan.manifest,
-        plan.campaign.folder,
-        out,
-        Existing.asked(resume=options.resume, force=options.force),
-        plan.priors,
-    )
+    existing = Existing.asked(resume=options.resume, force=options.force)
+    resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, existing)
+    for sentence in resumed.told:
+        observe(Step("resume", State.NOTE, message=sentence))
+    manifest = resumed.manifest
     todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
-    if before is not None and not todo:
-        manifest = _with_population(manifest, before, out)
+    if resumed.before is not None and not todo:
+        manifest = _with_population(manifest, resumed.before, out)
     try:
+        if manifest.status != Status.FINISHED:
+            remove_stale(out, draws=bool(todo) or not resumed.same_tests)
         manifest = _calibrate_tests(plan, manifest, todo, out, observe)
         results = _results(plan, manifest, out)
         if manifest.status != Status.FINISHED:
@@ -139,8 +139,6 @@ def _calibrate_tests(
     for name in plan.held_out:
         manifest = manifest.with_test(name, status=State.HELD_OUT)
     manifest.write(out)  # first of all: a folder with a manifest is a run folder
-    if manifest.status != Status.FINISHED:
-        remove_stale(out, draws=bool(todo))
     write_bytes(out / CAMPAIGN, plan.campaign.path.read_bytes())
     write_bytes(out / PRIORS, plan.priors.path.read_bytes())
     for name, trace in plan.held_out.items():

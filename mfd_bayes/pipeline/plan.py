@@ -35,7 +35,9 @@ from mfd_bayes.records.sources import Source
 from mfd_bayes.records.together import Tested
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
+from mfd_bayes.runs.machine import this_machine
 from mfd_bayes.runs.manifest import FORMAT, Entry, Manifest, Status, check_readable
+from mfd_bayes.runs.resumption import with_keys
 from mfd_bayes.runs.settings import Settings, TestSettings
 from mfd_bayes.runs.systems import System
 
@@ -132,8 +134,9 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         whole = record.trace()
         faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
         tested += [found] if (found := tested_of(test, record, whole)) else []
+    checks_noise = settings.checks_noise(options.effort)
     tasks = tuple(
-        _task(campaign, priors, test, traces[test.id], options)
+        _task(campaign, priors, test, traces[test.id], options, checks_noise=checks_noise)
         for test in campaign.tests
         if test.role == "calibrate"
     )
@@ -150,6 +153,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         warnings=findings_of(faults, settings, layout, {task.id: task.trace for task in tasks}),
         **_session(options),
     )
+    manifest = with_keys(manifest, priors)
     check_readable(manifest)
     return Plan(campaign, options, priors, tasks, held_out, manifest)
 
@@ -164,6 +168,7 @@ def _session(options: Options) -> dict[str, Any]:
         "seed": options.seed,
         "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
         "platform": platform.platform(),
+        "machines": (this_machine(),),
         "files": {},
     }
 
@@ -265,14 +270,14 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
     return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 
 
-def _checks_noise(campaign: Campaign, options: Options) -> bool:
-    """Whether tests are fitted under other noises too: as the campaign says, else unless quick."""
-    asked = campaign.noise_check
-    return options.effort != "quick" if asked is None else asked
-
-
 def _task(
-    campaign: Campaign, priors: PriorFile, test: Test, trace: Trace, options: Options
+    campaign: Campaign,
+    priors: PriorFile,
+    test: Test,
+    trace: Trace,
+    options: Options,
+    *,
+    checks_noise: bool,
 ) -> Task:
     digest = hashlib.sha256(test.id.encode()).digest()
     task = Task(
@@ -285,7 +290,7 @@ def _task(
         start=campaign.start,
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
-        checks_noise=_checks_noise(campaign, options),
+        checks_noise=checks_noise,
     )
     posterior = task.posterior()
     drawn = posterior.draw_prior(np.random.default_rng(0), 64)

@@ -22,9 +22,14 @@ FOLDERS = ("tests", "figures", CROSSVALIDATED)
 """Folders in a run folder."""
 
 
+def folder_of(test_id: str) -> str:
+    """Path of the folder of all that is stored of a test."""
+    return f"tests/{test_id}"
+
+
 def posterior_of(test_id: str) -> str:
     """Path of a test's posterior in a run folder."""
-    return f"tests/{test_id}/posterior.nc"
+    return f"{folder_of(test_id)}/posterior.nc"
 
 
 def pooled_of(test_id: str) -> str:
@@ -162,7 +167,7 @@ def is_of_run(name: Path) -> bool:
     return first in FOLDERS or name.as_posix() in (*_OUTPUTS, MANIFEST, DISCARDED)
 
 
-def check_apart(out: Path, inputs: Iterable[Path], *, force: bool) -> None:
+def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool = False) -> None:
     """Refuse a run that would remove or replace one of its own inputs.
 
     Parameters
@@ -173,6 +178,8 @@ def check_apart(out: Path, inputs: Iterable[Path], *, force: bool) -> None:
         Campaign file, priors and records.
     force : bool
         Whether what an earlier run wrote will be removed.
+    resume : bool
+        Whether what it wrote of a test may be removed.
 
     Raises
     ------
@@ -186,7 +193,8 @@ def check_apart(out: Path, inputs: Iterable[Path], *, force: bool) -> None:
             continue
         name = found.relative_to(home)
         copied = name.as_posix() in (CAMPAIGN, PRIORS) and not force  # written as it was read
-        if is_of_run(name) and not copied and (force or name.parts[0] not in FOLDERS):
+        stays = name.parts[0] in FOLDERS and not (resume and name.parts[0] == "tests")
+        if is_of_run(name) and not copied and (force or not stays):
             raise StoreError(
                 f"{path} is an input of this run and lies where {out} is written: it would be "
                 "lost; give another folder"

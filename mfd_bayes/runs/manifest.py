@@ -56,6 +56,8 @@ class Entry(Part):
     """Displacements, in, at the ends and turns of the record before and after its fit window."""
     seconds: Figure = 0.0
     error: str = ""
+    key: str = ""
+    """SHA-256 of all that its posterior rests on; empty where an earlier version left it out."""
 
     @property
     def filtered(self) -> bool:
@@ -89,6 +91,10 @@ class Manifest(Part):
     """SHA-256 of each file that was read."""
     versions: Mapping[str, str]
     platform: str
+    machines: tuple[Mapping[str, str], ...] = ()
+    """The machines that have computed a part of it, as `runs.machine` has them."""
+    population_key: str = ""
+    """SHA-256 of all that the population rests on; empty where an earlier version left it out."""
     tests: Annotated[Mapping[Id, Entry], Field(min_length=1)]
     files: Mapping[str, str] | None = None
     """SHA-256 of each file that the run has stored, by its name in the folder."""

@@ -65,6 +65,10 @@ class Settings(Part):
     actuation_unit: Literal["ksi", "kip"]
     tests: Mapping[Id, TestSettings]
 
+    def checks_noise(self, effort: str) -> bool:
+        """Whether tests are fitted under other noises too: as asked for, else unless quick."""
+        return effort != "quick" if self.noise_check is None else self.noise_check
+
     @property
     def sessions(self) -> Mapping[str, str]:
         """Session of each test, "" where it has none."""

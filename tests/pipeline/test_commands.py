@@ -824,14 +824,6 @@ def test_another_seed_cannot_resume(campaign, copied):
     assert (copied / "manifest.json").read_bytes() == before
 
 
-def test_another_record_cannot_resume(campaign, copied, tmp_path):
-    folder = shutil.copytree(campaign[0].parent, tmp_path / "campaign")
-    with (folder / f"{TESTS[0]}.csv").open("a") as file:
-        file.write("4.01,0.0,0.0\n")
-    outcome = here(*calibrate(folder / "campaign.toml", copied, "--resume"))
-    refused(outcome, f"{TESTS[0]}.csv")
-
-
 def start(*arguments):
     """Start the installed command as a terminal does, in a process group of its own."""
     return subprocess.Popen(

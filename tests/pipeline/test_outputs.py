@@ -224,6 +224,17 @@ def test_a_run_is_not_replaced_with_its_inputs_in_it(home, name):
     assert state(home) == before
 
 
+def test_a_run_is_not_resumed_with_its_records_among_its_tests(home):
+    place = home / "out" / "tests" / "m" / "m.csv"
+    place.parent.mkdir(parents=True)
+    shutil.copy(home / "m.csv", place)
+    campaign = home / "campaign.toml"
+    campaign.write_text(CAMPAIGN.format(file="out/tests/m/m.csv"))
+    before = state(home)
+    refused(here("calibrate", campaign, "-o", home / "out", "--resume"), "would be lost")
+    assert state(home) == before
+
+
 @pytest.mark.parametrize("name", ["report.html", "manifest.json", "campaign.toml"])
 def test_a_run_does_not_replace_a_pipe_or_a_link_out_of_its_folder(home, name):
     place = home / "out" / name

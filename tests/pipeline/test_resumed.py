@@ -8,6 +8,7 @@ from mfd_bayes.pipeline import calibration
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.resumption import with_keys
 
 RESULTS = ("law_scores", "population_sampler", "crossvalidation", "comparison", "verdicts")
 OPTIONAL = (
@@ -56,7 +57,8 @@ def under_other_laws(plan):
     laws = {**plan.manifest.settings.laws, "sigma0": "constant"}
     settings = plan.manifest.settings.model_copy(update={"laws": laws})
     inputs = {**plan.manifest.inputs, "campaign.toml": "0" * 64}
-    return replace(plan, manifest=plan.manifest.changed(settings=settings, inputs=inputs))
+    manifest = plan.manifest.changed(settings=settings, inputs=inputs)
+    return replace(plan, manifest=with_keys(manifest, plan.priors))
 
 
 def results_of(out):

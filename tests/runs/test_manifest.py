@@ -212,7 +212,8 @@ def resumed(runs, made, tmp_path):
 
 
 def resume(plan, out):
-    return prepare_folder(plan.manifest, plan.campaign.folder, out, Existing.RESUMED)
+    resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, Existing.RESUMED)
+    return resumed.manifest, resumed.before
 
 
 def test_a_finished_run_is_resumed(resumed):
@@ -253,11 +254,11 @@ def test_of_an_earlier_session_only_its_end_is_taken_over(resumed):
     assert manifest.tests["a"].rate != 1.0
 
 
-def test_settings_with_endless_names_are_told_in_a_sentence(resumed):
+def test_versions_with_endless_names_are_told_in_a_sentence(resumed):
     plan, out = resumed
-    names = {f"{i}{'x' * 3000}": i for i in range(100)}
-    change(out, lambda manifest: manifest["settings"].update(names))
-    with pytest.raises(StoreError, match=r"settings .*and more") as caught:
+    names = {f"{i}{'x' * 3000}": str(i) for i in range(100)}
+    change(out, lambda manifest: manifest["versions"].update(names))
+    with pytest.raises(StoreError, match=r"versions .*and 90 more") as caught:
         resume(plan, out)
     assert len(str(caught.value)) < 1500
 

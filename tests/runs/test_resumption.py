@@ -10,7 +10,7 @@ import pytest
 from mfd_bayes.errors import StoreError
 from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.resumption import Existing, population_digest, prepare_folder
+from mfd_bayes.runs.resumption import Existing, population_digest, prepare_folder, with_keys
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +43,9 @@ def resume(plan, out, priors=None, **settings):
     changed = manifest.changed(
         settings=manifest.settings.model_copy(update=settings), inputs=inputs
     )
-    given = priors or plan.priors
-    home = plan.campaign.folder
-    return prepare_folder(changed, home, out, Existing.RESUMED, given)
+    changed = with_keys(changed, priors or plan.priors)
+    resumed = prepare_folder(changed, plan.campaign.folder, out, Existing.RESUMED)
+    return resumed.manifest, resumed.before
 
 
 def test_other_laws_keep_the_tests_and_infer_the_population_again(plan, out):
@@ -95,38 +95,70 @@ def test_a_comment_in_the_campaign_changes_nothing(plan, out):
     assert (out / "crossvalidation").is_dir()
 
 
+def kept_of(out, plan, priors=None, **settings):
+    """Calibrated tests that are kept, after a resumption that does not keep the population."""
+    manifest, before = resume(plan, out, priors, **settings)
+    assert before is None
+    assert json.loads((out / "manifest.json").read_text())["status"] == "running"
+    kept = [name for name, entry in manifest.tests.items() if entry.status == "done"]
+    assert [name for name in "ab" if (out / f"tests/{name}/posterior.nc").is_file()] == kept
+    assert not (out / "crossvalidation").exists()
+    return kept
+
+
 def test_another_noise_has_the_tests_sampled_again(plan, out):
-    with pytest.raises(StoreError, match=r"settings \(noise\) changed"):
-        resume(plan, out, noise="iid")
-    assert (out / "crossvalidation").is_dir()
+    assert kept_of(out, plan, noise="iid") == []
 
 
-def test_another_window_has_the_tests_sampled_again(plan, out):
+def test_another_window_has_its_test_sampled_again(plan, out):
     tests = dict(plan.manifest.settings.tests)
     tests["a"] = tests["a"].model_copy(update={"fit": (0.0, 1.0)})
-    with pytest.raises(StoreError, match=r"settings \(tests\) changed"):
-        resume(plan, out, tests=tests)
+    assert kept_of(out, plan, tests=tests) == ["b"]
 
 
 def test_another_prior_of_a_parameter_has_the_tests_sampled_again(plan, out):
     parameters = dict(plan.priors.parameters)
     parameters["k3"] = replace(parameters["k3"], figures={"median": 1.0, "spread": 0.1})
-    with pytest.raises(StoreError, match=r"inputs \(campaign.toml\) changed"):
-        resume(plan, out, replace(plan.priors, parameters=parameters))
+    assert kept_of(out, plan, replace(plan.priors, parameters=parameters)) == []
 
 
-def test_another_role_is_not_resumed(plan, out):
+def test_what_is_stored_of_a_test_in_another_role_is_removed(plan, out):
     swapped = plan.manifest.with_test("a", role="validate")
-    with pytest.raises(StoreError, match="inputs"):
-        resume(replace(plan, manifest=swapped), out)
+    assert kept_of(out, replace(plan, manifest=swapped)) == ["b"]
 
 
-def test_another_record_is_not_resumed(plan, out):
+def test_another_record_has_its_tests_sampled_again(plan, out):
     (file,) = {test.file for test in plan.manifest.settings.tests.values()}
     inputs = {**plan.manifest.inputs, file: "1" * 64}
     other = replace(plan, manifest=plan.manifest.changed(inputs=inputs))
-    with pytest.raises(StoreError, match=file):
-        resume(other, out)
+    assert kept_of(out, other) == []
+
+
+def test_a_tolerance_changes_nothing_that_is_stored(plan, out):
+    manifest, before = resume(plan, out, tolerances={"energy": 0.2})
+    assert before.status == "finished"
+    assert manifest.tests["a"].status == "done"
+
+
+def test_a_run_of_other_tests_is_refused_and_stays(plan, out):
+    manifest = json.loads((out / "manifest.json").read_text())
+    for part in (manifest["tests"], manifest["settings"]["tests"]):
+        for name in tuple(part):
+            part[f"other_{name}"] = part.pop(name)
+    del manifest["truth"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(StoreError, match=r"a run of other tests \(other_a, .*another folder"):
+        resume(plan, out)
+    assert (out / "tests/a/posterior.nc").is_file()
+
+
+def test_a_run_that_was_begun_without_keys_is_refused_and_stays(plan, out):
+    manifest = json.loads((out / "manifest.json").read_text())
+    del manifest["population_key"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(StoreError, match=r"an earlier version began it.*--force"):
+        resume(plan, out)
+    assert (out / "tests/a/posterior.nc").is_file()
 
 
 # --- what was left out, and what was compared
