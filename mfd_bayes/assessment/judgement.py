@@ -84,7 +84,8 @@ def doubt_of(check: Check) -> float:
 def _of_record(findings: Sequence[Finding], missed: Sequence[Check]) -> Iterable[tuple[float, str]]:
     """What is wrong with the record, after the figure that shows it best."""
     for number, finding in enumerate(sorted(findings, key=lambda f: not f.spoils)):
-        shown = f"{miss_of(missed[0])}: " if missed and number == 0 and finding.spoils else ""
+        shows = finding.spoils and finding.name != "time unit"  # no clock changes an energy
+        shown = f"{miss_of(missed[0])}: " if missed and number == 0 and shows else ""
         yield (_SPOILS if finding.spoils else MILD), f"{shown}{finding.sentence}"
 
 

@@ -47,6 +47,8 @@ def roughness(values: Array) -> float:
 
 def follows(motion: Array, force: Array) -> float:
     """Size of the correlation of a force with the direction of a motion, (T,) each."""
+    if motion.size != force.size:
+        return 0.0
     turns = turning_points(motion, TURN * float(np.ptp(motion)))
     if turns.size < 2 or not np.ptp(force) > 0.0:
         return 0.0

@@ -44,8 +44,27 @@ _SAID |= {"plateau": "a slip force of {:.3g} kip"}
 
 
 def compare_tests(tests: Sequence[Tested]) -> list[tuple[str, Fault]]:
-    """Faults by test: duplicates, then signs, then units, actuations and other devices."""
-    return [*_twins(tests), *_signs(tests), *_odd(tests)]
+    """Faults by test: duplicates, then clocks, signs, units, actuations and other devices."""
+    return [*_twins(tests), *_clocks(tests), *_signs(tests), *_odd(tests)]
+
+
+def _clocks(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose steps of time and cycles are those of another one, but in ms."""
+    for one in tests:
+        for other in tests:
+            if not 0.0 < other.cycle < one.cycle:
+                continue
+            steps, cycles = one.step / other.step, one.cycle / other.cycle
+            if abs(steps - 1000.0) < 1.0 and 0.5 < cycles / 1000.0 < 2.0:
+                yield (
+                    one.id,
+                    Fault(
+                        "time unit",
+                        f"its steps of {one.step:.3g} s and its cycles of {one.cycle:.4g} s are a "
+                        f"thousand times those of {other.id}: is time in ms rather than in s?",
+                    ),
+                )
+                break
 
 
 def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:

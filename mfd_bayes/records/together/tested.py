@@ -39,6 +39,8 @@ class Tested:
         As the campaign gives it, "" for a column.
     units : mapping of str to str
         Unit of displacement and of force that the record was read in.
+    step, cycle : float, s
+        Median step of time, and median time of a full loop; 0 where there is none.
     """
 
     __test__: ClassVar[bool] = False  # pytest must not take it for a test class
@@ -52,6 +54,8 @@ class Tested:
     level: float
     actuation: str
     units: dict[str, str]
+    step: float = 0.0
+    cycle: float = 0.0
 
     @classmethod
     def of(cls, name: str, record: Record, trace: Trace, actuation: str = "") -> Tested:
@@ -71,4 +75,6 @@ class Tested:
             level=trace.reference_actuation,
             actuation=actuation,
             units=units,
+            step=float(np.median(np.diff(trace.time))),
+            cycle=float(np.median(loops.period)) if loops.period.size else 0.0,
         )
