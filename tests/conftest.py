@@ -7,16 +7,22 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis.configuration import set_hypothesis_home_dir
 
 # The arrays here are small: with threads of its own, BLAS takes several times the processor time,
 # most of it waiting. Set before the first import of NumPy, and for the processes that tests start.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# The tests run in a folder of their own, and a path is meant from where they were started.
+for variable in {"MFD_BAYES_DATA", "MFD_BAYES_FINISHED_RUN"} & set(os.environ):
+    os.environ[variable] = str(Path(os.environ[variable]).absolute())
 
 # On its first import of a day ArviZ writes a file, and two processes that do so at once fail: the
 # one that starts the others is first.
@@ -26,6 +32,29 @@ importlib.import_module("mfd_bayes.store.arviz").import_arviz()
 # tests that interrupt a process need it heard.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config) -> None:
+    """Hypothesis writes before the first test: to a folder that is removed at the end."""
+    folder = tempfile.TemporaryDirectory()
+    config.add_cleanup(folder.cleanup)
+    set_hypothesis_home_dir(folder.name)
+
+
+@pytest.fixture(scope="session")
+def nowhere(tmp_path_factory):
+    """An empty folder, in which the tests run: what lies where they were started is not theirs."""
+    folder = tmp_path_factory.mktemp("nowhere")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield folder
+
+
+@pytest.fixture(autouse=True)
+def write_under_tmp_path_alone(nowhere):
+    """A test that leaves a file in the working directory fails."""
+    yield
+    assert [path.name for path in nowhere.iterdir()] == []
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from typing import NoReturn
 import typer
 
 from mfd_bayes.cli.console import clean, say
-from mfd_bayes.cli.streams import CannotPrintError
+from mfd_bayes.cli.streams import CannotPrintError, drop
 from mfd_bayes.errors import MfdError
 from mfd_bayes.jobs.signals import hinting
 
@@ -53,7 +53,8 @@ def _fail(sentence: str) -> NoReturn:
     try:
         say(f"mfd-bayes: {sentence}", err=True)
         sys.stderr.flush()
-    except CannotPrintError:  # there may still be the output
+    except CannotPrintError as error:  # there may still be the output
+        drop(error.number)
         say(f"mfd-bayes: {sentence}")
     raise typer.Exit(2)
 

@@ -71,5 +71,10 @@ def checked_streams() -> Iterator[None]:
     except CannotPrintError as error:
         with suppress(OSError):
             os.write(3 - error.number, f"mfd-bayes: {error}\n".encode())
-        os.dup2(os.open(os.devnull, os.O_WRONLY), error.number)  # Python writes the rest at its end
+        drop(error.number)
         sys.exit(2)
+
+
+def drop(number: int) -> None:
+    """Let a standard stream that takes nothing more forget what it holds."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), number)  # Python writes the rest at its end

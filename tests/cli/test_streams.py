@@ -60,8 +60,9 @@ def stored(tmp_path_factory, benchmark_module):
     return folder
 
 
-def ran(command, number, state, other):
+def ran(command, number, state, other, buffered=True):
     """A command whose stream of that number is in some state: exit code, and the other stream."""
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
 
     def prepare():
         if state == "closed":
@@ -79,6 +80,7 @@ def ran(command, number, state, other):
         done = subprocess.run(
             [str(word) for word in command],
             preexec_fn=prepare,
+            env=plain if buffered else plain | {"PYTHONUNBUFFERED": "1"},
             check=False,
             timeout=120,
             **streams,
@@ -115,8 +117,9 @@ def test_a_whole_check_whose_output_is_full_is_told_in_one_sentence(stored, othe
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
 @STATES
-def test_a_refusal_that_nobody_can_hear_goes_to_the_output(light, other, state):
-    code, told = ran([*light, "check", other.parent / "none"], 2, state, other)
+@pytest.mark.parametrize("buffered", [True, False])
+def test_a_refusal_that_nobody_can_hear_goes_to_the_output(light, other, state, buffered):
+    code, told = ran([*light, "check", other.parent / "none"], 2, state, other, buffered)
     (sentence,) = told.splitlines()
     assert "is not a run folder" in sentence
     assert code == 2
