@@ -80,7 +80,7 @@ def predict(out: Path, question: Question) -> Answer:
         narrow = design_warnings(run) if question.design else ()
         bounds = design_rows(run, trace, question.probability) if question.design else ()
     band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
-    compared = None if drawn.force is None else compare(band, drawn.force)
+    compared = None if drawn.force is None else compare(band, drawn)
     derived = tuple(convert_row(row, system) for row in rows)
     design = tuple(convert_row(row, system) for row in bounds)
     answer = Answer(band, derived, system, compared, design)
