@@ -76,12 +76,6 @@ class Compared:
     probability: float
     given: bool = False
 
-    @property
-    def missed(self) -> bool:
-        """Whether a measurement leaves its own band more than `OFTEN` times as often as it may."""
-        worst = min(self.coverage, self.full) if self.full == self.full else self.coverage
-        return self.kind == "observation" and 1.0 - worst > OFTEN * (1.0 - self.probability)
-
     def sentence(self, system: System) -> str:
         """Coverage and error in words; whether the band holds what a load cell adds."""
         full = "" if np.isnan(self.full) else f", {100 * self.full:.1f} % at full stroke"
@@ -96,28 +90,44 @@ class Compared:
             return text
         return f"{text}; this kind holds no offset and noise: measured data need --kind observation"
 
+    def disagrees(self, rows: Sequence[DerivedRow]) -> bool:
+        """Whether most measured values are outside, or far more samples than the band allows."""
+        worst = np.nanmin([self.coverage, self.full])
+        missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
+        known = sum(np.isfinite(row.measured) for row in rows)
+        return (missed and self.kind == "observation") or 2 * len(outside(rows)) > known
+
     def judged(self, rows: Sequence[DerivedRow]) -> str:
-        """What measured values outside their intervals, and a low coverage, say; "" for nothing."""
-        known = [row for row in rows if np.isfinite(row.measured)]
-        out = [row.name for row in known if not row.lower <= row.measured <= row.upper]
-        promised = f"{percent(self.probability)} %"
-        text = ""
+        """What measured values outside their intervals, and a low coverage, say; "" for nothing.
+
+        `rows` are those of `measured_rows`.
+        """
+        out, promised = outside(rows), f"{percent(self.probability)} %"
+        parts = []
         if out:
-            text = (
-                f"{len(out)} of {len(known)} measured values lie outside their {promised} "
-                f"interval{'' if len(out) == 1 else 's'} ({', '.join(out)})"
+            known = sum(np.isfinite(row.measured) for row in rows)
+            counted = ", offset and noise included" if self.kind == "observation" else ""
+            parts = [
+                f"{len(out)} of {known} measured values lie outside their {promised} "
+                f"intervals{counted} ({', '.join(out)})"
+            ]
+        if not self.disagrees(rows):
+            return "".join(parts)
+        if self.kind == "observation":
+            full = "" if np.isnan(self.full) else f", {100 * self.full:.0f} % at full stroke"
+            parts.append(
+                f"the band holds {100 * self.coverage:.0f} % of the samples{full}, not {promised}"
             )
-        if not self.missed and 2 * len(out) <= len(known):
-            return text
-        if self.missed:
-            worst = np.nanmin([self.coverage, self.full])
-            which = "at full stroke" if worst < self.coverage else "in motion"
-            said = f"the band holds {100 * worst:.0f} % of the samples {which}, not {promised}"
-            text = f"{text}, and {said}" if text else said
         return (
-            f"the prediction does not agree with the measurement: {text}; check the record and its "
-            "actuation, or the device is not as it was in the calibrated tests"
+            f"the prediction does not agree with the measurement: {', and '.join(parts)}; check "
+            "the record and its actuation, or the device is not as it was in the calibrated tests"
         )
+
+
+def outside(rows: Sequence[DerivedRow]) -> list[str]:
+    """Names of quantities whose measured value lies outside its interval."""
+    known = (row for row in rows if np.isfinite(row.measured))
+    return [row.name for row in known if not row.lower <= row.measured <= row.upper]
 
 
 def compare(band: Band, trace: Trace) -> Compared:

@@ -216,7 +216,8 @@ def test_a_measurement_outside_the_prediction_is_said_in_a_sentence(ask, tmp_pat
     motion = tmp_path / "motion.csv"
     wrong = compared(ask, with_rest(held_out, motion, 0.0, 1.5)).stderr
     assert "the prediction does not agree with the measurement" in wrong
-    assert "measured values lie outside their 95 % intervals (energy_per_cycle" in wrong
+    assert "measured values lie outside their 95 % intervals, offset and noise" in wrong
+    assert "included (energy_per_cycle, " in wrong
     assert "not 95 %" in wrong
     right = compared(ask, with_rest(held_out, motion, 0.0)).stderr  # the control
     assert "does not agree" not in right
