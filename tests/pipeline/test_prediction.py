@@ -1,6 +1,7 @@
 """The command predict on a small synthetic campaign, tested at 500, 1000 and 1500 psi."""
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -318,6 +319,27 @@ def test_the_bands_of_a_law_are_nested_and_smooth(out, name):
     width = (between["upper"] - between["lower"]).to_numpy()
     spikes = [np.diff(between[bound].to_numpy(), 2) for bound in ("lower", "upper")]
     assert np.mean(np.abs(spikes) / width[1:-1]) < 0.02
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize(
+    ("interval", "words"),
+    [
+        ((0.07, 0.50, 1.03), "? cannot tell"),
+        ((0.85, 1.02, 1.2), "✓ not contradicted"),
+        ((0.2, 0.5, 0.8), "✗ not supported"),
+    ],
+)
+def test_a_wide_interval_of_an_exponent_says_nothing(out, tmp_path, interval, words):
+    copy = shutil.copytree(out, tmp_path / "out")
+    mb.open_run(copy).rewrite(free_exponents={"Fc_fwd": interval})
+    assert CliRunner().invoke(app, ["report", str(copy), "--quiet"]).exit_code == 0
+    text = (copy / "report.html").read_text(encoding="utf-8")
+    section = text[text.index("Is the proportional law supported?") :][:2000]
+    said = [
+        w for w in ("cannot tell", "not contradicted", "not supported") if f"{w}</span>" in section
+    ]
+    assert said == [words[2:]]
 
 
 def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_path, monkeypatch):
