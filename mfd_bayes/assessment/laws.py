@@ -118,7 +118,8 @@ def _drawn(run: Run, actuation: float) -> dict[str, dict[str, Array]]:
     population, sessions = run.population, sessions_of(run)
     index = np.linspace(0, population.size - 1, DRAWS).astype(np.intp)
     typical = dict(population.layout.covariate_reference)
-    device, again = [], []
+    device: list[dict[str, Array]] = []
+    again: list[dict[str, Array]] = []
     for number, session in enumerate(sessions):
         setting = Setting(actuation, session, typical)
         expected = population.expected(setting, index[number :: len(sessions)])
