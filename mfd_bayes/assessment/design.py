@@ -150,10 +150,11 @@ def draws_of(run: Run) -> int:
 
     A band with as many, without sessions, has the same draws as the bounds.
     """
-    return DRAWS // len(_sessions(run)) + 10
+    return DRAWS // len(sessions_of(run)) + 10
 
 
-def _sessions(run: Run) -> tuple[str, ...]:
+def sessions_of(run: Run) -> tuple[str, ...]:
+    """Sessions of the calibrated tests; "" where none are declared."""
     return tuple(dict.fromkeys(run.session(name) for name in run.tests))
 
 
@@ -167,7 +168,7 @@ def _bands(run: Run, trace: Trace, probability: float) -> dict[str, tuple[Band, 
     "This device tested again" is a test in one of the declared sessions, "another device" one in
     a session that was not. Without sessions the latter is not known.
     """
-    sessions, size = _sessions(run), draws_of(run)
+    sessions, size = sessions_of(run), draws_of(run)
     told = len(sessions) > 1
     found = {
         kind: tuple(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.assessment.bands import fan_of, spread_of
 from mfd_bayes.assessment.checks import INFORMED, NOT_INFORMED
+from mfd_bayes.assessment.design import sessions_of
 from mfd_bayes.assessment.law_choices import weighed
 from mfd_bayes.assessment.mixed_laws import mixed_rows
-from mfd_bayes.assessment.views import LawView, Row
+from mfd_bayes.assessment.views import Fan, LawView, Row
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
@@ -20,6 +22,9 @@ from mfd_bayes.population.setting import Setting
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
+
+DRAWS = 4000
+"""Draws of the bands of a law."""
 
 
 def law_rows(run: Run) -> tuple[Row, ...]:
@@ -76,34 +81,72 @@ def _contraction(draws: Array, prior_sd: float) -> float:
 
 
 def law_views(run: Run) -> tuple[LawView, ...]:
-    """Every quantity that follows the actuation, with its law's bands and the tests."""
-    population = run.population
-    layout = population.layout
-    highest = max(test.trace.reference_actuation for test in run.tests.values())
-    grid = np.linspace(0.0, 1.15 * highest, 60)
-    rng = np.random.default_rng(0)
-    typical = dict(layout.covariate_reference)
+    """Every quantity that follows the actuation, with its law's bands and the tests.
+
+    The bands are those of `design_rows`: the mean property has the effect of its level, and the
+    tests are of the declared sessions. Both bands have the same draws, with the same random
+    numbers at every actuation.
+    """
+    layout = run.population.layout
+    levels = [test.trace.reference_actuation for test in run.tests.values()]
+    grid = np.union1d(np.linspace(0.0, 1.15 * max(levels), 60), levels)
+    drawn = [_drawn(run, float(p)) for p in grid]
     tested = _tested(run, list(layout.laws))
     views = []
     for name, law in layout.laws.items():
-        medians = population.median(name, grid).reshape(-1, grid.size)
-        pick = np.linspace(0, len(medians) - 1, 2000).astype(np.intp)
-        scattered = [
-            population.draw_test(Setting(float(p), covariates=typical), pick, rng)[name]
-            for p in grid
-        ]
+        starts = np.any(run.population.ratio(name, grid) > 0.0, axis=(0, 1))  # not at zero
+        device, again = (
+            fan_of(kind, starts * np.stack([at[kind][name] for at in drawn], axis=1))
+            for kind in ("device", "new_test")
+        )
         views.append(
             LawView(
                 name=name,
                 unit=units()[name],
-                law=weighed(law, population.law_weights[name]),
+                law=weighed(law, run.population.law_weights[name]),
                 actuation=grid,
-                median=fan_of("device", medians[pick]),
-                new_test=fan_of("new_test", np.stack(scattered, axis=1)),
+                device=device,
+                new_test=_around(again, device),
                 tested=tuple(tested[name]),
             )
         )
     return tuple(views)
+
+
+def _drawn(run: Run, actuation: float) -> dict[str, dict[str, Array]]:
+    """Draws of all quantities at an actuation, (n,) each, by kind, in the tests' sessions."""
+    population, sessions = run.population, sessions_of(run)
+    index = np.linspace(0, population.size - 1, DRAWS).astype(np.intp)
+    typical = dict(population.layout.covariate_reference)
+    device: list[dict[str, Array]] = []
+    again: list[dict[str, Array]] = []
+    for number, session in enumerate(sessions):
+        setting = Setting(actuation, session, typical)
+        expected = population.expected(setting, index[number :: len(sessions)])
+        for found, scattered in ((device, False), (again, True)):
+            parts = expected.parts(_same_numbers, scattered=scattered)
+            found.append(population.values(parts))
+    return {
+        kind: {name: np.concatenate([values[name] for values in found]) for name in found[0]}
+        for kind, found in (("device", device), ("new_test", again))
+    }
+
+
+def _around(wide: Fan, narrow: Fan) -> Fan:
+    """A fan that is nowhere inside another, which chance in its draws may make it."""
+    pairs = zip(wide.intervals, narrow.intervals, strict=True)
+    return replace(
+        wide,
+        intervals=tuple(
+            replace(w, lower=np.minimum(w.lower, n.lower), upper=np.maximum(w.upper, n.upper))
+            for w, n in pairs
+        ),
+    )
+
+
+def _same_numbers(name: str, k: int) -> np.random.Generator:
+    """Generator of one source of chance: its numbers are the same at every actuation."""
+    return np.random.default_rng([k, *name.encode()])
 
 
 def _tested(

@@ -110,8 +110,10 @@ def _misfits(priors: PriorFile, scales: Scales) -> Iterator[Misfit]:
 def _away(prior: Prior, value: float) -> float | None:
     """Distance of a value from a prior's median, in its standard deviations."""
     drawn = prior.draw(np.random.default_rng(0), 1001)
+    middle = prior.typical
     if prior.on_half_line:
-        drawn, value = np.log(drawn), float(np.log(value)) if value > 0.0 else np.nan
+        drawn, middle = np.log(drawn), float(np.log(middle))
+        value = float(np.log(value)) if value > 0.0 else np.nan
     spread = float(np.std(drawn))
     known = spread > 0.0 and np.isfinite(value)
-    return abs(value - float(np.median(drawn))) / spread if known else None
+    return abs(value - middle) / spread if known else None

@@ -49,6 +49,8 @@ class Family:
         Normalised log density at x, any shape, inside the support.
     draw : callable
         Independent draws, (n,).
+    median : callable
+        Median of x.
     support : callable
         Lower and upper bound of x.
     """
@@ -56,6 +58,7 @@ class Family:
     figures: Mapping[str, Figure]
     log_density: Callable[[Array, Figures], Array]
     draw: Callable[[np.random.Generator, int, Figures], Array]
+    median: Callable[[Figures], float]
     support: Callable[[Figures], tuple[float, float]] = lambda _: (0.0, np.inf)
 
     def check(self, family: str, figures: Figures) -> None:
@@ -113,6 +116,14 @@ def _truncated(x: Array, f: Figures) -> Array:
     return density
 
 
+def _median_truncated(f: Figures) -> float:
+    """Median of a truncated normal, in the tail where its probabilities keep their digits."""
+    a, b = _standard_bounds(f)
+    side = -1.0 if a > 0 else 1.0
+    probability = np.logaddexp(special.log_ndtr(side * a), special.log_ndtr(side * b)) - np.log(2.0)
+    return float(f["mean"] + side * f["sd"] * special.ndtri_exp(probability))
+
+
 def _draw_truncated(rng: np.random.Generator, n: int, f: Figures) -> Array:
     from scipy.stats import truncnorm  # which takes long to import
 
@@ -127,11 +138,13 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             {"median": WIDTH, "spread": SHAPE},
             lambda x, f: _normal(np.log(x), np.log(f["median"]), f["spread"]) - np.log(x),
             lambda rng, n, f: rng.lognormal(np.log(f["median"]), f["spread"], n),
+            lambda f: f["median"],
         ),
         "normal": Family(
             {"mean": MIDDLE, "sd": WIDTH},
             lambda x, f: _normal(x, f["mean"], f["sd"]),
             lambda rng, n, f: rng.normal(f["mean"], f["sd"], n),
+            lambda f: f["mean"],
             _whole_line,
         ),
         "truncated_normal": Family(
@@ -143,34 +156,40 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             },
             _truncated,
             _draw_truncated,
+            _median_truncated,
             _bounds,
         ),
         "half_normal": Family(
             {"sd": WIDTH},
             lambda x, f: _normal(x, 0.0, f["sd"]) + np.log(2.0),
             lambda rng, n, f: np.abs(rng.normal(0.0, f["sd"], n)),
+            lambda f: f["sd"] * special.ndtri(0.75),
         ),
         "uniform": Family(
             {"lower": MIDDLE, "upper": MIDDLE},
             lambda x, f: np.full_like(x, -np.log(f["upper"] - f["lower"])),
             lambda rng, n, f: rng.uniform(f["lower"], f["upper"], n),
+            lambda f: 0.5 * (f["lower"] + f["upper"]),
             _bounds,
         ),
         "gamma": Family(
             {"shape": SHAPE, "scale": WIDTH},
             _gamma,
             lambda rng, n, f: rng.gamma(f["shape"], f["scale"], n),
+            lambda f: f["scale"] * special.gammaincinv(f["shape"], 0.5),
         ),
         "beta": Family(
             {"a": SHAPE, "b": SHAPE},
             _beta,
             lambda rng, n, f: np.asarray(rng.beta(f["a"], f["b"], n), dtype=np.float64),
+            lambda f: float(special.betaincinv(f["a"], f["b"], 0.5)),
             lambda _: (0.0, 1.0),
         ),
         "fixed": Family(
             {"value": MIDDLE},
             lambda x, _: np.zeros_like(x),
             lambda _, n, f: np.full(n, f["value"]),
+            lambda f: f["value"],
             _whole_line,
         ),
     }

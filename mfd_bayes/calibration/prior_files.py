@@ -54,7 +54,10 @@ class PriorFile:
 
     @property
     def gap(self) -> float | None:
-        """Typical width of the gap under the priors of d2 and d3, else of gap, in; None without."""
+        """Typical width of the gap, in: the median of its prior; None without.
+
+        With priors of d2 and d3 it is the sum of their medians.
+        """
         for names in (("d2", "d3"), ("gap",)):
             if all(name in self.parameters for name in names):
                 return sum(self.parameters[name].typical for name in names)

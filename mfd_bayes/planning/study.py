@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,13 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.advice import Advice, Row, Together
 from mfd_bayes.planning.asked import draw_goals, unit_of
 from mfd_bayes.planning.candidate import Candidate, Limits
-from mfd_bayes.planning.choice import Pool, Set, choose, greedy
+from mfd_bayes.planning.choice import Pool, choose, greedy
 from mfd_bayes.planning.devices import Devices
 from mfd_bayes.planning.gain import Gain, Goals, gain_of
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.grid import repeats, typical_of
 from mfd_bayes.planning.loop import loop_of
-from mfd_bayes.planning.regression import directions_of, fit_left_out
+from mfd_bayes.planning.regression import Fit, directions_of, fit_left_out
 from mfd_bayes.planning.summaries import summarise
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.setting import setting_of
@@ -40,6 +40,9 @@ SHORTLIST = 12
 
 COPIES = 2
 """Further copies of each of them."""
+
+AFRESH = 3
+"""Times that each of the best sets is simulated again, to judge it."""
 
 TOO_STRONG = 0.025
 """A candidate may pass the limit of the force with this probability."""
@@ -113,7 +116,8 @@ def advise(
     fine = [number for number in range(len(judged)) if number not in strong]
     order = sorted(fine, key=lambda number: -judged[number].gain.reduction)
     copies = [(n, study.judge(n, k)) for n in order[:SHORTLIST] for k in range(1, COPIES + 1)]
-    rows = [_row(study, n, [judged[n], *(c for m, c in copies if m == n)]) for n in order]
+    # the first copy has put a candidate on the list: it must not judge it too
+    rows = [_row(study, n, [c for m, c in copies if m == n] or [judged[n]]) for n in order]
     named = [*((n, judged[n]) for n in order), *copies]
     return Advice(
         goal=goal,
@@ -134,10 +138,10 @@ def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """A simulated test: its gain, its columns for sets, and a large quantile of its peak force."""
+    """A simulated test: its gain, directions of its summaries, a high quantile of its peak."""
 
     gain: Gain
-    block: Array
+    directions: Array
     force: float
 
 
@@ -191,49 +195,59 @@ class _Study:
 
     def judge(self, number: int, copy: int) -> _Judged:
         """One copy of a candidate, simulated and judged."""
+        force, directions = self._simulated(number, copy)
+        fit = fit_left_out(self.goals.values, directions)
+        peaks = np.abs(force).max(axis=1)
+        return _Judged(self._gain(fit), directions, float(np.quantile(peaks, 1 - TOO_STRONG)))
+
+    def _simulated(self, number: int, copy: int) -> tuple[Array, Array]:
+        """Forces of a copy of a candidate, (n, T), kip, and directions of its summaries, (n, k)."""
         candidate = self.candidates[number]
         loop = loop_of(candidate, self.gap)
         seed = (self.effort.seed, 1, number, copy)
         force = self.devices.measured(loop, self.sessions[1], candidate.cycles, seed)
-        directions = directions_of(summarise(loop, force, self.gap))
-        fit = fit_left_out(self.goals.values, directions)
-        gain = gain_of(self.goals, fit, np.random.default_rng([self.effort.seed, 2]))
-        peaks = np.abs(force).max(axis=1)
-        return _Judged(
-            gain, _block(directions, fit.fitted), float(np.quantile(peaks, 1 - TOO_STRONG))
-        )
+        return force, directions_of(summarise(loop, force, self.gap))
 
     def together(self, named: Sequence[tuple[int, _Judged]]) -> tuple[Together, ...]:
         """The best sets of simulated tests, named by their candidates."""
-        pool = Pool(self.goals, [judged.block for _, judged in named])
+        pool = Pool(self.goals, [judged.directions for _, judged in named])
         sets = choose(len(named), pool.reduction, TOGETHER)
         sets += greedy(sets[-1], len(named), pool.reduction, CURVE)
+        numbers = [tuple(named[k][0] for k in chosen) for chosen in sets]
+        afresh = cache(lambda number, copy: self._simulated(number, copy)[1])
         return tuple(
-            Together(tuple(self.candidates[named[k][0]] for k in chosen), self._gain(pool, chosen))
-            for chosen in sets
+            Together(tuple(self.candidates[n] for n in chosen), self._gain_of_set(chosen, afresh))
+            for chosen in numbers
         )
 
-    def _gain(self, pool: Pool, chosen: Set) -> Gain:
-        columns = np.concatenate([pool.blocks[k] for k in chosen], axis=1)
-        fit = fit_left_out(self.goals.values, columns, curved=False)
+    def _gain_of_set(self, chosen: Sequence[int], afresh: Callable[[int, int], Array]) -> Gain:
+        """Gain of a set by new copies of its tests.
+
+        Of many sets the best owes part of its worth to the chance in its copies, so that these
+        copies must not judge it too.
+        """
+        gains = []
+        for again in range(AFRESH):
+            first = COPIES + 1 + again * CURVE
+            columns = [afresh(number, first + place) for place, number in enumerate(chosen)]
+            together = np.concatenate(columns, axis=1)
+            gains.append(self._gain(fit_left_out(self.goals.values, together, curved=False)))
+        return _mean(gains)
+
+    def _gain(self, fit: Fit) -> Gain:
         return gain_of(self.goals, fit, np.random.default_rng([self.effort.seed, 2]))
 
 
-def _block(directions: Array, fitted: Array) -> Array:
-    """Columns that carry what a test tells: its directions, and the main ways of its fit."""
-    away = fitted - fitted.mean(axis=0)
-    scale = np.maximum(away.std(axis=0), 1e-300)
-    left, sizes, _ = np.linalg.svd(away / scale, full_matrices=False)
-    kept = left[:, :2][:, sizes[:2] > 1e-6 * max(float(sizes[0]), 1e-300)]
-    return np.concatenate([directions, kept * np.sqrt(len(fitted))], axis=1)
+def _mean(gains: Sequence[Gain]) -> Gain:
+    """Mean of gains, and of their errors: each is that of one copy."""
+    return Gain(
+        **{f.name: float(np.mean([getattr(g, f.name) for g in gains])) for f in fields(Gain)}
+    )
 
 
 def _row(study: _Study, number: int, copies: Sequence[_Judged]) -> Row:
-    """Row of a candidate: the mean over its copies, with the error of one."""
-    reduction = float(np.mean([copy.gain.reduction for copy in copies]))
-    information = float(np.mean([copy.gain.information for copy in copies]))
-    gain = replace(copies[0].gain, reduction=reduction, information=information)
-    candidate = study.candidates[number]
+    """Row of a candidate: the mean over its copies."""
+    candidate, gain = study.candidates[number], _mean([copy.gain for copy in copies])
     return Row(candidate, gain, repeats(candidate, study.situation.tests))
 
 

@@ -155,7 +155,7 @@ def _law(law: LawView, system: System, actuation_unit: str) -> LawView:
         law,
         unit=system.unit(law.unit),
         actuation=law.actuation * along,
-        median=convert_fan(law.median, by),
+        device=convert_fan(law.device, by),
         new_test=convert_fan(law.new_test, by),
         tested=tuple((n, at * along, a * by, b * by, c * by) for n, at, a, b, c in law.tested),
     )

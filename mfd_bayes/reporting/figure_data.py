@@ -142,7 +142,7 @@ def _laws(view: CampaignView) -> str:
     lines: list[tuple[str | float, ...]] = []
     for law in view.laws:
         for what, fan in (
-            (KIND_NAMES["device"], law.median),
+            (KIND_NAMES["device"], law.device),
             (KIND_NAMES["new_test"], law.new_test),
         ):
             widest = max(fan.intervals, key=lambda interval: interval.probability)

@@ -98,8 +98,16 @@ def test_draws_follow_the_law(prior, law):
 
 
 @EVERY
-def test_typical_value_is_near_the_median(prior, law):
-    assert law.cdf(prior.typical) == pytest.approx(0.5, abs=0.05)
+def test_typical_value_is_the_median(prior, law):
+    assert prior.typical == pytest.approx(law.ppf(0.5), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("bounds", [(-1.0, 2.0), (6.0, np.inf), (30.0, 31.0), (-40.0, -38.0)])
+def test_the_median_between_bounds_far_out_has_its_digits(bounds):
+    lower, upper = bounds
+    figures = {"mean": 0.0, "sd": 1.0, "lower": lower} | ({"upper": upper} if upper < 1e9 else {})
+    expected = stats.truncnorm.ppf(0.5, lower, upper)
+    assert Prior("truncated_normal", figures).typical == pytest.approx(expected, rel=1e-9)
 
 
 @EVERY

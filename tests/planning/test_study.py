@@ -92,6 +92,22 @@ def test_a_test_that_cannot_inform_has_no_gain(make_situation):
     assert found[1.5].reduction > 0.3  # the control
 
 
+@pytest.mark.parametrize("draws", [600, 1600])
+def test_six_tests_that_tell_nothing_promise_nothing(make_situation, draws):
+    """Of many sets the best by chance must not be promised what chance gave it."""
+    situation = make_situation(level=0.001, scatter=0.05, exponent=0.2)
+    goal = parse_goal("exponent of Fc_fwd", "ksi")
+    nothing = [Candidate(1.0, f, a) for f in (0.1, 0.3, 0.5, 1.0) for a in (0.3, 1.0, 2.0)]
+    for seed in range(3):
+        advice = ask(situation, goal, *nothing, effort=Effort(draws, seed))
+        assert len(advice.together) == 6
+        assert max(t.gain.reduction for t in advice.together) <= 0.005
+        assert max(t.gain.information for t in advice.together) <= 0.01
+        assert advice[0].reduction <= 0.005 * 1600 / draws
+    tell = [*nothing, Candidate(1.5, 0.5, 1.0)]  # the control
+    assert ask(situation, goal, *tell, effort=Effort(draws)).together[0].gain.reduction > 0.3
+
+
 def test_scatter_of_a_single_test_is_not_reduced(make_situation):
     situation = make_situation(level=0.03, scatter=0.09)
     at = parse_goal("band at 900|1000 psi", "ksi").at

@@ -107,8 +107,8 @@ def test_a_report_keeps_its_meaning_in_the_other_system(campaign):
     assert rows["k3"].r_hat == k3.r_hat
     assert rows["k3"].contraction == k3.contraction
     law, before = metric.laws[0], campaign.laws[0]
-    slope = law.median.median[-1] / law.actuation[-1]  # kN/MPa, of kip/ksi
-    expected = before.median.median[-1] / before.actuation[-1] * SI.factor("in^2")
+    slope = law.device.median[-1] / law.actuation[-1]  # kN/MPa, of kip/ksi
+    expected = before.device.median[-1] / before.actuation[-1] * SI.factor("in^2")
     assert slope * 1e3 == pytest.approx(expected)
     assert metric.actuation_unit == "MPa"
     assert in_system(campaign, US) is campaign

@@ -16,10 +16,11 @@ class LawView:
     law : str
         The law's name, or the weights of several laws.
     actuation : (m,), ksi or kip
-    median : Fan
-        Of the median over tests.
+    device : Fan
+        Of the mean property: the device at each actuation, by its law and the effect of the level,
+        without scatter from test to test.
     new_test : Fan
-        Of one more test, with the scatter from test to test.
+        Of one more test, with that scatter.
     tested : tuple of (str, float, float, float, float)
         Id, actuation, and 2.5 %, 50 % and 97.5 % quantile of each test's posterior.
     """
@@ -28,7 +29,7 @@ class LawView:
     unit: str
     law: str
     actuation: Array
-    median: Fan
+    device: Fan
     new_test: Fan
     tested: tuple[tuple[str, float, float, float, float], ...]
 

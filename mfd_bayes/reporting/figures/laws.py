@@ -26,7 +26,7 @@ _MEDIAN = "#4db894"
 
 @look.style()
 def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figure | None:
-    """One panel per law: its median with bands, and the tests' 95 % intervals.
+    """One panel per law: the mean property with its bands, and the tests' 95 % intervals.
 
     None where there is no law.
     """
@@ -50,8 +50,8 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figur
 def _draw_law(axes: Axes, law: LawView) -> None:
     wide, _, dark = colours.BANDS["new_test"]
     _fill(axes, law, law.new_test, wide, colours.BAND_NAMES["new_test"])
-    _fill(axes, law, law.median, _MEDIAN, colours.BAND_NAMES["device"])
-    axes.plot(law.actuation, law.median.median, color=dark, label="best estimate")
+    _fill(axes, law, law.device, _MEDIAN, colours.BAND_NAMES["device"])
+    axes.plot(law.actuation, law.device.median, color=dark, label="best estimate")
     if law.tested:
         _, at, lower, median, upper = zip(*law.tested, strict=True)
         middle = np.asarray(median)
@@ -98,9 +98,9 @@ def _apart(actuation: np.ndarray) -> np.ndarray:
 
 
 def _limits(law: LawView) -> tuple[float, float]:
-    """Vertical limits that hold tests and median; the wide band may go beyond them."""
-    tops = [float(np.max(law.median.median)), *(t[4] for t in law.tested)]
-    bottoms = [float(np.min(law.median.median)), *(t[2] for t in law.tested)]
+    """Vertical limits that hold tests and best estimate; the wide band may go beyond them."""
+    tops = [float(np.max(law.device.median)), *(t[4] for t in law.tested)]
+    bottoms = [float(np.min(law.device.median)), *(t[2] for t in law.tested)]
     for interval in law.new_test.intervals:
         tops.append(min(float(np.max(interval.upper)), 2.0 * max(tops)))
         bottoms.append(float(np.min(interval.lower)))
