@@ -163,13 +163,8 @@ def without_spikes(trace: Trace) -> Trace:
     at = _force_spikes(trace)
     if x.size:
         beside = np.unique(np.clip(x[:, None] + [-1, 0, 1], 0, trace.samples - 1))
-        trace = Trace.from_arrays(
-            trace.time,
-            _mended(trace.displacement, x),
-            trace.actuation,
-            force,
-            _mended(trace.velocity, beside),
-        )
+        motion = _mended(trace.displacement, x), None, force, _mended(trace.velocity, beside)
+        trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
     return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
 
 
@@ -307,6 +302,7 @@ def _held_force(trace: Trace) -> Samples:
     limits = (trace.force[starts] == trace.force.max()) | (trace.force[starts] == trace.force.min())
     noisy = lengths.sum() - lengths[long].sum() < FEW * trace.samples
     back = np.isin(starts + lengths + 1, jumps)
+    long &= (travel > 0.5 * stroke) | ((starts > 0) & (starts + lengths + 1 < trace.samples))
     long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
     return _samples(starts, lengths, long & (travel > LONGER * _usual(trace, starts, travel)))
 
