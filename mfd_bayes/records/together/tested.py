@@ -40,6 +40,8 @@ class Tested:
         As the campaign gives it, "" for a column.
     units : mapping of str to str
         Unit of displacement and of force that the record was read in.
+    speed : float, in/s
+        Exceeded in a tenth of the samples.
     swapped : bool
         Whether displacement and force seem to be each other.
     """
@@ -55,6 +57,7 @@ class Tested:
     level: float
     actuation: str
     units: dict[str, str]
+    speed: float = float("nan")
     swapped: bool = False
 
     @classmethod
@@ -76,5 +79,6 @@ class Tested:
             level=trace.reference_actuation,
             actuation=actuation,
             units=units,
+            speed=float(np.quantile(np.abs(trace.velocity), 0.9)),
             swapped=channels_swapped(trace),
         )
