@@ -133,7 +133,8 @@ def lag(trace: Trace) -> Iterator[Fault]:
         yield Fault(
             "lag",
             f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
-            f"{way} the displacement at reversals: filters or channels are out of step",
+            f"{way} the displacement at reversals: filters or channels are out of step, or this is "
+            "a fluid damper (viscous or magneto-rheological), which no friction model describes",
             turns,
         )
 
