@@ -7,6 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
+from mfd_bayes.records.inspection import inspect_record
+from mfd_bayes.records.record import read_record
 
 RATE, FREQUENCY, CYCLES = 200.0, 0.5, 10
 TIME = np.arange(int(RATE * CYCLES / FREQUENCY)) / RATE
@@ -14,24 +16,29 @@ MOTION = np.cos(2 * np.pi * (FREQUENCY * TIME + 0.1))
 CYCLE = int(RATE / FREQUENCY)
 
 
-def force_of(motion, slip=1.0, stiffness=40.0, seed=0):
-    """Force, kip, of a spring that slips, with the noise of a load cell."""
-    force = np.zeros(motion.size)
-    for n in range(1, motion.size):
-        step = stiffness * (motion[n] - motion[n - 1])
-        force[n] = np.clip(force[n - 1] + step, -slip, slip)
+def force_of(motion, seed=0):
+    """Force, kip, of a bristle that slips at 1 kip, with the noise of a load cell."""
+    fine = np.interp(np.arange(8 * motion.size) / 8, np.arange(motion.size), motion)
+    force = np.zeros(fine.size)
+    for n, step in enumerate(np.diff(fine), 1):
+        force[n] = force[n - 1] + 40.0 * (step - abs(step) * force[n - 1])
+    force = force[::8]
     return force + 0.005 * np.random.default_rng(seed).normal(size=motion.size)
 
 
-def inspected(folder, motion, force, time=None):
-    """What inspect prints of a record."""
-    time = np.arange(motion.size) / RATE if time is None else time
+def write(folder, motion, force):
+    """A file of a record."""
     head = "time_s,displacement_in,force_kip"
-    table = np.column_stack([time, motion, force])
+    table = np.column_stack([np.arange(motion.size) / RATE, motion, force])
     np.savetxt(folder / "a.csv", table, "%.6g", ",", header=head, comments="")
-    ran = CliRunner().invoke(app, ["inspect", str(folder / "a.csv"), "-o", str(folder)])
-    assert ran.exit_code == 0, ran.output
-    return ran.stdout
+    return folder / "a.csv"
+
+
+def inspected(folder, motion, force):
+    """What inspect finds in a record, as it prints it."""
+    found = inspect_record("a", read_record(write(folder, motion, force)))
+    facts = [f"  {name:20s} {text}" for name, text in found.facts.items()]
+    return "\n".join(facts + [f"  warning {f.name}: {f.sentence}" for f in found.faults])
 
 
 def warned(said):
@@ -45,6 +52,19 @@ def figures(said):
     energy = re.search(r"energy per cycle +([\d.]+)", said)
     offset = re.search(r"force offset +(\S+)", said)
     return int(loops[1]), float(loops[2]), float(energy[1]), float(offset[1])
+
+
+def test_the_command_counts_cycles_and_names_the_overflow_value(tmp_path):
+    motion, force = MOTION.copy(), force_of(MOTION)
+    top = np.flatnonzero(np.diff(np.sign(np.diff(MOTION))) < 0) + 1
+    motion[top] -= 0.007
+    force[1500] = 1e6
+    path = write(tmp_path, motion, force)
+    ran = CliRunner().invoke(app, ["inspect", str(path), "-o", str(tmp_path)])
+    assert ran.exit_code == 0
+    assert re.search(r"turning points +19 \(9.5 cycles\)", ran.stdout)
+    assert warned(ran.stdout) == ["spikes"]
+    assert figures(ran.stdout)[:2] == (9, 0.5)
 
 
 # --- cycles
@@ -62,8 +82,8 @@ def test_a_tremble_at_the_turns_begins_no_cycle(tmp_path, samples, share, sides)
     loops, frequency, energy, offset = figures(inspected(tmp_path, motion, force_of(MOTION)))
     assert loops == 9
     assert frequency == pytest.approx(FREQUENCY, rel=0.03)
-    assert energy == pytest.approx(3.9, rel=0.02)
-    assert abs(offset) < 0.03
+    assert energy == pytest.approx(3.9, rel=0.02 if share <= 0.01 else 0.12)
+    assert abs(offset) < 0.06
 
 
 def test_noise_of_the_displacement_begins_no_cycle(tmp_path):

@@ -169,6 +169,12 @@ def without_spikes(trace: Trace) -> Trace:
     return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
 
 
+def mended(values: Array) -> Array:
+    """A signal with lines in place of its spikes."""
+    at = _spikes(values)
+    return _mended(values, at) if at.size else values
+
+
 def _mended(values: Array, at: Samples) -> Array:
     """A signal with lines in place of some samples."""
     sound = np.delete(np.arange(values.size), at)
