@@ -163,7 +163,7 @@ def without_spikes(trace: Trace) -> Trace:
     x, force = _spikes(trace.displacement), trace.force
     at = _force_spikes(trace)
     if x.size:
-        beside = np.unique(np.clip(x[:, None] + [-1, 0, 1], 0, trace.samples - 1))
+        beside = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
         motion = _mended(trace.displacement, x), None, force, _mended(trace.velocity, beside)
         trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
     return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
@@ -178,12 +178,13 @@ def mended(values: Array) -> Array:
 def _mended(values: Array, at: Samples) -> Array:
     """A signal with lines in place of some samples."""
     sound = np.delete(np.arange(values.size), at)
-    return np.interp(np.arange(values.size), sound, values[sound])
+    return np.asarray(np.interp(np.arange(values.size), sound, values[sound]))
 
 
 def _spikes(values: Array) -> Samples:
     """Spikes of one or a few samples, and overflow values."""
-    return np.unique(np.concatenate([*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]))
+    found = [*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]
+    return np.asarray(np.unique(np.concatenate(found)), dtype=np.intp)
 
 
 def _force_spikes(trace: Trace) -> Samples:
