@@ -194,7 +194,8 @@ def _force_spikes(trace: Trace) -> Samples:
     at, steps = _spikes(trace.force), np.diff(trace.displacement)
     turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
     low, high = np.quantile(trace.force, [0.005, 0.995])
-    return at[~(turns & (trace.force >= low) & (trace.force <= high))[at]]
+    explained = turns & (trace.force >= low) & (trace.force <= high)
+    return np.asarray(at[~explained[at]], dtype=np.intp)
 
 
 def _isolated(values: Array, width: int) -> Samples:
