@@ -105,13 +105,16 @@ def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
 
 
 def _of_readings(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
-    """Slip forces that are far from what is read off the loop."""
-    far = [c.target for c in checks if c.name == READING and c.verdict == Verdict.CARE]
+    """Slip forces that are far from what is read off the loop, and whether the band is usable."""
+    far = [c.target for c in checks if c.name == READING and c.verdict == Verdict.FAIL]
     if far:
+        bands = [c for c in checks if c.name == COVERAGE]
+        holds = bands and all(c.verdict in (Verdict.PASS, Verdict.NOTE) for c in bands)
+        use = "its band is usable, its parameters are not" if holds else "do not use its parameters"
         yield (
             _UNLIKE,
-            "a slip force is far from what is read off the loop, so that the noise stands in for "
-            f"friction: {'; '.join(far)}",
+            f"{use}: a slip force is far from what is read off the loop, so that the noise stands "
+            f"in for friction: {'; '.join(far)}",
         )
 
 

@@ -2,8 +2,9 @@
 
 The force is the damper's own: without the load cell's offset, and without noise.
 
-A **full cycle** runs from one turning point to the second one after it. Cycles follow each other
-from the first turning point; the motion before it and after the last full cycle is left out.
+A **full cycle** runs from one turn of the whole motion (`Trace.cycle_turns`) to the second one
+after it. Cycles follow each other from the first turn; the motion before it and after the last
+full cycle is left out.
 Where the amplitude changes, a cycle does not close exactly; the next one starts where it ends.
 Cycles **at full stroke** have at least `STRONG` of the largest amplitude; the energy of a cycle is
 their mean, here as in every table, check and inspection. The others ramp in or out, or are the
@@ -168,7 +169,7 @@ def count_cycles(trace: Trace, *, first: int = 0) -> int:
 
 def _bounds(trace: Trace, first: int) -> NDArray[np.intp]:
     """Samples at which full cycles begin, and at which the last ends, (L + 1,)."""
-    turns = trace.turning_points
+    turns = trace.cycle_turns
     return turns[turns >= first][::2]
 
 

@@ -15,7 +15,7 @@ from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.population.layout import Layout
 from mfd_bayes.population.swing import swing_of
 from mfd_bayes.records.declared import contradictions
-from mfd_bayes.records.faults import Fault, find_faults
+from mfd_bayes.records.faults import Fault, find_faults, without_spikes
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.together import Tested, compare_tests
 from mfd_bayes.records.trace import Trace
@@ -31,7 +31,7 @@ FAR = 3.5
 
 def faults_of(record: Record, trace: Trace, gap: float | None) -> tuple[Fault, ...]:
     """Faults that a record shows by itself; the trace has every sample."""
-    return (*contradictions(record, trace), *find_faults(trace, gap))
+    return (*contradictions(record, without_spikes(trace)), *find_faults(trace, gap))
 
 
 def tested_of(test: Test, record: Record, trace: Trace) -> Tested | None:

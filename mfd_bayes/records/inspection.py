@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.records.declared import contradictions
-from mfd_bayes.records.faults import Fault, find_faults
+from mfd_bayes.records.faults import Fault, find_faults, without_spikes
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readings import read_off
@@ -32,9 +32,10 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
 
     `gap` is the median width of the gap, in, under the priors, if there are any.
     """
-    trace = record.trace()
+    raw = record.trace()
+    trace = without_spikes(raw)
     loops = find_loops(trace)
-    x, turns = trace.displacement, trace.turning_points.size
+    x, turns = trace.displacement, trace.cycle_turns.size
     columns = ", ".join(f"{role}: {n} [{unit}]" for role, (n, unit) in record.columns.items())
     others = ", ".join(record.other_columns)
     facts = {
@@ -57,8 +58,8 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
         facts["actuation"] = f"{level:.4g} {record.actuation_unit}{history}"
     if trace.force is not None:
         facts |= _force_facts(trace.force, loops) | _reading_facts(trace)
-    faults = (*contradictions(record, trace), *find_faults(trace, gap))
-    return Inspection(name, facts, trace, loops, faults)
+    faults = (*contradictions(record, trace), *find_faults(raw, gap))
+    return Inspection(name, facts, raw, loops, faults)
 
 
 def _loops_fact(loops: Loops) -> str:

@@ -7,16 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.motion import Array
+from mfd_bayes.records.motion import Array, turning_points
 from mfd_bayes.records.trace import Trace
 
 STRONG = 0.95  # a loop is strong from this share of the largest amplitude on; others ramp in or out
+TURN = 0.1  # for shapes a motion turns when it goes back by this share of its range
 FEWEST = 3  # fewest strong loops for which a drift is computed
 
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """Full loops, each from one turning point to the second after it.
+    """Full loops, each from one of `Trace.cycle_turns` to the second after it.
 
     Attributes
     ----------
@@ -25,16 +26,19 @@ class Loops:
     period : (L,), s
     amplitude : (L,), in
         Half the peak-to-peak displacement.
+    middle : (L,), in
+        Middle between the largest and the smallest displacement.
     energy : (L,), kip·in, or None
         Dissipated energy, ∮ F dx, by the trapezoidal rule; None without a force.
     offset : (L,), kip, or None
-        Mean force along the loop, ∮ F |dx| / ∮ |dx|: from the load cell's zero, dead weight, and
-        the difference between the two directions of the device.
+        Mean of both half cycles' mean forces ∫ F dx / ∫ dx: from the load cell's zero, dead weight,
+        and the difference between the two directions of the device.
     """
 
     bounds: NDArray[np.intp]
     period: Array
     amplitude: Array
+    middle: Array
     energy: Array | None
     offset: Array | None
 
@@ -69,11 +73,11 @@ class Loops:
 
 def find_loops(trace: Trace) -> Loops:
     """Full loops of a trace."""
-    bounds = trace.turning_points[::2]
+    bounds = trace.cycle_turns[::2]
     if bounds.size < 2:
         empty = np.empty(0)
         force = None if trace.force is None else empty
-        return Loops(np.empty(0, dtype=np.intp), empty, empty, force, force)
+        return Loops(np.empty(0, dtype=np.intp), empty, empty, empty, force, force)
     begins = bounds[:-1] - bounds[0]
     kept = slice(bounds[0], bounds[-1] + 1)
     x = trace.displacement[kept]
@@ -83,6 +87,39 @@ def find_loops(trace: Trace) -> Loops:
         steps, force = np.diff(x), trace.force[kept]
         mean = 0.5 * (force[1:] + force[:-1])
         energy = np.add.reduceat(mean * steps, begins)
-        way = np.add.reduceat(np.abs(steps), begins)
-        offset = np.add.reduceat(mean * np.abs(steps), begins) / way
-    return Loops(bounds, np.diff(trace.time[bounds]), 0.5 * (high - low), energy, offset)
+        halves = trace.cycle_turns[: 2 * begins.size + 1] - bounds[0]
+        along = np.add.reduceat(mean * steps, halves[:-1]) / np.diff(x[halves])
+        offset = 0.5 * (along[::2] + along[1::2])
+    period, amplitude, middle = np.diff(trace.time[bounds]), 0.5 * (high - low), 0.5 * (high + low)
+    return Loops(bounds, period, amplitude, middle, energy, offset)
+
+
+def channels_swapped(trace: Trace) -> bool:
+    """Whether displacement and force of loops of negative work seem to be each other.
+
+    A friction force follows the direction of the motion and is rougher than the motion; with the
+    channels exchanged it is the displacement that does.
+    """
+    energy = find_loops(trace).energy
+    if energy is None or not energy.sum() < 0.0:
+        return False
+    x, force = trace.displacement, np.asarray(trace.force)
+    rougher = np.log10(roughness(force) / roughness(x))
+    return bool(follows(x, force) - follows(force, x) + rougher < 0.0)
+
+
+def roughness(values: Array) -> float:
+    """Squared second differences over squared first ones: small where a signal is smooth."""
+    return float(np.sum(np.diff(values, 2) ** 2) / np.sum(np.diff(values) ** 2)) or 1e-300
+
+
+def follows(motion: Array, force: Array) -> float:
+    """Size of the correlation of a force with the direction of a motion, (T,) each."""
+    turns = turning_points(motion, TURN * float(np.ptp(motion)))
+    if turns.size < 2 or not np.ptp(force) > 0.0:
+        return 0.0
+    inside = slice(int(turns[0]), int(turns[-1]))
+    way = np.where(np.searchsorted(turns, np.arange(motion.size), side="right") % 2, 1.0, -1.0)
+    if not np.ptp(way[inside]) > 0.0 or not np.ptp(force[inside]) > 0.0:
+        return 0.0
+    return abs(float(np.corrcoef(way[inside], force[inside])[0, 1]))

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 Array = NDArray[np.float64]
 
 HYSTERESIS = 1e-3  # smaller reversals, by their share of the peak-to-peak, are sensor noise
 NOISY = 6.0  # and so are those smaller than so many standard deviations of the sensor's noise,
 MOST_NOISE = 1e-2  # but no larger ones, by their share of the peak-to-peak
+CYCLE = 0.2  # a cycle's turn goes back by this share of the stroke near it,
+SMALLEST_CYCLE = 0.05  # and by this share of the peak-to-peak
 SMOOTH = 0.1  # share of a step by which a smooth turn may differ from constant acceleration
 
 
@@ -114,15 +117,15 @@ def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Arr
 
 
 def turning_points(
-    displacement: Array, hysteresis: float, *, last: bool = False
+    displacement: Array, hysteresis: float | Array, *, last: bool = False
 ) -> NDArray[np.intp]:
     """Samples at which the motion turns by more than `hysteresis`, without the ends.
 
     Parameters
     ----------
     displacement : (T,), in
-    hysteresis : float, in
-        A turn counts when the motion goes back from its extreme by more than this.
+    hysteresis : float or (T,), in
+        A turn counts when the motion goes back from its extreme by more than this, at the extreme.
     last : bool
         Whether the last turn counts however small it is.
 
@@ -133,6 +136,7 @@ def turning_points(
     """
     corners = _corners(displacement)
     values = displacement[corners]
+    least = np.broadcast_to(hysteresis, displacement.shape)[corners]
     turns: list[int] = []
     low = high = 0
     direction = 0
@@ -142,11 +146,11 @@ def turning_points(
             high = i
         if value <= values[low]:
             low = i
-        if direction >= 0 and values[high] - value > hysteresis:
+        if direction >= 0 and values[high] - value > least[high]:
             if direction > 0:
                 turns.append(int(corners[high]))
             direction, low, high = -1, i, i
-        elif direction <= 0 and value - values[low] > hysteresis:
+        elif direction <= 0 and value - values[low] > least[low]:
             if direction < 0:
                 turns.append(int(corners[low]))
             direction, low, high = 1, i, i
@@ -154,6 +158,30 @@ def turning_points(
     if last and direction != 0 and values[extreme] != values[-1]:
         turns.append(int(corners[extreme]))
     return np.array(turns, dtype=np.intp)
+
+
+def cycle_turns(displacement: Array) -> NDArray[np.intp]:
+    """Turning points of the whole motion, (K,): cycles run from one to the second after it.
+
+    A tremble at the end of a stroke turns the motion, but begins no cycle; a small cycle among
+    small ones is a cycle. So a turn counts where the motion goes back by more than the share
+    `CYCLE` of the stroke near it: the range of the motion within half a cycle on both sides.
+    """
+    whole = float(np.ptp(displacement))
+    noise = min(2.0 * NOISY * sensor_noise(displacement), 0.5 * whole)
+    for share in (CYCLE, 0.5 * CYCLE, SMALLEST_CYCLE):  # a slow drift may be most of the range
+        turns = turning_points(displacement, max(share * whole, noise))
+        if turns.size >= 4:
+            break
+    if turns.size < 2:
+        return turns
+    strokes = np.abs(np.diff(displacement[turns]))
+    half = float(np.median(np.diff(turns)[strokes >= 0.5 * strokes.max()]))
+    near = 2 * int(np.ceil(1.2 * half)) + 1  # samples
+    stroke = ndimage.maximum_filter1d(displacement, near)
+    stroke -= ndimage.minimum_filter1d(displacement, near)
+    smallest = max(SMALLEST_CYCLE * whole, noise)
+    return turning_points(displacement, np.maximum(smallest, CYCLE * stroke))
 
 
 def smallest_turn(displacement: Array) -> float:

@@ -22,8 +22,8 @@ RISE = (0.2, 0.8)
 class Readings:
     """What a person reads off the full strokes of a loop; NaN where it cannot be read.
 
-    A stroke is the way from one turning point to the next; full strokes are those of at least
-    `STRONG` of the longest. Every figure but the energy is the median over full strokes.
+    A stroke is the way from one of `Trace.cycle_turns` to the next; full strokes are those of at
+    least `STRONG` of the longest. Every figure but the energy is the median over full strokes.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def asymmetry(trace: Trace) -> Array:
 def _strokes(trace: Trace) -> list[tuple[int, int, int]]:
     """First and last sample, and direction, of every full stroke."""
     x = trace.displacement
-    found = [(int(a), int(b), 1 if x[b] > x[a] else -1) for a, b in pairwise(trace.turning_points)]
+    found = [(int(a), int(b), 1 if x[b] > x[a] else -1) for a, b in pairwise(trace.cycle_turns)]
     longest = max((abs(x[b] - x[a]) for a, b, _ in found), default=0.0)
     return [s for s in found if abs(x[s[1]] - x[s[0]]) >= STRONG * longest]
 

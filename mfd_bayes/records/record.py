@@ -23,6 +23,7 @@ from mfd_bayes.records.clock import (
     longest_piece,
     parse_window,
 )
+from mfd_bayes.records.faults import mended
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.readers import read_table
@@ -276,7 +277,7 @@ def read_record(
 
 def _check_motion(record: Record) -> None:
     """Refuse a record, or a fit window, that has fewer than two turning points."""
-    displacement = record.displacement[_slice(record, record.fit)]
+    displacement = mended(record.displacement[_slice(record, record.fit)])
     where = f"{record.path}" + (" in the fit window" if record.fit else "")
     if np.ptp(displacement) <= STILL:
         raise RecordError(f"displacement in {where} is constant")

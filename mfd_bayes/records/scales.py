@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from mfd_bayes.records.faults import without_spikes
 from mfd_bayes.records.loops import STRONG, find_loops
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readings import read_off
@@ -55,6 +56,7 @@ class Scales:
 
 def scales_of(trace: Trace) -> Scales | None:
     """Scales of one record; None where it has no force or no motion."""
+    trace = without_spikes(trace)
     force = trace.force
     if force is None or not np.ptp(force) > 0.0 or not np.ptp(trace.displacement) > 0.0:
         return None
@@ -96,7 +98,7 @@ def _noise(force: Array) -> float:
 def _unloading(trace: Trace, force: Array, slip: float) -> float:
     """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
     x = trace.displacement
-    turns = list(pairwise(int(turn) for turn in trace.turning_points))
+    turns = list(pairwise(int(turn) for turn in trace.cycle_turns))
     longest = max((abs(x[b] - x[a]) for a, b in turns), default=0.0)
     slopes = []
     for first, last in turns:

@@ -13,6 +13,7 @@ from mfd_bayes.errors import MfdError, RecordError
 from mfd_bayes.records.motion import (
     Array,
     MotionPath,
+    cycle_turns,
     first_direction,
     motion_path,
     smallest_turn,
@@ -116,6 +117,13 @@ class Trace:
     def path(self) -> MotionPath:
         """The motion with the vertices of its turns; forces are computed on it."""
         return motion_path(self.time, self.displacement, self.velocity, self.hysteresis)
+
+    @cached_property
+    def cycle_turns(self) -> NDArray[np.intp]:
+        """Turning points between which cycles are counted, (K,): `motion.cycle_turns`."""
+        turns = cycle_turns(self.displacement)
+        turns.flags.writeable = False
+        return turns
 
     @property
     def varying(self) -> bool:

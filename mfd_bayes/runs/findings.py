@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 SPOILING = frozenset(
     {
-        *("no force", "force sign", "both signs", "time unit", "duplicate", "actuation"),
+        *("no force", "force sign", "both signs", "channels", "time unit", "duplicate"),
+        "actuation",
         *("unit of displacement", "unit of force", "displacement", "force", "another device"),
         "beyond the priors",
     }

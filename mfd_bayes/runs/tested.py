@@ -172,7 +172,7 @@ def far_sentences(found: Iterable[Departure], system: System) -> str:
 
 def _peak_speed(trace: Trace) -> float:
     """Peak of the speed over a twentieth of the median half-cycle, in/s."""
-    turns = trace.turning_points
+    turns = trace.cycle_turns
     half = float(np.median(np.diff(turns))) if turns.size > 1 else trace.samples - 1.0
     step = max(1, int(half) // _SHARE)
     moved = trace.displacement[step:] - trace.displacement[:-step]

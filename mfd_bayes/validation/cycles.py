@@ -25,9 +25,9 @@ _PIECE = 1 << 19  # size of the arrays of one piece, in numbers
 def find_cycles(trace: Trace, first: int = 0) -> Cycles:
     """First sample of each cycle of a record, and the end of the record, (C + 1,).
 
-    A cycle ends at every second turning point, as in a harmonic record. In an irregular record
-    small loops are joined until they last half the mean period 2π sd(x)/sd(v): a shorter block
-    would be predicted too easily from its neighbours. A short rest at the end joins the last
+    A cycle ends at every second turn of the whole motion, as in a harmonic record. In an irregular
+    record small loops are joined until they last half the mean period 2π sd(x)/sd(v): a shorter
+    block would be predicted too easily from its neighbours. A short rest at the end joins the last
     cycle. The cycles follow from the motion alone: they are the same for every model.
 
     Parameters
@@ -43,7 +43,7 @@ def find_cycles(trace: Trace, first: int = 0) -> Cycles:
     time = trace.time
     shortest = np.pi * trace.displacement[first:].std() / trace.velocity[first:].std()
     edges, turns = [first], 0
-    for turn in trace.turning_points[trace.turning_points > first].tolist():
+    for turn in trace.cycle_turns[trace.cycle_turns > first].tolist():
         turns += 1
         if turns >= 2 and time[turn] - time[edges[-1]] >= shortest:
             edges.append(turn)

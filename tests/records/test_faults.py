@@ -225,7 +225,9 @@ def test_a_short_record_is_told():
 def test_a_force_that_loses_its_zero_is_told():
     time, displacement, force = signals(cycles=8)
     assert "drift" in names(time, displacement, force + 0.6 * time / time[-1])
-    assert names(time, displacement, force + 0.1 * time / time[-1]) == []
+    assert names(time, displacement, force + 0.1 * time / time[-1]) == ["drift"]
+    assert names(time, displacement, force + 0.1 * (time > 8.0)) == ["drift"]
+    assert names(time, displacement, force + 0.03 * time / time[-1]) == []
 
 
 def test_faults_come_the_gravest_first():

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.campaign.draft.shapes import by_loop, roughness
+from mfd_bayes.campaign.draft.shapes import by_loop
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.declared import SLOW_PERIOD, SLOW_RATE
-from mfd_bayes.records.motion import smallest_turn, turning_points
+from mfd_bayes.records.loops import roughness
+from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.roles import stated_unit
@@ -331,7 +332,7 @@ def _cycle(table: Table, time: Array, displacement: Guess | None) -> float:
     motion = None if displacement is None else numbers_of(table, displacement.name)
     if motion is None or motion.size != time.size:
         return 0.0
-    turns = turning_points(motion, smallest_turn(motion)).size
+    turns = cycle_turns(motion).size
     return float(np.ptp(time)) / max(turns / 2, 1.0)
 
 

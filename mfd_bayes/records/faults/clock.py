@@ -30,7 +30,7 @@ def time_unit(trace: Trace) -> Iterator[Fault]:
 
 def short_record(trace: Trace) -> Iterator[Fault]:
     """Too few samples or cycles."""
-    turns = trace.turning_points.size
+    turns = trace.cycle_turns.size
     if trace.samples < SAMPLES or turns < 2 * LOOPS:
         yield Fault(
             "short record",

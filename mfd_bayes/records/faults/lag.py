@@ -36,7 +36,7 @@ def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
     if trace.force is None or np.ptp(trace.force) == 0.0 or turns.size < 2:
         return None
     step = float(np.median(np.diff(trace.time)))
-    cycle = 2 * float(np.median(np.diff(trace.time[trace.turning_points])))
+    cycle = 2 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
     reach = max(REACH, 8 * step, 0.03 * cycle)
     coarse = np.linspace(-reach, reach, 49)
     lag, misfit, at_rest = _best(trace, turns, coarse)
@@ -48,8 +48,8 @@ def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
 
 
 def _clear_reversals(trace: Trace) -> NDArray[np.intp]:
-    """Turning points between long strokes, away from the ends."""
-    x, turns = trace.displacement, trace.turning_points
+    """Turns of the whole motion between long strokes, away from the ends."""
+    x, turns = trace.displacement, trace.cycle_turns
     ends = np.concatenate([[0], turns, [x.size - 1]])
     strokes = np.array([abs(x[b] - x[a]) for a, b in pairwise(ends)])
     long = strokes >= STROKES * np.ptp(x)

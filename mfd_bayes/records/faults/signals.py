@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
 from mfd_bayes.records.faults.clock import CROSSING
 from mfd_bayes.records.faults.fault import Fault, Samples, count, runs, spread
 from mfd_bayes.records.faults.lag import estimate_lag
-from mfd_bayes.records.loops import FEWEST, find_loops
+from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops
 from mfd_bayes.records.motion import Array, sensor_noise
 from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.trace import Trace
@@ -23,8 +26,22 @@ ALIKE, SCALE = 0.9, 1.25
 
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
 SPIKE = 0.10  # an isolated sample that stands out by this share of the signal's range is a spike
+OVERFLOW, LONGEST = 10.0, 5
+"""Further from the median than so many times the range of the middle half, a value that does not
+change, or that lasts for at most so many samples, is no measurement."""
 NOISE = 0.05  # most noise of a displacement, by its share of the travel of the build-up
-DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero
+DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero,
+STEADY_DRIFT, CHANCE, STEADY = 0.07, 0.01, 5
+"""and so has one of at least `STEADY` loops at full stroke, by a share of its slip force, if such a
+trend has so small a probability by chance."""
+JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
+ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
+HELD, LONGER = 5, 4.0
+"""Fewest equal samples of a channel that is frozen, and how many times longer than usual."""
+TRAVEL, SWING, FEW = 0.05, 0.6, 0.05
+"""A frozen force holds while the motion goes on by this share of the stroke; a frozen displacement
+while the force goes through this share of its range, or else it jumps when it comes back. Where the
+noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
 
 
 def no_force(trace: Trace) -> Iterator[Fault]:
@@ -40,7 +57,14 @@ def no_force(trace: Trace) -> Iterator[Fault]:
 def force_sign(trace: Trace) -> Iterator[Fault]:
     """Loops in which the force does negative work."""
     energy = find_loops(trace).energy
-    if energy is not None and energy.size and energy.sum() < 0.0:
+    if channels_swapped(trace):
+        yield Fault(
+            "channels",
+            "displacement and force seem swapped: the loops have negative work, and the "
+            "displacement follows the direction of the force instead of the force that of the "
+            "motion; exchange the two columns in [columns]",
+        )
+    elif energy is not None and energy.size and energy.sum() < 0.0:
         yield Fault(
             "force sign",
             f"the force does negative work in the loops ({np.median(energy):.3g} kip·in a loop): "
@@ -103,44 +127,236 @@ def lag(trace: Trace) -> Iterator[Fault]:
         return
     delay, turns = found
     step = float(np.median(np.diff(trace.time)))
-    cycle = 2 * float(np.median(np.diff(trace.time[trace.turning_points])))
+    cycle = 2 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
     if abs(delay) > max(LAG, LAG_SAMPLES * step, LAG_CYCLE * cycle):
         way = "behind" if delay > 0 else "before"
         yield Fault(
             "lag",
             f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
-            f"{way} the displacement at reversals: filters or channels are out of step",
+            f"{way} the displacement at reversals: filters or channels are out of step, or this is "
+            "a fluid damper (viscous or magneto-rheological), which no friction model describes",
             turns,
         )
 
 
 def spikes(trace: Trace) -> Iterator[Fault]:
-    """Isolated samples that differ much from both neighbours."""
+    """Single samples, or a few, that differ much from both neighbours; and overflow values."""
     measured = {"displacement": (trace.displacement, "in")}
     if trace.force is not None:
         measured["force"] = (trace.force, "kip")
     for name, (values, unit) in measured.items():
-        at = _isolated(values)
+        at = _spikes(values) if name == "displacement" else _force_spikes(trace)
         if at.size:
-            height = float(np.max(np.abs(values[at] - 0.5 * (values[at - 1] + values[at + 1]))))
+            height = float(np.max(np.abs(values - _mended(values, at))))
             yield Fault(
                 "spikes",
                 f"{count(at.size, 'isolated sample')} of the {name} "
                 f"{'stands' if at.size == 1 else 'stand'} out by up to {height:.3g} {unit}, "
-                f"the first at {trace.time[at[0]]:.4g} s",
+                f"the first at {trace.time[at[0]]:.4g} s: correct or delete these rows of the file "
+                "before a fit; all else is told without them",
                 at,
             )
 
 
-def _isolated(values: Array) -> Samples:
+def without_spikes(trace: Trace) -> Trace:
+    """The trace with its spikes replaced by lines between their neighbours."""
+    x, force = _spikes(trace.displacement), trace.force
+    at = _force_spikes(trace)
+    if x.size:
+        beside = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
+        motion = _mended(trace.displacement, x), None, force, _mended(trace.velocity, beside)
+        trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
+    return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
+
+
+def mended(values: Array) -> Array:
+    """A signal with lines in place of its spikes."""
+    at = _spikes(values)
+    return _mended(values, at) if at.size else values
+
+
+def _mended(values: Array, at: Samples) -> Array:
+    """A signal with lines in place of some samples."""
+    sound = np.delete(np.arange(values.size), at)
+    return np.asarray(np.interp(np.arange(values.size), sound, values[sound]))
+
+
+def _spikes(values: Array) -> Samples:
+    """Spikes of one or a few samples, and overflow values."""
+    found = [*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]
+    return np.asarray(np.unique(np.concatenate(found)), dtype=np.intp)
+
+
+def _force_spikes(trace: Trace) -> Samples:
+    """Spikes of the force, if any; where the motion turns, a force within its range is none."""
+    if trace.force is None:
+        return np.empty(0, dtype=np.intp)
+    at, steps = _spikes(trace.force), np.diff(trace.displacement)
+    turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
+    low, high = np.quantile(trace.force, [0.005, 0.995])
+    explained = turns & (trace.force >= low) & (trace.force <= high)
+    return np.asarray(at[~explained[at]], dtype=np.intp)
+
+
+def _isolated(values: Array, width: int) -> Samples:
     """Samples that differ from both neighbours, while the neighbours agree."""
-    before, behind = values[1:-1] - values[:-2], values[1:-1] - values[2:]
-    height = np.minimum(np.abs(before), np.abs(behind))
-    height[before * behind <= 0.0] = 0.0
-    agree = np.abs(values[2:] - values[:-2]) < 0.25 * height
+    inside = np.lib.stride_tricks.sliding_window_view(values[1:-1], width)
+    if not inside.size:
+        return np.empty(0, dtype=np.intp)
+    left, right = values[: -width - 1], values[width + 1 :]
+    before, behind = inside - left[:, None], inside - right[:, None]
+    up = np.minimum(before.min(axis=1), behind.min(axis=1))
+    down = np.minimum(-before.max(axis=1), -behind.max(axis=1))
+    height = np.maximum(np.maximum(up, down), 0.0)
+    agree = np.abs(right - left) < 0.25 * height
     reach = float(np.subtract(*np.quantile(values, [0.995, 0.005])))
-    usual = float(np.quantile(height, 0.99)) if height.size else 0.0
-    return np.flatnonzero(agree & (height > SPIKE * reach) & (height > 4 * usual)) + 1
+    usual = float(np.quantile(height, 0.99))
+    share = SPIKE if width == 1 else 1.0  # a peak of the signal itself is wider
+    at = np.flatnonzero(agree & (height > share * reach) & (height > 4 * usual)) + 1
+    return np.unique(at[:, None] + np.arange(width)).astype(np.intp)
+
+
+def _over(values: Array) -> Samples:
+    """Values of an overflow or a missing reading: far from all others, and reached in one step."""
+    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
+    away = np.abs(values - middle)
+    found = [np.empty(0, dtype=np.intp)]
+    if high > low:
+        for start, length in zip(*runs(away > OVERFLOW * (high - low)), strict=True):
+            at = np.arange(start + 1, start + 1 + length)
+            ends = [n for n in (start, start + 1 + length) if 0 <= n < values.size]
+            sudden = all(away[n] < 0.5 * away[at].min() for n in ends)
+            if sudden and (length <= LONGEST or np.ptp(values[at]) == 0.0):
+                found.append(at)
+    return np.concatenate(found)
+
+
+def jumps(trace: Trace) -> Iterator[Fault]:
+    """Steps of the displacement that the motion beside them does not have."""
+    held = _held_displacement(trace)
+    at = np.array(
+        [n for n in _jumps(trace, trace.displacement) if n - 1 not in held], dtype=np.intp
+    )
+    if at.size:
+        x, step = trace.displacement, np.diff(trace.time)
+        worst = at[np.argmax(np.abs(x[at] - x[at - 1]) / step[at - 1])]
+        moved = float(x[worst] - x[worst - 1])
+        yield Fault(
+            "jump",
+            f"the displacement jumps by {moved:+.3g} in within a step of time at "
+            f"{trace.time[worst]:.4g} s ({abs(moved) / step[worst - 1]:.3g} in/s, where the motion "
+            f"beside it is slower){f', the largest of {at.size} jumps' if at.size > 1 else ''}: "
+            "samples were lost and the time numbered anew, or the zero of the sensor has slipped",
+            at,
+        )
+
+
+def _jumps(trace: Trace, values: Array) -> Samples:
+    """Samples to which a signal jumps."""
+    steps = np.diff(values) / np.diff(trace.time)
+    if steps.size < 9:
+        return np.empty(0, dtype=np.intp)
+    padded = np.pad(steps, 2, mode="edge")
+    beside = np.array([padded[k : k + steps.size] for k in (0, 1, 3, 4)])
+    off = np.abs(steps - np.median(beside, axis=0))
+    usual = float(np.quantile(np.abs(steps), 0.98, method="lower"))
+    large = off * np.diff(trace.time) > JUMP * np.ptp(values)
+    sudden = off > 2.0 * np.abs(beside).max(axis=0)
+    return np.flatnonzero(large & sudden & (off > 1.5 * usual)) + 1
+
+
+def held(trace: Trace) -> Iterator[Fault]:
+    """One channel that does not change while the other goes on."""
+    found = {"displacement": _held_displacement(trace), "force": _held_force(trace)}
+    for name, at in found.items():
+        if at.size:
+            last = int(at[np.argmax(np.append(np.diff(at), 2) > 1)])
+            yield Fault(
+                "held",
+                f"the {name} holds one value from {trace.time[at[0]]:.4g} s to "
+                f"{trace.time[last]:.4g} s{' and later once more' if last < at[-1] else ''}, while "
+                "the test goes on: the sensor or its channel was frozen",
+                at,
+            )
+
+
+def _held_displacement(trace: Trace) -> Samples:
+    """Samples in which the displacement is frozen."""
+    if trace.force is None:
+        return np.empty(0, dtype=np.intp)
+    starts, lengths = _equal(trace.displacement)
+    range_ = float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
+    jumps = set(_jumps(trace, trace.displacement).tolist())
+    frozen = [
+        a + n + 1 in jumps or np.ptp(trace.force[a : a + n + 1]) > SWING * range_ > 0.0
+        for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)
+    ]
+    long = (lengths >= HELD) & (lengths > LONGER * _usual(trace, starts, lengths))
+    return _samples(starts, lengths, long & np.array(frozen, dtype=bool))
+
+
+def _held_force(trace: Trace) -> Samples:
+    """Samples in which the force is frozen, and does not just slip at one value.
+
+    It jumps when it comes back, or has held over more than a stroke, or its noise has stopped.
+    """
+    if trace.force is None or np.ptp(trace.force) == 0.0:
+        return np.empty(0, dtype=np.intp)
+    starts, lengths = _equal(trace.force)
+    jumps = _jumps(trace, trace.force)
+    path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(trace.displacement)))])
+    travel = path[starts + lengths] - path[starts]
+    stroke = np.ptp(trace.displacement)
+    long = (lengths >= HELD) & (travel > TRAVEL * stroke)
+    limits = (trace.force[starts] == trace.force.max()) | (trace.force[starts] == trace.force.min())
+    noisy = lengths.sum() - lengths[long].sum() < FEW * trace.samples
+    back = np.isin(starts + lengths + 1, jumps)
+    long &= (travel > 0.5 * stroke) | ((starts > 0) & (starts + lengths + 1 < trace.samples))
+    long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
+    return _samples(starts, lengths, long & (travel > LONGER * _usual(trace, starts, travel)))
+
+
+def _equal(values: Array) -> tuple[Samples, Samples]:
+    """First sample of each run of equal values, and how many follow it."""
+    starts, lengths = runs(np.concatenate([np.diff(values) == 0.0, [False]]))
+    return starts + 1, lengths
+
+
+def _usual(trace: Trace, starts: Samples, sizes: Array | Samples) -> float:
+    """Size that the longest run of four strokes of five has not exceeded."""
+    turns = trace.cycle_turns
+    longest = np.zeros(turns.size + 1)
+    np.maximum.at(longest, np.searchsorted(turns, starts, side="right"), sizes)
+    return float(np.quantile(longest, 0.8, method="lower"))
+
+
+def _samples(starts: Samples, lengths: Samples, which: NDArray[np.bool_]) -> Samples:
+    return spread(starts[which], lengths[which])
+
+
+def zero_moves(trace: Trace) -> Iterator[Fault]:
+    """Both ends of the strokes that move together: the zero of the displacement."""
+    loops = find_loops(trace)
+    full = loops.amplitude > 0.8 * loops.amplitude.max(initial=0.0)
+    if np.count_nonzero(full) < max(2 * FEWEST, loops.amplitude.size / 2):
+        return
+    high, low = (loops.middle + s * loops.amplitude for s in (1.0, -1.0))
+    parts = range(2, int(np.count_nonzero(full)) - 1)
+    moves = [
+        [float(np.median(ends[full][k:]) - np.median(ends[full][:k])) for ends in (high, low)]
+        for k in parts
+    ]
+    k = int(np.argmax([min(abs(a), abs(b)) for a, b in moves]))
+    a, b = moves[k]
+    stroke = 2.0 * float(np.median(loops.amplitude[full]))
+    if a * b > 0.0 and min(abs(a), abs(b)) > ZERO * stroke:
+        since = float(trace.time[loops.bounds[:-1][full][k + 2]])
+        yield Fault(
+            "displacement zero",
+            f"both ends of the strokes move by {0.5 * (a + b):+.3g} in at about {since:.4g} s, "
+            f"{abs(0.5 * (a + b)) / stroke:.0%} of the stroke: the zero of the sensor slips or "
+            "drifts, or the middle of the motion was moved",
+        )
 
 
 def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
@@ -192,17 +408,35 @@ def _quantum(values: Array) -> float | None:
 def drift(trace: Trace) -> Iterator[Fault]:
     """A mean force that moves from the first strong loops to the last."""
     known = (find_loops(trace).offset_drift, _drift_of_few(trace))
-    change = max((c for c in known if c is not None), key=abs, default=None)
-    if change is None or trace.force is None:
+    change = max((c for c in known if c is not None), key=abs, default=0.0)
+    if trace.force is None:
         return
     half = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
-    if abs(change) > DRIFT * half > 0.0:
+    if not abs(change) > DRIFT * half > 0.0:
+        change, half = _steady_drift(trace)
+    if abs(change) > STEADY_DRIFT * half > 0.0:
         yield Fault(
             "drift",
             f"the force drifts by {change:+.3g} kip from its begin to its end, "
-            f"{abs(change) / half:.0%} of its half range: the load cell's zero, or a device that "
-            "changes",
+            f"{abs(change) / half:.0%} of the force in slip: the load cell's zero, or a device "
+            "that changes",
         )
+
+
+def _steady_drift(trace: Trace) -> tuple[float, float]:
+    """Trend of the mean force of many steady loops over the record, and the slip force, kip.
+
+    Zeros where there are too few such loops, or they scatter as much as the trend.
+    """
+    loops, slip = find_loops(trace), read_off(trace).plateau
+    strong = loops.strong
+    many = np.count_nonzero(strong) >= max(STEADY, 0.5 * strong.size)
+    if loops.offset is None or not many or not slip > 0.0 or trace.varying:
+        return 0.0, 0.0
+    middle = 0.5 * (trace.time[loops.bounds[1:]] + trace.time[loops.bounds[:-1]])
+    line = stats.linregress(middle[strong], loops.offset[strong])
+    change = float(line.slope) * float(trace.time[-1] - trace.time[0])
+    return (change, slip) if line.pvalue < CHANCE else (0.0, 0.0)
 
 
 def _drift_of_few(trace: Trace) -> float | None:

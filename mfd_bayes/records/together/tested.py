@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.faults import without_spikes
+from mfd_bayes.records.loops import channels_swapped, find_loops
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readings import Readings, asymmetry, read_off
 from mfd_bayes.records.record import Record
@@ -41,6 +42,10 @@ class Tested:
         Unit of displacement and of force that the record was read in.
     step, cycle : float, s
         Median step of time, and median time of a full loop; 0 where there is none.
+    speed : float, in/s
+        Exceeded in a tenth of the samples.
+    swapped : bool
+        Whether displacement and force seem to be each other.
     """
 
     __test__: ClassVar[bool] = False  # pytest must not take it for a test class
@@ -56,10 +61,13 @@ class Tested:
     units: dict[str, str]
     step: float = 0.0
     cycle: float = 0.0
+    speed: float = float("nan")
+    swapped: bool = False
 
     @classmethod
     def of(cls, name: str, record: Record, trace: Trace, actuation: str = "") -> Tested:
         """A test of its record, whose trace has every sample and a force."""
+        trace = without_spikes(trace)
         loops = find_loops(trace)
         steady = bool(np.count_nonzero(loops.strong) >= STEADY)
         energy = np.empty(0) if loops.energy is None else loops.energy
@@ -77,4 +85,6 @@ class Tested:
             units=units,
             step=float(np.median(np.diff(trace.time))),
             cycle=float(np.median(loops.period)) if loops.period.size else 0.0,
+            speed=float(np.quantile(np.abs(trace.velocity), 0.9)),
+            swapped=channels_swapped(trace),
         )
