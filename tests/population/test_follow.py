@@ -201,6 +201,17 @@ def test_samples_are_averaged_and_rest_is_one():
     assert incoming.time == later[-1]
 
 
+def test_the_velocity_is_that_at_the_sample_and_stays():
+    incoming = Incoming(wanted=0.0625, stroke=1e-6)  # without play
+    time = np.cumsum(np.tile([0.05, 0.08], 10))
+    incoming.take(time[:12], time[:12] ** 2, 1.0, np.zeros(12))
+    begun = incoming.trace().velocity
+    incoming.take(time[12:], time[12:] ** 2, 1.0, np.zeros(8))
+    velocity = incoming.trace().velocity
+    np.testing.assert_allclose(velocity[AHEAD + 2 :], 2.0 * time[2:], rtol=1e-4)
+    np.testing.assert_array_equal(velocity[: begun.size], begun)
+
+
 def test_what_was_given_is_told_without_what_was_made_up(make, truth):
     forecaster = make(refresh=False)
     feed(forecaster, truth.trace, 0, 64)

@@ -189,7 +189,7 @@ def test_nothing_is_left_to_compare_where_all_is_given(tools, study, few):
     truth = tools.draw_truth(study, np.random.default_rng(5))
     band = tools.ask(study, truth, 1.0)
     with pytest.raises(CampaignError, match="the whole record was given"):
-        compare(band, truth.trace.force)
+        compare(band, truth.trace)
 
 
 def test_strokes_are_those_of_the_whole_record():

@@ -295,11 +295,11 @@ def broken_prior(case: Case) -> Sampler:
 
 
 def broken_scatter(case: Case) -> Sampler:
-    """Scatter that is half of its true value."""
+    """Scatter that is a quarter of its true value."""
 
     class Wrong(Layout):
         def scatter(self, h):
-            return 0.5 * super().scatter(h)
+            return 0.25 * super().scatter(h)
 
     layout = object.__new__(Wrong)
     vars(layout).update(vars(case.linear.layout))
