@@ -203,8 +203,8 @@ class ExactSampler:
         found = np.stack(list(exact), axis=1) - gaussian
         for j, own in enumerate(self.own):
             if np.any(own):
-                density = self.fit.tests[j].coordinates.log_prior(x[:, j])[:, own]
-                found[:, j] += np.sum(density + 0.5 * x[:, j][:, own] ** 2, axis=1)
+                found[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], own)
+                found[:, j] += 0.5 * np.sum(x[:, j][:, own] ** 2, axis=1)
         return np.where(np.isnan(found), -np.inf, found)
 
     def sweep(self) -> None:
