@@ -145,12 +145,3 @@ def test_a_run_is_followed(out, record):
         run.follow(-1.0)
     with pytest.raises(mb.MfdError, match="the planned velocity must be above zero"):
         run.follow(1.0, velocity=0.0)
-
-
-def test_a_run_of_an_earlier_version_has_no_noise_for_it(out, record, monkeypatch):
-    run = mb.open_run(out)
-    monkeypatch.setitem(run.population.__dict__, "residual", None)
-    trace = mb.read_record(record).trace()
-    known = mb.Trace.from_arrays(trace.time, trace.displacement, 1.2, trace.force)
-    with pytest.raises(mb.MfdError, match="of an earlier version"):
-        run.predict(known, given=(0.0, 1.0))

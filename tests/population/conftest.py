@@ -8,16 +8,15 @@ from itertools import product
 
 import numpy as np
 import pytest
+from mfd_bayes.population.test_likelihood import TestLikelihood
 from numpy.typing import NDArray
 from scipy import linalg, special
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.population.design import lay_out
-from mfd_bayes.population.design import Layout
+from mfd_bayes.population.design import Layout, lay_out
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.population.test_likelihood import TestLikelihood
 
 Array = NDArray[np.float64]
 

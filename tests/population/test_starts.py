@@ -12,9 +12,8 @@ from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.starts import left_by
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.population.starts import Standing, learned
+from mfd_bayes.population.starts import Standing, learned, left_by
 from mfd_bayes.records.trace import Trace
 
 LEFT = np.array([0.2, 0.7, 0.35, 0.6, 0.8, 0.3])
