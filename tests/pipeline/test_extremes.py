@@ -13,10 +13,9 @@ from typer.testing import CliRunner
 from mfd_bayes.calibration import task as tasks
 from mfd_bayes.calibration.task import calibrate_test
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import MfdError, RecordError, StoreError, UnitError
+from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored

@@ -1,5 +1,7 @@
 """Draws of dampers whose actuation changes in time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -119,8 +121,11 @@ def test_dampers_begin_without_load_where_the_tests_did(benchmark_module, tmp_pa
     assert np.all((found.mean(axis=0) > 0.01) & (found.mean(axis=0) < 0.2))
     # all dampers of a building do, or none; those that begin anywhere may still bear little
     assert np.corrcoef(found.T)[0, 1] > 0.1
-    monkeypatch.setattr(draws, "replace", lambda standing, luck: standing)  # the control
-    assert abs(np.corrcoef(loaded().T)[0, 1]) < 0.05
+    # the control: each damper has its own luck
+    monkeypatch.setattr(
+        draws, "_own", lambda n, rng: replace(n, flat=rng.normal(size=n.flat.shape))
+    )
+    assert abs(np.corrcoef(loaded().T)[0, 1]) < 0.09  # 4 standard errors
 
 
 def test_random_numbers_are_the_same_at_tested_levels_and_between(study, tmp_path):

@@ -33,7 +33,7 @@ def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):
     file.write_text(json.dumps({"key": key, "predictions": []}))
     assert not replace(fold, rests_on="these laws").stored(tmp_path)
     key = asdict(fold)
-    del key["scores"]  # without whole histories and factors of recalibration
+    del key["scores"]  # without whole histories
     file.write_text(json.dumps({"key": key, "predictions": []}))
     assert not fold.stored(tmp_path)
 
