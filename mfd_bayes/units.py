@@ -67,9 +67,28 @@ _SPELLINGS = {
     **dict.fromkeys(("KPA", "Kpa", "kpa"), "kPa"),
     **dict.fromkeys(("psi", "psig"), "psi"),
     **{word: word for word in ("klbf", "ksi", "psf", "bar", "deg")},
+    **dict.fromkeys(("klb", "klbs"), "klbf"),
+    **dict.fromkeys(("kp", "Kgf", "KGF"), "kgf"),
+    **dict.fromkeys(("mil", "mils", "thous"), "thou"),  # not a thousandth of a radian
+    **dict.fromkeys(("gal", "gals"), "Gal"),  # of earthquakes; no fluid is measured here
 }
 
+_METRIC_TON, _US_TON = "'tf' (9.807 kN)", "'ton_force' (2000 lbf)"
+_FORCES: Mapping[str, str] = MappingProxyType(
+    {
+        **dict.fromkeys(("kg", "kgs", "kilogram", "kilograms"), "'kgf' (9.807 N)"),
+        **dict.fromkeys(("t", "tonne", "tonnes"), _METRIC_TON),
+        **dict.fromkeys(("ton", "tons", "tonf", "tonsf"), f"{_METRIC_TON} or {_US_TON}"),
+    }
+)
+"""What to write for a mass, or for one of several units, that people write for a force."""
+
+UNREAD = frozenset(_FORCES) | {"div", "volt", "volts", "v", "mv", "ma", "counts", "cts", "bits"}
+"""Words, in lower case, that are units of a column, and none that a record can have."""
+
 # pint's parser evaluates its input: it is given names, products and small powers alone.
+# A power may be written as in N/mm2.
+_POWER = re.compile(r"(?<=[A-Za-zµμ])([23])(?!\w)")
 _TERM = r"\(*[A-Za-zµμ°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
 _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
 _GROUPED = re.compile(r"\s*[+-]?\d{1,3}(?:[ ,'’\u00a0\u202f]\d{3})+(?!\d)")  # 1,000 · 1 000
@@ -103,7 +122,7 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
         article = "an" if target.measure == "area" else "a"
         raise UnitError(
             f"{named} measures {measure}; {dimension} needs {article} {target.measure} "
-            f"such as {target.examples}"
+            f"such as {target.examples}{force_meant(unit)}"
         )
     if dimension != "dimensionless" and (angle := _ANGLES.search(str(parsed))):
         raise UnitError(
@@ -132,7 +151,7 @@ def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
         return factor(unit, measure, of=of), internal[measure]
     raise UnitError(
         f"{named} measures {measure}; actuation needs a pressure such as 'psi' "
-        "or a force such as 'lbf'"
+        f"or a force such as 'lbf'{force_meant(unit)}"
     )
 
 
@@ -149,6 +168,18 @@ def convert(unit: str, target: str) -> float:
     if parsed.dimensionality != wanted.dimensionality:
         raise UnitError(f"{named} cannot be given in {target!r}")
     return _convert(1.0, parsed, str(wanted), named)
+
+
+def force_meant(unit: str) -> str:
+    """Part of a sentence: what to write for a unit if it is one of force; empty for others."""
+    words = re.findall(r"[a-z]+", unit.lower()) if isinstance(unit, str) else []
+    return next((f"; if it is a force, write {_FORCES[w]}" for w in words if w in _FORCES), "")
+
+
+def may_mean(unit: str, read: str) -> bool:
+    """Whether a force of a unit such as "kg" or "tonf" may have been read in the other unit."""
+    meant = re.findall(r"'(\w+)'", _FORCES.get(unit.lower(), ""))
+    return any(same_unit(one, read) for one in meant)
 
 
 def measure(unit: str) -> str | None:
@@ -264,7 +295,9 @@ def _registry() -> UnitRegistry[Any]:
 def _parse(unit: str, named: str) -> Any:
     """Unit of a text, as pint has it."""
     unknown = f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
+    unknown += force_meant(unit)
     text = unit.strip().removesuffix(".") if isinstance(unit, str) else ""
+    text = _POWER.sub(r"^\1", text)
     if not text or len(text) > 60 or not _UNIT.fullmatch(text):
         raise UnitError(unknown)
     plain = re.sub(r"[A-Za-z_]+", lambda word: _spelled(word[0]), text)

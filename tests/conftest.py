@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,11 +34,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_configure(config) -> None:
+    """Hypothesis writes before the first test: to a folder that is removed at the end."""
+    folder = tempfile.TemporaryDirectory()
+    config.add_cleanup(folder.cleanup)
+    set_hypothesis_home_dir(folder.name)
+
+
 @pytest.fixture(scope="session")
 def nowhere(tmp_path_factory):
     """An empty folder, in which the tests run: what lies where they were started is not theirs."""
     folder = tmp_path_factory.mktemp("nowhere")
-    set_hypothesis_home_dir(folder.parent / "hypothesis")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         yield folder

@@ -108,6 +108,50 @@ def _dropped(test: Planned) -> Planned:
     return replace(test, table=test.table.drop(index=lost).reset_index(drop=True))
 
 
+def _cycle(test: Planned) -> int:
+    """Samples of a cycle at full stroke."""
+    trace = Trace.from_arrays(test.table["time"], test.table["displacement"])
+    return int(np.max(np.diff(trace.cycle_turns[::2]))) if trace.cycle_turns.size > 2 else 64
+
+
+def _middle(test: Planned) -> int:
+    """A sample in the middle of a stroke, about the middle of the test."""
+    x = test.table["displacement"].to_numpy()
+    middle = np.median(x)
+    crossings = np.flatnonzero((x[1:] > middle) & (x[:-1] <= middle))
+    return int(crossings[np.argmin(np.abs(crossings - x.size // 2))])
+
+
+def _renumbered(test: Planned) -> Planned:
+    """A third of a cycle is lost, and the time goes on as if nothing were."""
+    first, time = _middle(test), test.table["time"].to_numpy()
+    table = test.table.drop(index=range(first, first + _cycle(test) // 3)).reset_index(drop=True)
+    return replace(test, table=table.assign(time=time[: len(table)]))
+
+
+def _held(column: str) -> Callable[[Session, int], tuple[Session, str]]:
+    """A third of a cycle in which a channel is frozen."""
+
+    def change(test: Planned) -> Planned:
+        values, first = test.table[column].to_numpy().copy(), _middle(test)
+        values[first : first + _cycle(test) // 3] = values[first]
+        return test.changed(**{column: values})
+
+    return _changed(change)
+
+
+def _zero_stepped(test: Planned) -> Planned:
+    x = test.table["displacement"].to_numpy().copy()
+    x[_middle(test) + _cycle(test) // 8 :] += 0.1 * np.ptp(x)
+    return test.changed(displacement=x)
+
+
+def _overflown(test: Planned) -> Planned:
+    force = test.table["force"].to_numpy().copy()
+    force[[force.size // 3, force.size // 2, force.size // 2 + 1]] = 1e6
+    return test.changed(force=force)
+
+
 def _other_device(test: Planned) -> Planned:
     rng = np.random.default_rng(0)
     table = test.table.iloc[::4].reset_index(drop=True)
@@ -175,4 +219,15 @@ MISTAKES = (
     Mistake("record of another device", _changed(_other_device), "another device"),
     Mistake("spikes", _changed(_spiked), "isolated sample"),
     Mistake("samples lost", _changed(_dropped), "dropped"),
+    Mistake("lost, time renumbered", _changed(_renumbered), "jumps by"),
+    Mistake("displacement frozen", _held("displacement"), "displacement holds one value"),
+    Mistake("force frozen", _held("force"), "force holds one value"),
+    Mistake("zero of travel steps", _changed(_zero_stepped), "zero of the sensor"),
+    Mistake("half of the force", _scaled("force", 0.5), "its neighbours in|force.*times too small"),
+    Mistake(
+        "travel and force swapped",
+        _changed(lambda t: t.changed(displacement=t.table["force"], force=t.table["displacement"])),
+        "seem swapped",
+    ),
+    Mistake("overflow values", _changed(_overflown), "isolated sample"),
 )

@@ -38,6 +38,10 @@ INFORMED = 0.5
 NOT_INFORMED = "the data do not determine this parameter: its posterior is about its prior"
 """Note of a parameter with less contraction."""
 
+TELLING = 0.5
+"""Width of an exponent's 95 % interval up to which it tells a law from others: it leaves the force
+at twice the actuation uncertain by less than a fifth either way."""
+
 EXTREME = 0.005
 """A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
 
@@ -183,18 +187,18 @@ def identifiability_checks(subject: str, found: Identifiability) -> list[Check]:
 def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     """Whether 1 is in the 95 % interval of each proportional law's exponent, set free.
 
+    An interval that holds 1 but is wider than `TELLING` says nothing either way: it is a note.
+
     Parameters
     ----------
     exponents : mapping of str to iterable of float
         2.5 %, 50 % and 97.5 % quantile by quantity.
     """
-    checks = []
+    checks, limit = [], f"interval holds 1, no wider than {TELLING:g}"
     for name, (low, middle, high) in exponents.items():
-        verdict = Verdict.PASS if low <= 1.0 <= high else Verdict.CARE
+        verdict = Verdict.noted(high - low <= TELLING) if low <= 1.0 <= high else Verdict.CARE
         target = f"{name} (95 % interval {low:.2f} to {high:.2f})"
-        checks.append(
-            Check("population", FREE_EXPONENT, target, middle, "interval holds 1", verdict)
-        )
+        checks.append(Check("population", FREE_EXPONENT, target, middle, limit, verdict))
     return checks
 
 

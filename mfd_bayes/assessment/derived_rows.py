@@ -96,6 +96,18 @@ def predicted_rows(
     return _rows(("", band.kind), drawn, known, full_strokes(trace), band.probability)
 
 
+def measured_rows(trace: Trace, band: Band, rows: tuple[DerivedRow, ...]) -> tuple[DerivedRow, ...]:
+    """Derived quantities to which those of the measured force can be held.
+
+    Noise and offset raise the peaks of a measurement: a band of kind "observation" has both, and
+    of the other kinds the peaks of the damper alone are left out.
+    """
+    if band.kind != "observation":
+        return tuple(row for row in rows if row.name not in ("peak_fwd", "peak_bwd"))
+    drawn, cycles = derive_from_force(band.draws, trace), full_strokes(trace)
+    return _rows(("", band.kind), drawn, _measured(trace), cycles, band.probability)
+
+
 def _drawn(run: Run, trace: Trace, band: Band) -> dict[str, Array]:
     """Derived quantities of a band's draws."""
     level, model = trace.reference_actuation, next(iter(run.tests.values())).posterior.model

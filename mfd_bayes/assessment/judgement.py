@@ -84,7 +84,8 @@ def doubt_of(check: Check) -> float:
 def _of_record(findings: Sequence[Finding], missed: Sequence[Check]) -> Iterable[tuple[float, str]]:
     """What is wrong with the record, after the figure that shows it best."""
     for number, finding in enumerate(sorted(findings, key=lambda f: not f.spoils)):
-        shown = f"{miss_of(missed[0])}: " if missed and number == 0 and finding.spoils else ""
+        shows = finding.spoils and finding.name != "time unit"  # no clock changes an energy
+        shown = f"{miss_of(missed[0])}: " if missed and number == 0 and shows else ""
         yield (_SPOILS if finding.spoils else MILD), f"{shown}{finding.sentence}"
 
 
@@ -104,13 +105,16 @@ def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
 
 
 def _of_readings(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:
-    """Slip forces that are far from what is read off the loop."""
-    far = [c.target for c in checks if c.name == READING and c.verdict == Verdict.CARE]
+    """Slip forces that are far from what is read off the loop, and whether the band is usable."""
+    far = [c.target for c in checks if c.name == READING and c.verdict == Verdict.FAIL]
     if far:
+        bands = [c for c in checks if c.name == COVERAGE]
+        holds = bands and all(c.verdict in (Verdict.PASS, Verdict.NOTE) for c in bands)
+        use = "its band is usable, its parameters are not" if holds else "do not use its parameters"
         yield (
             _UNLIKE,
-            "a slip force is far from what is read off the loop, so that the noise stands in for "
-            f"friction: {'; '.join(far)}",
+            f"{use}: a slip force is far from what is read off the loop, so that the noise stands "
+            f"in for friction: {'; '.join(far)}",
         )
 
 

@@ -23,7 +23,7 @@ from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 
-DRAWS = 2000
+DRAWS = 4000
 """Draws of the bands of a law."""
 
 

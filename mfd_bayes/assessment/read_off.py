@@ -20,8 +20,8 @@ ABOVE = 0.01
 """Share by which static friction may lie above the largest measured force."""
 
 FAR = 2.0
-"""A slip force is far from its reading where its whole interval is above the reading times this, or
-below the reading divided by this. The noise then stands in for the friction."""
+"""A slip force is far from its reading where it misses it and its median is above the reading times
+this, or below it divided by this. The noise then stands in for the friction."""
 
 
 def reading_rows(
@@ -68,7 +68,7 @@ def _row(
     low, middle, high = (float(q) for q in np.quantile(draws, [0.025, 0.5, 0.975]))
     room = tolerance * abs(reading)
     missed = not low - room <= reading <= high + room
-    apart = high < reading / FAR or low > FAR * reading
+    apart = middle < reading / FAR or middle > FAR * reading
     far = slips and missed and reading > 0 and apart
     return ReadingRow(*head, reading, low, middle, high, tolerance, missed, far=far)
 
@@ -87,9 +87,9 @@ def _static(
 
 
 def reading_check(row: ReadingRow) -> Check:
-    """A reading as a check that cannot fail: a note where the parameter misses it.
+    """A reading as a check: a note where the parameter misses it.
 
-    A slip force that is far from its reading is to be used with care.
+    It fails where a slip force is far from its reading: nobody can use such a parameter.
     """
     within = f"{row.name} ({row.median:.3g} [{row.lower:.3g}, {row.upper:.3g}] {row.unit})"
     target, limit = (
@@ -100,6 +100,6 @@ def reading_check(row: ReadingRow) -> Check:
         limit = "median below the largest force"
         target = f"{within}, largest force {row.value:.3g} {row.unit}"
     size = (row.median - row.value) / abs(row.value) if row.value else float("nan")
-    verdict = Verdict.CARE if row.far else Verdict.noted(not row.missed)
+    verdict = Verdict.FAIL if row.far else Verdict.noted(not row.missed)
     told = row.subject, READING, target, row.value, limit, verdict, size, row.tolerance
     return Check(*told, unit=row.unit)

@@ -182,7 +182,7 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             {"a": SHAPE, "b": SHAPE},
             _beta,
             lambda rng, n, f: np.asarray(rng.beta(f["a"], f["b"], n), dtype=np.float64),
-            lambda f: special.betaincinv(f["a"], f["b"], 0.5),
+            lambda f: float(special.betaincinv(f["a"], f["b"], 0.5)),
             lambda _: (0.0, 1.0),
         ),
         "fixed": Family(

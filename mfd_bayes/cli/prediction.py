@@ -141,6 +141,10 @@ def _tell(answer: Answer, question: Question, *, quiet: bool) -> None:
     )
     if answer.compared is not None:
         console.say(answer.compared.sentence(answer.system))
+        if answer.disagrees:
+            console.say(f"warning: {answer.judged}", err=True)
+        elif answer.judged:
+            console.say(answer.judged)
     if band.explained:
         console.print_shares(band.explained, quiet=quiet)
     if answer.design:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.assessment.bands import Compared, compare
-from mfd_bayes.assessment.derived_rows import predicted_rows
+from mfd_bayes.assessment.derived_rows import measured_rows, predicted_rows
 from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings, draws_of
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
@@ -34,7 +34,8 @@ class Answer:
     """A prediction: its band, kip; its derived quantities in the units of `system`.
 
     `compared` is None where no measured force was to be compared, `design` empty where mean and
-    bounding properties were not asked for.
+    bounding properties were not asked for. `judged` says which measured values lie outside their
+    intervals, and `disagrees` whether the prediction does not hold for the record.
     """
 
     band: Band
@@ -42,6 +43,8 @@ class Answer:
     system: System
     compared: Compared | None = None
     design: tuple[DesignRow, ...] = ()
+    judged: str = ""
+    disagrees: bool = False
 
     @property
     def name(self) -> str:
@@ -79,10 +82,14 @@ def predict(out: Path, question: Question) -> Answer:
         narrow = design_warnings(run) if question.design else ()
         bounds = design_rows(run, trace, question.probability) if question.design else ()
     band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
-    compared = None if drawn.force is None else compare(band, drawn.force)
+    compared, judged = None, ("", False)
+    if drawn.force is not None:
+        compared = compare(band, drawn)
+        held = measured_rows(drawn, band, rows)
+        judged = compared.judged(held), compared.disagrees(held)
     derived = tuple(convert_row(row, system) for row in rows)
     design = tuple(convert_row(row, system) for row in bounds)
-    answer = Answer(band, derived, system, compared, design)
+    answer = Answer(band, derived, system, compared, design, *judged)
     _write(question, drawn, answer, told)
     return answer
 
@@ -163,6 +170,7 @@ def _write(question: Question, drawn: Trace, answer: Answer, told: Trace) -> Non
         title += f", given {question.given}"
     if answer.compared is not None:
         about.append(f"compared: {answer.compared.sentence(system)}")
+        about += [answer.judged] * bool(answer.judged)
     write_text(question.bands, bands_csv(drawn, band, about, system))
     derived = predicted_csv(answer.derived, question.actuation, question.probability)
     write_text(question.beside("derived.csv"), derived)

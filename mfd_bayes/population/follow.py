@@ -337,8 +337,10 @@ class Forecaster:
 def _trace(rows: Array) -> Trace:
     time, displacement, actuation, force = rows
     level = actuation if np.ptp(actuation) > 0 else float(actuation[0])
-    # the velocity since the sample before: samples that are still to come do not change it
-    speed = np.diff(displacement, prepend=displacement[0]) / np.diff(time, prepend=time[0] - 1.0)
+    # backward difference of second order: samples that are still to come do not change it
+    step = np.diff(time, prepend=time[0] - 1.0)
+    speed = np.diff(displacement, prepend=displacement[0]) / step
+    speed[1:] += np.diff(speed) * step[1:] / (step[1:] + step[:-1])
     return Trace.from_arrays(time, displacement, level, force, speed, hysteresis=0.0)
 
 

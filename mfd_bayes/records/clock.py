@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.readers import Table
 from mfd_bayes.units import parse_quantity
 
 SAMPLES = 20  # fewest samples that a record, or a window of it, may have
@@ -96,19 +96,26 @@ def longest_piece(
     )
 
 
-def check_increasing(path: Path, time: Array, place: Callable[[int], str]) -> None:
-    """Refuse a time that is too short, stands still or goes back.
+def check_increasing(table: Table, time: Array) -> None:
+    """Refuse a time of a table, (T,), s, that is too short, stands still or goes back.
 
     Raises
     ------
     RecordError
         When it is.
     """
+    path, place = table.path, table.place
     if time.size < SAMPLES:
         raise RecordError(f"{path} has {time.size} samples; at least {SAMPLES} are needed")
     steps = np.diff(time)
     if not np.all(steps > 0):
         row = int(np.argmax(steps <= 0)) + 1
+        if row in table.blocks:
+            raise RecordError(
+                f"{path} holds {len(table.blocks) + 1} blocks: the heading is repeated from "
+                f"{table.blocks[row]}, and time starts again below it, {time[row]:g} s after "
+                f"{time[row - 1]:g} s: keep one block in a file"
+            )
         raise RecordError(
             f"time in {path} does not increase at {place(row)}: "
             f"{time[row]:g} s after {time[row - 1]:g} s"

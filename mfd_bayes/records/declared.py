@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
@@ -11,12 +11,25 @@ from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.roles import header_unit
+from mfd_bayes.records.roles import ROLES, header_unit, stated_unit
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import actuation_factor, factor, measure, parse_actuation, same_unit
+from mfd_bayes.units import (
+    actuation_factor,
+    factor,
+    force_meant,
+    may_mean,
+    measure,
+    parse_actuation,
+    same_unit,
+)
 
 TOLERANCE = 0.1
 """A name and its record agree if they differ by no more than this share of the name's value."""
+
+SLOW_RATE, SLOW_PERIOD = 5.0, 3600.0
+"""Where no unit of time is stated, a slower rate (Hz) with longer cycles (s) is not of a time in s:
+qualification tests take a sample each few seconds, and up to an hour.
+"""
 
 NUMBER = (
     r"(?<![\d.])(?<!\d[eE])(?<![A-Za-z]\d,)"  # no part of 1.5e3, nor of "seal3,5bar"
@@ -41,35 +54,76 @@ _FULL = re.compile(
 _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
 
 
-def contradictions(record: Record, trace: Trace | None = None) -> tuple[Fault, ...]:
+def contradictions(
+    record: Record, trace: Trace | None = None, *, known: Collection[str] = ROLES
+) -> tuple[Fault, ...]:
     """Gaps in time, and units in columns' names or figures in a file's that its record has not.
 
     Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
     stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
     ``pp``); a rate may also be that of the samples. Where a name has several of one kind it is
     enough that one agrees. Names without such words, and motions without a full loop, are not
-    compared.
+    compared; nor are roles whose unit is not among those that are `known`.
     """
     trace = record.trace() if trace is None else trace
-    gaps = [Fault("gap in time", record.gap)] if record.gap else []
+    timed = "time" in known
+    gaps = [Fault("gap in time", record.gap)] if record.gap and timed else []
+    gaps += [Fault("rows not used", doubt) for doubt in record.doubts]
     return (
-        *(*gaps, *_of_columns(record)),
-        *(*_of_motion(record, trace), *_of_actuation(record, trace)),
+        *(*gaps, *_of_columns(record, known), *(_of_time(record, trace) if timed else ())),
+        *(*_of_motion(record, trace, known), *_of_actuation(record, trace)),
     )
 
 
-def _of_columns(record: Record) -> Iterator[Fault]:
-    """Columns that have one unit in their name, and are read in another of the same measure."""
-    for name, unit in record.columns.values():
-        own = header_unit(own_name(name))
-        if own and measure(own) == measure(unit) and not same_unit(own, unit):
-            yield Fault(
-                "column unit",
-                f"column {name!r} is read in {unit!r}, and its name says {own!r}: which is it?",
+def _of_columns(record: Record, known: Collection[str]) -> Iterator[Fault]:
+    """Columns that are read in another unit than the file says, or whose own is not known."""
+    for role, (name, unit) in record.columns.items():
+        if role not in known and role != "actuation":
+            continue
+        row = record.stated_units.get(role, "")
+        own, says = stated_unit(own_name(name), row), "the file" if row else "its name"
+        last = header_unit(own_name(name))
+        if not own or measure(own) != measure(unit):  # "kN" of "load_kN"
+            own, says = (
+                (last, "its name") if last and measure(last) == measure(unit) else (own, says)
             )
+        if not own or " " in own or role in record.derived or same_unit(own, unit):
+            continue
+        if measure(own) == measure(unit):
+            said = f"{says} says {own!r}: which is it?"
+        elif not may_mean(own, unit):
+            said = (
+                f"{says} says {own!r}, which is no known unit of {role}: which is it"
+                f"{force_meant(own)}?"
+            )
+        else:
+            continue
+        yield Fault("column unit", f"column {name!r} is read in {unit!r}, and {said}")
 
 
-def _of_motion(record: Record, trace: Trace) -> Iterator[Fault]:
+def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
+    """Times read as s, without the file's word for it, that are plausible as ms alone."""
+    name, _ = record.columns.get("time", ("", ""))
+    own = {
+        header_unit(own_name(name)),
+        stated_unit(own_name(name)),
+        record.stated_units.get("time"),
+    }
+    duration = float(np.ptp(trace.time))
+    cycle, rate = duration / max(trace.turning_points.size / 2, 1.0), trace.samples / duration
+    if (
+        rate <= SLOW_RATE
+        and cycle > SLOW_PERIOD
+        and not any(u and measure(u) == "time" for u in own)
+    ):
+        yield Fault(
+            "time unit",
+            f"a rate of {rate:.3g} Hz with cycles of {cycle:.3g} s is implausible, and the file "
+            "states no unit of time: is time in ms rather than in s?",
+        )
+
+
+def _of_motion(record: Record, trace: Trace, known: Collection[str]) -> Iterator[Fault]:
     """Amplitude and frequency of the loops at full stroke."""
     loops, name = find_loops(trace), record.path.stem
     if not loops.period.size:
@@ -79,15 +133,46 @@ def _of_motion(record: Record, trace: Trace) -> Iterator[Fault]:
     lengths = [
         (m[0], number_in(m[1]) * factor(m[2], "displacement")) for m in _LENGTH.finditer(name)
     ]
-    half, full = bool(_HALF.search(name)), bool(_FULL.search(name))
-    may_be = [amplitude] * (half or not full) + [2.0 * amplitude] * (full or not half)
     shown = (
         f"the record has an amplitude of {amplitude:.3g} in (a stroke of {2 * amplitude:.3g} in)"
     )
-    yield from _fault(record, lengths, may_be, shown)
+    if "displacement" in known:
+        yield from _fault(record, lengths, _sizes(name, amplitude), shown)
     rates = [(m[0], number_in(m[1])) for m in _FREQUENCY.finditer(name)]
     shown = f"the record's motion has {rate:.3g} Hz"
-    yield from _fault(record, rates, [rate, record.rate], shown)
+    if "time" in known:
+        yield from _fault(record, rates, [rate, record.rate], shown)
+
+
+def _sizes(name: str, amplitude: float) -> list[float]:
+    """Sizes that a file's name may give: the amplitude, the whole stroke, or either."""
+    half, full = bool(_HALF.search(name)), bool(_FULL.search(name))
+    return [amplitude] * (half or not full) + [2.0 * amplitude] * (full or not half)
+
+
+def length_in_name(record: Record) -> tuple[str, str] | None:
+    """Unit with which a displacement that has none is as long as the file's name says, and why.
+
+    None where no unit is, or several are. The record was read as if it were in inches.
+    """
+    loops, name = find_loops(record.trace()), record.path.stem
+    if not loops.period.size:
+        return None
+    amplitude = float(np.median(loops.amplitude[loops.strong]))
+    found = {
+        unit: m[0]
+        for unit in ("mm", "cm", "m", "in")
+        for m in _LENGTH.finditer(name)
+        for size in _sizes(name, amplitude * factor(unit, "displacement"))
+        if _near(size, number_in(m[1]) * factor(m[2], "displacement"))
+    }
+    if len(found) != 1:
+        return None
+    unit, said = found.popitem()
+    return (
+        unit,
+        f"the file's name says {said}, and the numbers have an amplitude of {amplitude:.3g}",
+    )
 
 
 def _of_actuation(record: Record, trace: Trace) -> Iterator[Fault]:
@@ -115,11 +200,15 @@ def number_in(text: str) -> float:
     return float(text.lower().replace("p", ".").replace(",", "."))
 
 
+def _near(size: float, declared: float) -> bool:
+    return abs(size - declared) <= TOLERANCE * declared + 1e-9
+
+
 def _fault(
     record: Record, declared: list[tuple[str, float]], found: list[float], shown: str
 ) -> Iterator[Fault]:
     """A warning where none of the declared values, in internal units, is among those found."""
-    agree = any(abs(f - value) <= TOLERANCE * value + 1e-9 for _, value in declared for f in found)
+    agree = any(_near(size, value) for _, value in declared for size in found)
     if declared and not agree:
         said = " and ".join(dict.fromkeys(word for word, _ in declared))
         yield Fault("file name", f"the name of {record.path.name} says {said}, but {shown}")

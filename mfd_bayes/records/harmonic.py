@@ -22,7 +22,10 @@ _FORM = "a harmonic motion reads '1 in, 0.5 Hz, 3 cycles'"
 
 @dataclass(frozen=True)
 class Harmonic:
-    """A sine that begins at rest position.
+    """Full cycles from turn to turn, with half a cycle from rest to the first turn and back.
+
+    A sine that begins at full speed would be a jump out of rest, and its viscous force a peak
+    that no machine makes.
 
     Attributes
     ----------
@@ -30,7 +33,7 @@ class Harmonic:
         Half the stroke.
     frequency : float, Hz
     cycles : float
-        With at least 1.5, there is a full cycle between two turns of the same side.
+        Of full stroke.
     """
 
     amplitude: float
@@ -38,16 +41,22 @@ class Harmonic:
     cycles: float
 
     def trace(self, actuation: ArrayLike) -> Trace:
-        """The sampled motion at an actuation, ksi or kip."""
-        count = round(SAMPLES * self.cycles) + 1
-        turns = np.arange(count) / SAMPLES
-        angle = 2.0 * np.pi * turns
-        speed = 2.0 * np.pi * self.frequency * self.amplitude
+        """The sampled motion at an actuation, ksi or kip; back at rest after whole half cycles."""
+        step = 2.0 * np.pi / SAMPLES
+        angle, half = step * np.arange(round(SAMPLES * self.cycles) + 1), SAMPLES // 2
+        into = step * np.arange(half)
+        x = np.concatenate([0.5 * (1.0 - np.cos(into)), np.cos(angle)])
+        v = np.concatenate([0.5 * np.sin(into), -np.sin(angle)])
+        if (2.0 * self.cycles).is_integer():  # it ends at a turn
+            out = step * np.arange(1, half + 1)
+            last = 0.5 * round(np.cos(angle[-1]))
+            x = np.concatenate([x, last * (1.0 + np.cos(out))])
+            v = np.concatenate([v, -last * np.sin(out)])
         return Trace.from_arrays(
-            turns / self.frequency,
-            self.amplitude * np.sin(angle),
+            np.arange(x.size) / (SAMPLES * self.frequency),
+            self.amplitude * x,
             actuation,
-            velocity=speed * np.cos(angle),
+            velocity=2.0 * np.pi * self.frequency * self.amplitude * v,
         )
 
 

@@ -43,6 +43,7 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
         "columns": columns,
         **{f"{role} is made of": text for role, text in record.derived.items()},
         **({"columns not used": others} if others else {}),
+        **({"rows not used": "; ".join(record.notes)} if record.notes else {}),
         "samples": f"{trace.samples} over {trace.time[-1] - trace.time[0]:.6g} s",
         "rate": record.clock.words(),
         "displacement": f"{x.min():.4g} to {x.max():.4g} in",

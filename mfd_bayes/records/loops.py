@@ -31,8 +31,8 @@ class Loops:
     energy : (L,), kip·in, or None
         Dissipated energy, ∮ F dx, by the trapezoidal rule; None without a force.
     offset : (L,), kip, or None
-        Mean force along the loop, ∮ F |dx| / ∮ |dx|: from the load cell's zero, dead weight, and
-        the difference between the two directions of the device.
+        Mean of both half cycles' mean forces ∫ F dx / ∫ dx: from the load cell's zero, dead weight,
+        and the difference between the two directions of the device.
     """
 
     bounds: NDArray[np.intp]
@@ -87,8 +87,9 @@ def find_loops(trace: Trace) -> Loops:
         steps, force = np.diff(x), trace.force[kept]
         mean = 0.5 * (force[1:] + force[:-1])
         energy = np.add.reduceat(mean * steps, begins)
-        way = np.add.reduceat(np.abs(steps), begins)
-        offset = np.add.reduceat(mean * np.abs(steps), begins) / way
+        halves = trace.cycle_turns[: 2 * begins.size + 1] - bounds[0]
+        along = np.add.reduceat(mean * steps, halves[:-1]) / np.diff(x[halves])
+        offset = 0.5 * (along[::2] + along[1::2])
     period, amplitude, middle = np.diff(trace.time[bounds]), 0.5 * (high - low), 0.5 * (high + low)
     return Loops(bounds, period, amplitude, middle, energy, offset)
 

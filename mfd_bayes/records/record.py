@@ -23,13 +23,14 @@ from mfd_bayes.records.clock import (
     longest_piece,
     parse_window,
 )
+from mfd_bayes.records.faults import mended
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import hash_file, path_of
 from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.roles import ROLES
-from mfd_bayes.records.signals import in_words, signals_of, sources_of, unused_of
+from mfd_bayes.records.signals import in_words, part_for, signals_of, sources_of, unused_of
 from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.units import ActuationUnit, parse_actuation
@@ -69,6 +70,12 @@ class Record:
         Window that `trace` takes by default.
     given_actuation : str
         The constant actuation in the words in which it was given; "" where there is none.
+    stated_units : dict
+        Role to what the file's row of units, or a channel's properties, say of its column.
+    notes : tuple of str
+        Sentences on numbers of the file that are not in the record.
+    doubts : tuple of str
+        The same, of numbers that probably belong to it.
     """
 
     path: Path
@@ -86,6 +93,9 @@ class Record:
     gap: str = ""
     fit: Window | None = None
     given_actuation: str = ""
+    stated_units: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def rate(self) -> float:
@@ -228,11 +238,12 @@ def read_record(
     path = path_of("path", path, RecordError)
     table = read_table(path)
     sources = sources_of(table, columns, units, actuation)
-    signals, named, unit = signals_of(table, sources)
-    check_increasing(path, signals["time"], table.place)
     window = parse_window(fit) if isinstance(fit, str) else fit
     if window is not None:
         window = checked_window(window)
+        table = part_for(table, sources, window)
+    signals, named, unit = signals_of(table, sources)
+    check_increasing(table, signals["time"])
     piece, gap = longest_piece(signals["time"], table.place, window)
     if piece.stop - piece.start < SAMPLES:
         raise RecordError(f"{gap}: fewer than the {SAMPLES} samples that are needed in {path}")
@@ -256,6 +267,9 @@ def read_record(
         gap=gap,
         fit=window,
         given_actuation=actuation or "",
+        stated_units={r: table.units[n] for r, (n, _) in named.items() if n in table.units},
+        notes=table.notes,
+        doubts=table.doubts,
     )
     _check_motion(record)
     return record
@@ -263,7 +277,7 @@ def read_record(
 
 def _check_motion(record: Record) -> None:
     """Refuse a record, or a fit window, that has fewer than two turning points."""
-    displacement = record.displacement[_slice(record, record.fit)]
+    displacement = mended(record.displacement[_slice(record, record.fit)])
     where = f"{record.path}" + (" in the fit window" if record.fit else "")
     if np.ptp(displacement) <= STILL:
         raise RecordError(f"displacement in {where} is constant")

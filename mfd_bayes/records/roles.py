@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table
+from mfd_bayes.records.readers.cells import bare_unit
 from mfd_bayes.records.readers.labels import own_name
-from mfd_bayes.units import measure, same_unit
+from mfd_bayes.units import UNREAD, measure, same_unit
 
 ROLES = ("time", "displacement", "force", "velocity", "actuation")
 """What a column can be; a record needs a time and a displacement."""
@@ -16,6 +17,19 @@ ROLES = ("time", "displacement", "force", "velocity", "actuation")
 _EXAMPLES = {"time": "time_s", "displacement": "displacement_mm"}
 _SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
 _BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
+_REMARKS = frozenset(
+    {
+        *("raw", "measured", "meas", "corrected", "corr", "filtered", "filt", "smoothed"),
+        *("average", "avg", "mean", "abs", "max", "min", "rms", "total", "net", "main"),
+        *("left", "right", "top", "bottom", "bot", "upper", "lower", "north", "south"),
+        *("east", "west", "front", "rear", "back", "lvdt", "sensor", "cell", "loadcell"),
+        *("actuator", "machine", "ch", "channel", "x", "y", "z", "axial", "lateral"),
+        *("vertical", "horizontal", "relative", "absolute", "calibrated", "zeroed"),
+        *("command", "cmd", "feedback", "fbk", "analog", "digital", "signal", "data"),
+        *("scaled", "elapsed", "test", "local", "utc", "fwd", "bwd", "forward", "backward"),
+    }
+)
+"""Words that people put in brackets behind a name, and that are no units."""
 
 
 def header_unit(name: str) -> str | None:
@@ -26,6 +40,25 @@ def header_unit(name: str) -> str | None:
     """
     match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
     return match[1].strip().replace("_per_", "/") if match else None
+
+
+def stated_unit(name: str, row: str = "") -> str | None:
+    """What a file says to be the unit of a column, whether known or not; None where it says none.
+
+    In brackets, as a last word that is known to be one ("load_tonf"), or in its row of units.
+    """
+    if bare_unit(row):
+        return bare_unit(row)
+    for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
+        text = bare_unit(square or round_ or angle)
+        if not re.search(r"[^\W\d_]|[%°]", text) or text.lower() in _REMARKS:
+            continue
+        words = re.findall(r"[^\W\d_]+", text)
+        is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
+        if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
+            return text
+    last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
+    return last[1] if last and last[1].lower() in UNREAD else None
 
 
 def roles_of(

@@ -14,7 +14,7 @@ from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import check_once, roles_of, unit_of
 from mfd_bayes.records.sources import Source, scale_of, take_off, wanted_of
 from mfd_bayes.records.trace import check_size
-from mfd_bayes.units import ActuationUnit, actuation_factor
+from mfd_bayes.units import ActuationUnit, actuation_factor, factor
 
 
 def sources_of(
@@ -82,6 +82,39 @@ def signals_of(
             check_size(f"the {role} of {table.path}", role, signals[role])
     _settle(table, signals)
     return signals, named, internal
+
+
+def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
+    """The table, or the rows about a window, s, where cells outside it hold no numbers.
+
+    Raises
+    ------
+    MfdError
+        When a cell inside the window holds none.
+    """
+    names = wanted_of(table, sources)
+    try:
+        table.columns(names)
+    except RecordError:
+        if table.patchy is None or any(table.names.count(name) != 1 for name in names):
+            raise
+        raw = table.patchy(names)
+        source = sources["time"]
+        time = raw[str(source.column)] * factor(str(source.unit), "time")
+        good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
+        inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
+        if not inside.size or not good[inside[0] : inside[-1] + 1].all():
+            raise
+        bad = np.flatnonzero(~good)
+        first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
+        last = int(np.min(bad[bad > inside[-1]], initial=time.size))
+        return table.part(
+            first,
+            last,
+            f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
+            f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
+        )
+    return table
 
 
 def _settle(table: Table, signals: dict[str, Array]) -> None:

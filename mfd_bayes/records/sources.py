@@ -195,7 +195,7 @@ def take_off(
             raise UnitError(
                 f"minus_mass of {of}: expected a mass of 0 or more, got {source.minus_mass!r}"
             )
-        check_increasing(table.path, signals["time"], table.place)
+        check_increasing(table, signals["time"])
         signal = signal - mass * acceleration(signals["time"], signals["displacement"])
     if " to " in source.tare:
         start, end = parse_window(source.tare)

@@ -197,14 +197,19 @@ def test_a_parameter_off_its_reading_is_a_note():
     assert np.isfinite(judged.doubt)
 
 
-def test_a_test_whose_slip_force_is_far_from_its_reading_needs_care():
+@pytest.mark.parametrize(
+    ("inside", "use"),
+    [(0.98, "its band is usable, its parameters are not"), (0.4, "do not use its parameters")],
+)
+def test_a_test_whose_slip_force_is_far_from_its_reading_has_no_usable_parameters(inside, use):
     target = "Fc_fwd (0.083 [0.06, 0.11] kip), read off 0.931 kip"
-    (judged,) = judge(["a"], [Check("a", READING, target, 0.931, "", Verdict.CARE)], [])
-    assert judged.use == Use.WITH_CARE
-    assert judged.told == (
-        "a slip force is far from what is read off the loop, so that the noise stands in for "
-        f"friction: {target}"
-    )
+    reading = Check("a", READING, target, 0.931, "", Verdict.FAIL)
+    (judged,) = judge(["a"], [reading, band("a", 0.95, inside)], [])
+    assert judged.use == Use.NOT_USABLE
+    assert (
+        f"{use}: a slip force is far from what is read off the loop, so that the noise stands in "
+        f"for friction: {target}"
+    ) in judged.told
 
 
 def test_the_doubt_is_by_how_many_tolerances_the_worst_figure_is_missed():

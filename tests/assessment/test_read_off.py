@@ -60,8 +60,8 @@ def test_a_parameter_that_misses_its_reading_is_noted(name, value):
     assert f"{check.value:.3g} {check.unit}" in check.target
 
 
-@pytest.mark.parametrize(("value", "verdict"), [(0.9, "care"), (1.1, "note"), (4.5, "care")])
-def test_a_slip_force_that_is_far_from_its_reading_needs_care(value, verdict):
+@pytest.mark.parametrize(("value", "verdict"), [(0.9, "fail"), (1.1, "note"), (4.5, "fail")])
+def test_a_slip_force_that_is_far_from_its_reading_fails(value, verdict):
     rows = reading_rows("a", posterior_of(), draws(Fc_fwd=value, k3=4.0))
     found = {row.name: reading_check(row).verdict for row in rows}
     assert found["Fc_fwd"] == verdict

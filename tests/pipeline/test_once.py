@@ -70,9 +70,10 @@ def plans(monkeypatch):
     return found
 
 
-def test_a_dry_run_reads_each_record_once_and_still_warns(campaign, reads):
+def test_a_dry_run_reads_each_record_once_and_still_warns(campaign, tmp_path, reads):
     shutil.copy(campaign.parent / "a.csv", campaign.parent / "b.csv")
-    outcome = CliRunner().invoke(app, ["calibrate", str(campaign), "-o", "out", "--dry-run"])
+    words = ["calibrate", str(campaign), "-o", str(tmp_path / "out"), "--dry-run"]
+    outcome = CliRunner().invoke(app, words)
     assert outcome.exit_code == 0
     assert "same record as a" in outcome.stdout
     assert reads == dict.fromkeys(TESTS, 1)
@@ -81,7 +82,7 @@ def test_a_dry_run_reads_each_record_once_and_still_warns(campaign, reads):
 def test_a_dry_run_refuses_what_the_run_would(campaign):
     for out, options, said in (
         (campaign.parent, (), "exists: give --resume to finish it or --force"),
-        ("out", ("--resume", "--force"), "give either --resume or --force"),
+        (campaign.parent / "out", ("--resume", "--force"), "give either --resume or --force"),
     ):
         words = ["calibrate", str(campaign), "-o", str(out), "--dry-run", *options]
         outcome = CliRunner().invoke(app, words)

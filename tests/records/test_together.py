@@ -101,6 +101,34 @@ def test_an_actuation_that_is_wrong_by_ten_is_named(k, actuation):
     assert "probably wrong, by a factor of ten" in fault.sentence
 
 
+def forces(*sizes, level=(35.0,)):
+    """Findings about tests at like actuation, or at levels, whose forces are scaled."""
+    levels = (*level, *(level[-1:] * (len(sizes) - len(level))))
+    return [
+        (name, fault.sentence)
+        for name, fault in compare_tests(
+            [
+                put(f"r{n}", trace_of(at, n, force=by))
+                for n, (at, by) in enumerate(zip(levels, sizes, strict=True))
+            ]
+        )
+    ]
+
+
+def test_a_test_with_half_of_its_neighbours_force_is_named():
+    ((name, sentence),) = forces(1.0, 1.0, 0.5)
+    assert name == "r2"
+    assert "times the one of about" in sentence
+    ((name, _),) = forces(1.0, 0.5, 1.0, level=(30.0, 35.0, 40.0))
+    assert name == "r1"
+    ((name, _),) = forces(1.0, 1.0, 0.5, level=(20.0, 35.0, 35.0))
+    assert name == "r2"
+    both = forces(1.0, 0.5)
+    assert [name for name, _ in both] == ["r0", "r1"]
+    assert all("one of the two is wrong" in sentence for _, sentence in both)
+    assert forces(1.0, 0.8, 1.2) == forces(1.0, 1.4, 2.0, level=(20.0, 35.0, 80.0)) == []
+
+
 def test_a_tension_in_kn_is_named_with_the_unit_of_the_others():
     tests = campaign()
     trace = trace_of(35.0, 2, actuation=224.8089)

@@ -154,12 +154,12 @@ def test_a_manifest_that_says_something_else_is_refused(out, keys, value):
 def test_checking_costs_little(out):
     """Hashes take milliseconds, opening a run takes most of a second."""
     names = [p.relative_to(out).as_posix() for p in out.rglob("*.nc")]
-    began = time.perf_counter()
+    began = time.process_time()
     hash_stored(out, names)
-    hashing = time.perf_counter() - began
-    began = time.perf_counter()
+    hashing = time.process_time() - began
+    began = time.process_time()
     open_run(out)
-    assert hashing < 0.5 * (time.perf_counter() - began)
+    assert hashing < 0.5 * (time.process_time() - began)
 
 
 NEWER = (

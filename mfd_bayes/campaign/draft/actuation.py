@@ -116,6 +116,10 @@ def _measured(
     if column is None:
         return None, ()
     values = numbers_of(one.table, column.name)
+    if column.unit is None and column.lacking:
+        return None, (
+            f"column {column.name!r} holds no actuation that can be used: {column.lacking}",
+        )
     if column.unit is None:
         return None, (f"column {column.name!r} has no unit: name it, if it is the actuation",)
     if values is None or actuation_factor(column.unit)[1] != unit or not np.mean(values) > 0:

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from mfd_bayes.campaign.draft.shapes import by_loop
 from mfd_bayes.errors import MfdError, UnitError
-from mfd_bayes.records.faults import seems_milliseconds
+from mfd_bayes.records.declared import SLOW_PERIOD, SLOW_RATE
 from mfd_bayes.records.loops import roughness
 from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.roles import stated_unit
 from mfd_bayes.records.trace import check_magnitude
-from mfd_bayes.units import factor
+from mfd_bayes.units import factor, force_meant
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,22 @@ _KINDS = {
     "actuation": ("pressure", "force"),
 }
 
+FAST_CYCLE, SLOWEST_STEP = 100.0, 10.0
+"""Without a unit, times with longer cycles may be ms; with such steps too, in s, they are ms."""
+
+_COUNTERS = frozenset(
+    {
+        *("scan", "scans", "sample", "samples", "index", "idx", "no", "nr", "num", "number"),
+        *("#", "n", "count", "counter", "counts", "record", "rec", "point", "points", "pt"),
+        *("pts", "row", "line", "frame", "reading", "step", "lfd", "i", "k", "id", "seq"),
+        *("sequence", "datapoint", "tick", "ticks", "block", "set", "obs", "observation"),
+    }
+)
+"""Words in the name of a column that counts samples."""
+
+_DATES = ((20_000.0, 80_000.0), (690_000.0, 800_000.0))
+"""Days since 1900 and since the year 0, of the last and the coming decades."""
+
 _BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$")
 _BEHIND = re.compile(r"[\s,/:]+([^\s,:]+)\s*$")
 _SUFFIX = re.compile(r"_((?:[^_\s]+_per_)?[^_\s]+)$")
@@ -72,6 +89,8 @@ class Guess:
     """What is not certain, with the alternatives."""
     number: int | None = None
     """Number of a column, from 1, that has no name of its own; None of others."""
+    lacking: str = ""
+    """Why its unit is unknown, and what may be written; empty where nothing more is known."""
 
 
 def guess_columns(table: Table) -> dict[str, Guess]:
@@ -225,8 +244,12 @@ def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]
     unit = guess.unit or unit_of(table, guess.name, role)
     if role == "time":
         return _timed(table, replace(guess, unit=unit), found)
-    if unit is not None or role == "actuation":
+    if unit is not None:
         return replace(guess, unit=unit)
+    if said := stated_unit(own_name(guess.name), table.units.get(guess.name, "")):
+        return replace(guess, unit=None, lacking=unread(said, role))
+    if role == "actuation":
+        return guess
     metric = _is_metric(table, found)
     if metric is None:
         return guess
@@ -235,6 +258,11 @@ def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]
     other = units[role][not metric]
     doubt = f"no unit of {role} is given; {unit} matches the other columns, {other} does not"
     return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
+
+
+def unread(said: str, role: str) -> str:
+    """Sentence on a unit that a file states and that is none of a role."""
+    return f"{said!r}, as the file says, is no known unit of {role}{force_meant(said)}"
 
 
 def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
@@ -248,25 +276,64 @@ def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
 
 
 def _timed(table: Table, guess: Guess, found: Mapping[str, Guess]) -> Guess:
-    """Time with its unit, from the steps where none is given."""
-    slow = _seems_slow(table, guess, found.get("displacement"))
-    if guess.unit is None:
-        unit = "ms" if slow else "s"
-        why = "the steps look like ms" if slow else "the steps look like s"
-        return replace(guess, unit=unit, doubts=(*guess.doubts, f"no unit of time is given; {why}"))
-    if guess.unit in ("s", "sec") and slow:
-        doubt = 'the steps look like ms; if they are, unit = "ms"'
-        return replace(guess, doubts=(*guess.doubts, doubt))
-    return guess
+    """Time with its unit, from the steps where none is given and they can tell it."""
+    if guess.unit is not None:
+        return guess
+    if said := stated_unit(own_name(guess.name), table.units.get(guess.name, "")):
+        return replace(guess, lacking=unread(said, "time"))
+    values = numbers_of(table, guess.name)
+    if values is None or values.size < 3 or values[-1] <= values[0]:
+        return guess
+    if lacking := _no_time(own_name(guess.name), values) or _of_two_units(table, values, found):
+        return replace(guess, lacking=lacking)
+    unit = "ms" if _is_slow(table, values, found) else "s"
+    doubt = f"no unit of time is given; the steps look like {unit}"
+    return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
-def _seems_slow(table: Table, time: Guess, displacement: Guess | None) -> bool:
-    values = numbers_of(table, time.name)
+def _no_time(name: str, values: Array) -> str:
+    """Why a column is a count or a date, and what to write; empty where it may be a time."""
+    steps = np.diff(values)
+    whole = bool(np.all(values == np.round(values)))
+    words = set(re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower()))
+    if whole and (words & _COUNTERS or np.all(steps == 1.0)):
+        return (
+            f"{name or 'this column'!r} counts samples and is no time: at which rate? At 1000 Hz "
+            'write unit = "ms", at 1 Hz unit = "s"; else add a column of seconds: it over the rate'
+        )
+    if np.ptp(values) < 1.0 and any(low < values[0] < high for low, high in _DATES):
+        return f'{name!r} seems to be a date, counted in days: write unit = "day"'
+    return ""
+
+
+def _of_two_units(table: Table, values: Array, found: Mapping[str, Guess]) -> str:
+    """Why the steps of a time do not tell its unit; empty where they do."""
+    cycle = _cycle(table, values, found.get("displacement"))
+    step = float(np.median(np.diff(values)))
+    if step < SLOWEST_STEP and FAST_CYCLE < cycle < SLOW_PERIOD and step * SLOW_RATE >= 1.0:
+        return (
+            f"its steps may be s or ms: one gives a cycle of {cycle:.3g} s, the other of "
+            f"{cycle / 1000:.3g} s"
+        )
+    if cycle / 1000 > SLOW_PERIOD and step >= 1000 * SLOWEST_STEP:
+        return "its steps are neither those of s nor of ms"
+    return ""
+
+
+def _is_slow(table: Table, values: Array, found: Mapping[str, Guess]) -> bool:
+    """Whether times without a unit are ms: in s, a cycle would take hours, or a sample too long."""
+    cycle = _cycle(table, values, found.get("displacement"))
+    step = float(np.median(np.diff(values)))
+    return cycle > FAST_CYCLE and step * SLOW_RATE >= 1.0
+
+
+def _cycle(table: Table, time: Array, displacement: Guess | None) -> float:
+    """Time of a cycle, in the unit of the time; 0 where it cannot be told."""
     motion = None if displacement is None else numbers_of(table, displacement.name)
-    if values is None or motion is None or values.size < 3 or values[-1] <= values[0]:
-        return False
+    if motion is None or motion.size != time.size:
+        return 0.0
     turns = cycle_turns(motion).size
-    return seems_milliseconds(values, turns)
+    return float(np.ptp(time)) / max(turns / 2, 1.0)
 
 
 def _checked_velocity(table: Table, found: dict[str, Guess]) -> dict[str, Guess]:
@@ -274,11 +341,13 @@ def _checked_velocity(table: Table, found: dict[str, Guess]) -> dict[str, Guess]
     if "velocity" not in found:
         return found
     roles = ("time", "displacement", "velocity")
-    values = [numbers_of(table, found[role].name) if role in found else None for role in roles]
-    time, displacement, velocity = values
-    if found["velocity"].unit is not None and not (
-        time is None or displacement is None or velocity is None
-    ):
+    wanted = [found[role].name for role in roles if role in found]
+    try:
+        values = table.columns(wanted)
+    except MfdError:
+        values = {}
+    if found["velocity"].unit is not None and len(wanted) == len(roles) == len(values):
+        time, displacement, velocity = (values[name] for name in wanted)
         with np.errstate(all="ignore"):
             slope = np.gradient(displacement, time)
             alike = np.corrcoef(slope, velocity)[0, 1]

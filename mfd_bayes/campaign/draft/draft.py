@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.campaign.draft.actuation import (
@@ -18,7 +18,7 @@ from mfd_bayes.campaign.draft.columns import Guess, guess_columns
 from mfd_bayes.campaign.draft.levels import level_in_header, levels_in
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.records.declared import contradictions
+from mfd_bayes.records.declared import contradictions, length_in_name
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.scales import Scales, scales_of
@@ -149,8 +149,13 @@ def _look_at(path: Path, folder: Path) -> Candidate:
     column = columns.pop("actuation", None)
     missing = [role for role in _ESSENTIAL if role not in columns]
     if missing:
+        again = next(iter(table.blocks.values()), "")
+        blocks = (
+            f"; the heading is repeated from {again}: keep one block in a file" if again else ""
+        )
+        blocks += "".join(f"; {note}" for note in table.notes)
         raise RecordError(
-            f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}"
+            f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}{blocks}"
         )
     odd = [
         guess.name for guess in (*columns.values(), column) if guess and not _is_utf8(guess.name)
@@ -180,7 +185,11 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
         names["actuation"], units["actuation"] = actuation.name, str(actuation.unit)
     level = actuation if isinstance(actuation, str) else None
     record = read_record(one.path, names, units, level)
-    doubts += tuple(fault.sentence for fault in contradictions(record))
+    known = {role for role, guess in roles.items() if guess.unit is not None}
+    doubts += tuple(fault.sentence for fault in contradictions(record, known=known))
+    if "displacement" not in known and (length := length_in_name(record)):
+        lacking = f'write unit = "{length[0]}": {length[1]}'
+        roles["displacement"] = replace(roles["displacement"], lacking=lacking)
     return TestDraft(
         id=_id(one.path.stem, taken),
         file=one.path.name,

@@ -114,9 +114,9 @@ def doubts(draft: Draft) -> list[str]:
 def gaps(draft: Draft) -> list[str]:
     """Sentences on what is missing and must be added, each with its columns or tests."""
     shared = shared_columns(draft.tests)
-    found = [("columns", _no_unit(role)) for role, g in shared.items() if g.unit is None]
+    found = [("columns", _no_unit(role, g)) for role, g in shared.items() if g.unit is None]
     for test in draft.tests:
-        own = [_no_unit(role) for role, g in _own_columns(test, shared) if g.unit is None]
+        own = [_no_unit(role, g) for role, g in _own_columns(test, shared) if g.unit is None]
         own += [_no_actuation(test, draft)] if test.actuation is None else []
         found += [(test.id, text) for text in own]
     return _grouped(found)
@@ -146,7 +146,8 @@ def shared_columns(tests: Iterable[TestDraft]) -> Shared:
         name, unit, number = Counter(map(_column_of, guesses)).most_common(1)[0][0]
         alike = [g for g in guesses if _column_of(g) == (name, unit, number)]
         told = dict.fromkeys(doubt for g in alike for doubt in g.doubts)
-        shared[role] = Guess(name, unit, tuple(told), number)
+        lacking = "; ".join(dict.fromkeys(g.lacking for g in alike if g.lacking))
+        shared[role] = Guess(name, unit, tuple(told), number, lacking)
     return shared
 
 
@@ -182,13 +183,15 @@ def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
 
 
 def _column_line(role: str, guess: Guess) -> str:
-    remarks = [f"FIXME: {_no_unit(role)}"] if guess.unit is None else []
+    remarks = [f"FIXME: {_no_unit(role, guess)}"] if guess.unit is None else []
     remarks += [f"unsure: {doubt}" for doubt in guess.doubts]
     behind = f"  {commented('; '.join(remarks))}" if remarks else ""
     return f"{role} = {column(*_column_of(guess))}{behind}"
 
 
-def _no_unit(role: str) -> str:
+def _no_unit(role: str, guess: Guess) -> str:
+    if guess.lacking:
+        return f"the unit of {role} is unknown; {guess.lacking}"
     return f"the unit of {role} is unknown; add unit = {_UNITS.get(role, '…')}"
 
 

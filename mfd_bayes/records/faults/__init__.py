@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from mfd_bayes.records.faults import clock, signals
-from mfd_bayes.records.faults.clock import seems_milliseconds
 from mfd_bayes.records.faults.fault import Fault
-from mfd_bayes.records.faults.signals import without_spikes
+from mfd_bayes.records.faults.signals import mended, without_spikes
 from mfd_bayes.records.trace import Trace
 
-__all__ = ["NAMES", "Fault", "find_faults", "seems_milliseconds", "without_spikes"]
+__all__ = ["NAMES", "Fault", "find_faults", "mended", "without_spikes"]
 
 NAMES = (
     *(

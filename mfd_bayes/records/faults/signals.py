@@ -133,7 +133,8 @@ def lag(trace: Trace) -> Iterator[Fault]:
         yield Fault(
             "lag",
             f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
-            f"{way} the displacement at reversals: filters or channels are out of step",
+            f"{way} the displacement at reversals: filters or channels are out of step, or this is "
+            "a fluid damper (viscous or magneto-rheological), which no friction model describes",
             turns,
         )
 
@@ -162,26 +163,28 @@ def without_spikes(trace: Trace) -> Trace:
     x, force = _spikes(trace.displacement), trace.force
     at = _force_spikes(trace)
     if x.size:
-        beside = np.unique(np.clip(x[:, None] + [-1, 0, 1], 0, trace.samples - 1))
-        trace = Trace.from_arrays(
-            trace.time,
-            _mended(trace.displacement, x),
-            trace.actuation,
-            force,
-            _mended(trace.velocity, beside),
-        )
+        beside = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
+        motion = _mended(trace.displacement, x), None, force, _mended(trace.velocity, beside)
+        trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
     return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
+
+
+def mended(values: Array) -> Array:
+    """A signal with lines in place of its spikes."""
+    at = _spikes(values)
+    return _mended(values, at) if at.size else values
 
 
 def _mended(values: Array, at: Samples) -> Array:
     """A signal with lines in place of some samples."""
     sound = np.delete(np.arange(values.size), at)
-    return np.interp(np.arange(values.size), sound, values[sound])
+    return np.asarray(np.interp(np.arange(values.size), sound, values[sound]))
 
 
 def _spikes(values: Array) -> Samples:
     """Spikes of one or a few samples, and overflow values."""
-    return np.unique(np.concatenate([*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]))
+    found = [*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]
+    return np.asarray(np.unique(np.concatenate(found)), dtype=np.intp)
 
 
 def _force_spikes(trace: Trace) -> Samples:
@@ -191,7 +194,8 @@ def _force_spikes(trace: Trace) -> Samples:
     at, steps = _spikes(trace.force), np.diff(trace.displacement)
     turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
     low, high = np.quantile(trace.force, [0.005, 0.995])
-    return at[~(turns & (trace.force >= low) & (trace.force <= high))[at]]
+    explained = turns & (trace.force >= low) & (trace.force <= high)
+    return np.asarray(at[~explained[at]], dtype=np.intp)
 
 
 def _isolated(values: Array, width: int) -> Samples:
@@ -307,6 +311,7 @@ def _held_force(trace: Trace) -> Samples:
     limits = (trace.force[starts] == trace.force.max()) | (trace.force[starts] == trace.force.min())
     noisy = lengths.sum() - lengths[long].sum() < FEW * trace.samples
     back = np.isin(starts + lengths + 1, jumps)
+    long &= (travel > 0.5 * stroke) | ((starts > 0) & (starts + lengths + 1 < trace.samples))
     long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
     return _samples(starts, lengths, long & (travel > LONGER * _usual(trace, starts, travel)))
 

@@ -25,6 +25,13 @@ def is_number(cell: object, *, decimal: str = ".", finite: bool = False) -> bool
     return plain and "_" not in str(cell) and (not finite or math.isfinite(value))
 
 
+def as_number(cell: object, decimal: str = ".") -> float:
+    """Number of a cell; NaN of one that holds no finite number."""
+    if not is_number(cell, decimal=decimal, finite=True):
+        return math.nan
+    return float(str(cell).replace(decimal, "."))
+
+
 def bare_unit(text: str) -> str:
     """Unit without brackets: ``"kN"`` of ``"[kN]"``; empty for a dash."""
     return text.strip().strip("[](){}<>-–— ")

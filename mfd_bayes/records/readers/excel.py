@@ -16,13 +16,23 @@ import numpy as np
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.archive import CELLS, check_archive, too_many_cells
-from mfd_bayes.records.readers.cells import is_number, missing_library, not_a_number, unreadable
+from mfd_bayes.records.readers.cells import (
+    as_number,
+    is_number,
+    missing_library,
+    not_a_number,
+    unreadable,
+)
 from mfd_bayes.records.readers.labels import labels
 from mfd_bayes.records.readers.layout import (
     SEARCHED,
     Layout,
+    body_of,
     find_layout,
     find_numbers,
+    first_of,
+    is_word,
+    left_out,
     units_of,
 )
 from mfd_bayes.records.readers.table import Table
@@ -50,6 +60,15 @@ class _Sheet:
         columns = {name: self._cells(self.columns[name]) for name in wanted}
         size = max(map(_filled_to, columns.values()), default=0)
         return {name: self._numbers(name, cells[:size]) for name, cells in columns.items()}
+
+    def patchy(self, wanted: Sequence[str]) -> dict[str, Array]:
+        """As `load`, with NaN for cells that hold no finite number."""
+        columns = {name: self._cells(self.columns[name]) for name in wanted}
+        size = max(map(_filled_to, columns.values()), default=0)
+        return {
+            name: np.array([as_number(c) if _holds_number(c) else np.nan for c in cells[:size]])
+            for name, cells in columns.items()
+        }
 
     def _cells(self, column: int) -> list[Any]:
         return [cells[column - 1] if column <= len(cells) else None for _, cells in self.rows]
@@ -86,20 +105,40 @@ def read_excel(path: Path) -> Table:
     their number, from A = 1. Formulas count with the values that Excel stored.
     """
     with _workbook(path) as workbook:
-        number, layout = _find(path, workbook)
+        number, layout, doubts = _find(path, workbook)
         sheet = workbook.worksheets[number]
         rows = list(_filled_rows(path, sheet))
+    cells = [cells for _, cells in rows]
+    layout = first_of(cells[:SEARCHED], layout, _holds_number)
     numbers = _columns(rows, layout)
-    held = _Sheet(path, number, sheet.title, numbers, rows[layout.data :])
-    below = () if layout.units is None else rows[layout.units][1]
+    below = range(layout.data, len(rows))
+    column = next((k for k, c in enumerate(cells[layout.data]) if _holds_number(c)), 0)
+    words = [at for at in below if column < len(cells[at]) and _has_word(cells[at][: column + 1])]
+    body = body_of(words, below, cells.__getitem__, cells[: layout.data], layout, _holds_number)
+    places, headed = [f"row {at}" for at, _ in rows], layout.names is not None
+    of = f"sheet {sheet.title!r} of {path}"
+    names = cells[layout.data if layout.names is None else layout.names]
+    notes = left_out(of, cells[: layout.data], body, places, names, headed, _holds_number)
+    held = _Sheet(path, number, sheet.title, numbers, [rows[at] for at in body.rows])
+    units_row = () if layout.units is None else rows[layout.units][1]
     units = units_of(
-        list(numbers), [below[at - 1] if at <= len(below) else None for at in numbers.values()]
+        list(numbers),
+        [units_row[at - 1] if at <= len(units_row) else None for at in numbers.values()],
     )
     return Table(
         *(path, tuple(numbers), held.load, held.place, units),
         numbers=tuple(numbers.values()),
-        headed=layout.names is not None,
+        headed=headed,
+        blocks={row: places[at] for row, at in body.blocks.items()},
+        notes=notes,
+        doubts=doubts,
+        patchy=held.patchy,
     )
+
+
+def _has_word(cells: Cells) -> bool:
+    """Whether the last cell is a word, or one before is and the last is empty."""
+    return is_word(cells[-1]) or (cells[-1] is None and any(map(is_word, cells)))
 
 
 def _columns(rows: Sequence[tuple[int, Cells]], layout: Layout) -> dict[str, int]:
@@ -145,8 +184,11 @@ def _not_a_workbook(path: Path) -> str:
     return f"{path} is not an Excel workbook (.xlsx) that can be read"
 
 
-def _find(path: Path, workbook: Any) -> tuple[int, Layout]:
-    """Number of the first sheet whose table weighs most, and the layout of that table."""
+def _find(path: Path, workbook: Any) -> tuple[int, Layout, tuple[str, ...]]:
+    """Number of the first sheet whose table weighs most, the layout of that table, and doubts.
+
+    Other sheets with the same names may hold the rest of the test.
+    """
     heads = [
         [cells for _, cells in islice(_filled_rows(path, sheet), SEARCHED)]
         for sheet in workbook.worksheets
@@ -164,8 +206,20 @@ def _find(path: Path, workbook: Any) -> tuple[int, Layout]:
         )
         raise RecordError(f"{path} holds no row of two names or more above numbers: {held}")
     if not named:
-        return max(bare, key=lambda table: table[1].count)
-    return max(named, key=lambda table: table[1].weight)
+        return *max(bare, key=lambda table: table[1].count), ()
+    number, layout = max(named, key=lambda table: table[1].weight)
+    names = heads[number][layout.names or 0]
+    alike = [
+        repr(workbook.worksheets[n].title)
+        for n, other in named
+        if n != number and heads[n][other.names or 0] == names
+    ]
+    have, are = ("has", "is") if len(alike) == 1 else ("have", "are")
+    doubt = (
+        f"sheet {workbook.worksheets[number].title!r} is read; {', '.join(alike[:4])} "
+        f"{have} the same columns, and {are} not"
+    )
+    return number, layout, (doubt,) if alike else ()
 
 
 def _described(head: list[Cells]) -> str:

@@ -13,9 +13,11 @@ from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.numbers import why_invalid
 from mfd_bayes.records.readers.bounds import CELLS, check_columns, read_json_text
-from mfd_bayes.records.readers.cells import bad_cell, is_number, sample
+from mfd_bayes.records.readers.cells import bad_cell, bare_unit, is_number, sample
 from mfd_bayes.records.readers.labels import label
 from mfd_bayes.records.readers.table import Table
+
+_UNITS = ("units", "unit")
 
 
 def read_json(path: Path) -> Table:
@@ -27,6 +29,8 @@ def read_json(path: Path) -> Table:
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
     columns = _columns(path, content)
+    units = _units(content, list(columns))
+    columns = {name: cells for name, cells in columns.items() if not (units and name in _UNITS)}
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
 
@@ -37,7 +41,21 @@ def read_json(path: Path) -> Table:
             raise RecordError(f"columns of {path} have different lengths or row labels")
         return {name: _numbers(path, name, columns[name]) for name in wanted}
 
-    return Table(path, tuple(columns), load, sample, headed=not _is_bare(content))
+    return Table(path, tuple(columns), load, sample, units, headed=not _is_bare(content))
+
+
+def _units(content: object, names: list[str]) -> dict[str, str]:
+    """Name to unit of an object that has "units": an object, or a list in the columns' order."""
+    given = (
+        next((content[k] for k in _UNITS if k in content), None)
+        if isinstance(content, dict)
+        else None
+    )
+    if isinstance(given, list):
+        given = dict(zip((name for name in names if name not in _UNITS), given, strict=False))
+    if not isinstance(given, dict) or not all(isinstance(u, str) for u in given.values()):
+        return {}
+    return {name: unit for name, text in given.items() if (unit := bare_unit(text))}
 
 
 def _is_bare(content: object) -> bool:

@@ -28,7 +28,13 @@ _MB = 2**20
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 _CODE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_STRUCT = 2
+_STRUCT, _CHAR = 2, 4
+_DEEPEST = 2  # structs in structs: as in Simulink's structure with time
+_LABEL = 200  # bytes of a label
+_CODES = {
+    **{kind: {"<": "utf-8", ">": "utf-8"} for kind in (1, 2, 16)},
+    **{kind: {"<": "utf-16-le", ">": "utf-16-be"} for kind in (4, 17)},
+}
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x08
 _ORDERS = {b"IM": "<", b"MI": ">"}
@@ -87,9 +93,18 @@ def _columns(data: memoryview, order: str, field: str = "") -> Iterator[tuple[st
     if matrix is None:
         return
     size = math.prod(matrix.shape)
-    if matrix.kind == _STRUCT and size == 1 and not field:
-        for name, content in _fields(matrix, order):
-            yield from _columns(content, order, f"{matrix.name}.{name}")
+    if matrix.kind == _STRUCT and 0 < size <= SIGNALS and field.count(".") < _DEEPEST:
+        for number, element in enumerate(_structs(matrix, size, order), start=1):
+            if field and "values" not in dict(element):  # no signal of Simulink's
+                continue
+            place = (field or matrix.name) + (f"({number})" if size > 1 else "")
+            label = next(
+                (_label(content, order) for name, content in element if name == "label"), ""
+            )
+            for name, content in element:
+                full = f"{place}.{name}"
+                for own, numbers in _columns(content, order, full):
+                    yield (f"{own} {label}" if label and own == full else own), numbers
     elif matrix.kind in _NUMERIC and size > 1 and max(matrix.shape) * SIGNALS >= size:
         kind, content = next(matrix.content, (0, _NOTHING))
         code = _CODE.get(kind)
@@ -132,18 +147,33 @@ def _matrix(data: memoryview, order: str) -> _Matrix | None:
     return _Matrix(kind, shape, _text(name), parts)
 
 
-def _fields(matrix: _Matrix, order: str) -> Iterator[tuple[str, memoryview]]:
-    """Names and contents of a struct's fields."""
+def _structs(matrix: _Matrix, size: int, order: str) -> Iterator[list[tuple[str, memoryview]]]:
+    """Names and contents of the fields of each struct of an array."""
     (length,) = _integers(next(matrix.content, None), order, "i4")[:1] or [0]
     _, names = next(matrix.content, (0, _NOTHING))
     if length <= 0 or len(names) // length > _MOST_FIELDS:
         raise _BrokenError
-    for at in range(0, len(names) - length + 1, length):
-        kind, content = next(matrix.content, (0, _NOTHING))
-        if kind != _MATRIX:
-            raise _BrokenError
-        if len(content):  # an empty field may have no content at all
-            yield _text(names[at : at + length]), content
+    fields = [_text(names[at : at + length]) for at in range(0, len(names) - length + 1, length)]
+    for _ in range(size):
+        found = []
+        for name in fields:
+            kind, content = next(matrix.content, (0, _NOTHING))
+            if kind != _MATRIX:
+                raise _BrokenError
+            if len(content):  # an empty field may have no content at all
+                found.append((name, content))
+        yield found
+
+
+def _label(data: memoryview, order: str) -> str:
+    """Text of a field, as Simulink labels a signal; empty where it holds none."""
+    parts = _elements(data, order)
+    flags = _integers(next(parts, None), order, "u4")
+    shape = _integers(next(parts, None), order, "i4")
+    _, (kind, content) = next(parts, None), next(parts, (0, _NOTHING))
+    if not flags or flags[0] & 0xFF != _CHAR or min(shape, default=0) != 1 or kind not in _CODES:
+        return ""
+    return bytes(content)[:_LABEL].decode(_CODES[kind][order], "replace").replace("\0", "").strip()
 
 
 def _integers(element: tuple[int, memoryview] | None, order: str, code: str) -> list[int]:

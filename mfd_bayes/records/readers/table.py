@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -24,6 +24,10 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)  # by column, where the file gives one
     numbers: tuple[int, ...] | None = None  # of the columns, from 1; by default in their order
     headed: bool = True  # whether the file has names; without them, they are "column 1", …
+    blocks: Mapping[int, str] = field(default_factory=dict)  # row to place of the header above it
+    notes: tuple[str, ...] = ()  # sentences on numbers of the file that are not in the table
+    doubts: tuple[str, ...] = ()  # the same, of those that probably belong to it
+    patchy: Callable[[Sequence[str]], dict[str, Array]] | None = None  # as load, NaN for bad cells
 
     def __post_init__(self) -> None:
         check_names(self.path, self.names)
@@ -48,6 +52,25 @@ class Table:
         if 0 in sizes.values():
             raise RecordError(f"{self.path} has columns but no data")
         return columns
+
+    def part(self, first: int, last: int, doubt: str) -> Table:
+        """Table of rows `first` to before `last`; `doubt` says what is left out.
+
+        Raises
+        ------
+        RecordError
+            When the file's reader cannot leave out rows.
+        """
+        patchy = self.patchy
+        if patchy is None:
+            raise RecordError(f"{self.path}: no part of it can be read")
+        return replace(
+            self,
+            load=lambda names: {n: column[first:last] for n, column in patchy(names).items()},
+            place=lambda row: self.place(row + first),
+            blocks={row - first: at for row, at in self.blocks.items() if row > first},
+            doubts=(*self.doubts, doubt),
+        )
 
     def number_of(self, name: str) -> int:
         """Number of a column in the file, from 1."""

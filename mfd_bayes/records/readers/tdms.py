@@ -8,7 +8,8 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -19,10 +20,12 @@ from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.cells import bad_cell, bare_unit, missing_library, sample, unreadable
 from mfd_bayes.records.readers.table import Table
-from mfd_bayes.units import measure
+from mfd_bayes.units import factor, measure
 
 SAMPLES = 50_000_000  # most samples of a channel: thirteen hours at 1024 Hz
 LISTED = 20_000_000  # most channels that all parts list together, at a microsecond each
+EVEN = 1e-6  # steps of time that differ by a smaller share are equal
+SHARE = 0.02  # of a step: channels that are out of step by less are in step
 _KINDS = {"O": "text", "M": "dates", "c": "complex numbers"}
 
 
@@ -34,9 +37,16 @@ class _Clock:
     start: float
     unit: str
     samples: int
+    began: float | None = None  # s, of the file's first channel with a start time
 
     def times(self) -> Array:
-        return self.start + self.increment * np.arange(self.samples, dtype=np.float64)
+        return self.begin + self.increment * np.arange(self.samples, dtype=np.float64)
+
+    @property
+    def begin(self) -> float:
+        """Time of the first sample, in the unit of the axis."""
+        seconds = factor(self.unit, "time")
+        return self.start + (0.0 if self.began is None else self.began / seconds)
 
 
 @dataclass(frozen=True)
@@ -65,26 +75,135 @@ def read_tdms(path: Path) -> Table:
     ``group/time`` where groups were sampled at different times.
     """
     with _opened(path) as file:
-        found = [_described(channel) for channel in _channels(file) if len(channel)]
+        found = _from_first([_described(channel) for channel in _channels(file) if len(channel)])
     if not found:
         raise RecordError(f"{path} holds no channel with data")
     shared = Counter(channel.name for channel in found)
     channels = {c.name if shared[c.name] == 1 else f"{c.group}/{c.name}": c for c in found}
-    clocks = {} if any(c.is_time for c in found) else _clocks(found)
+    timed = any(c.is_time for c in found)
+    clocks = {} if timed else _clocks(found)
     clocks = {name: clock for name, clock in clocks.items() if name not in channels}
 
     def load(wanted: Sequence[str]) -> dict[str, Array]:
+        own = {n: channels[n].clock for n in wanted if n in channels and not channels[n].is_time}
+        given = {name: clock for name, clock in own.items() if clock is not None}
+        if timed:
+            _check_alike(path, given)
+            given = {}
+        given |= {name: clocks[name] for name in wanted if name in clocks}
         with _opened(path) as file:
-            return {
+            columns = {
                 name: clocks[name].times()
                 if name in clocks
                 else _numbers(path, name, file, channels[name])
                 for name in wanted
             }
+        return columns | _together(path, given, columns)
 
     units = {name: c.unit for name, c in channels.items() if c.unit}
     units |= {name: clock.unit for name, clock in clocks.items()}
-    return Table(path, (*clocks, *channels), load, sample, units)
+    return Table(path, (*clocks, *channels), load, sample, units, notes=_apart(channels))
+
+
+def _from_first(channels: Sequence[_Channel]) -> list[_Channel]:
+    """Channels with start times counted from the first of them."""
+    began = [c.clock.began for c in channels if c.clock and c.clock.began is not None]
+    first = min(began, default=0.0)
+    return [
+        replace(c, clock=replace(c.clock, began=c.clock.began - first))
+        if c.clock is not None and c.clock.began is not None
+        else c
+        for c in channels
+    ]
+
+
+def _apart(channels: Mapping[str, _Channel]) -> tuple[str, ...]:
+    """Sentence on channels that do not begin, end or step as the first of them does."""
+    clocks = {n: c.clock for n, c in channels.items() if c.numeric and c.clock is not None}
+    said = []
+    first = min(clocks, key=lambda name: clocks[name].begin, default="")
+    for name, clock in clocks.items():
+        one = clocks[first]
+        if clock.begin >= one.begin + one.increment * one.samples:
+            continue  # of another test
+        if not math.isclose(clock.increment, one.increment, rel_tol=EVEN):
+            steps = f"{first} has a step of {one.increment:g}, {name} of {clock.increment:g}"
+            return (f"{steps}: they cannot be used together",)
+        if clock.begin > one.begin:
+            said.append(f"{name} begins {clock.begin - one.begin:.6g} {clock.unit} after {first}")
+        elif clock.samples != one.samples:
+            said.append(f"{name} has {clock.samples} samples, {first} {one.samples}")
+    more = f", and {len(said) - 3} more" if len(said) > 3 else ""
+    return (f"{', '.join(said[:3])}{more}: only what columns share is used",) if said else ()
+
+
+def _check_alike(path: Path, clocks: Mapping[str, _Clock]) -> None:
+    """Refuse waveforms of different clocks beside a channel of times, which is that of one."""
+    names = list(clocks)
+    for name in names[1:]:
+        one, other = clocks[names[0]], clocks[name]
+        steps = one.increment, other.increment
+        if (
+            not math.isclose(*steps, rel_tol=EVEN)
+            or abs(other.begin - one.begin) > SHARE * steps[0]
+        ):
+            raise RecordError(
+                f"{_differ(path, names[0], one, name, other)}, and the file has one time"
+            )
+
+
+def _together(
+    path: Path, clocks: Mapping[str, _Clock], columns: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Columns while all of them were measured, at the samples of the one that began last.
+
+    Raises
+    ------
+    RecordError
+        When they have other steps, or are never measured together.
+    """
+    if len(set(clocks.values())) < 2:
+        return {}
+    names = list(clocks)
+    first = clocks[names[0]]
+    late: dict[str, float] = {}
+    for name, clock in clocks.items():
+        alike = math.isclose(clock.increment, first.increment, rel_tol=EVEN)
+        if clock.unit != first.unit or not alike:
+            raise RecordError(f"{_differ(path, names[0], first, name, clock)}: resample them first")
+        if (clock.began is None) != (first.began is None) and (clock.began or first.began):
+            raise RecordError(
+                f"{path}: of {names[0]} and {name} only one has a start time, wf_start_time, which "
+                "is not that of the file's first channel: they cannot be aligned"
+            )
+        late[name] = (clock.begin - first.begin) / first.increment
+    start = max(late.values())
+    size = math.floor(min(late[n] + c.samples for n, c in clocks.items()) - start + SHARE)
+    if size < 1:
+        raise RecordError(f"{path}: {' and '.join(names)} are never measured at the same time")
+    found = {}
+    for name in names:
+        begin, values = start - late[name], columns[name]
+        if abs(begin - round(begin)) < SHARE:
+            found[name] = values[round(begin) : round(begin) + size]
+        else:
+            found[name] = np.interp(begin + np.arange(size), np.arange(values.size), values)
+    sizes = min(column.size for column in found.values())
+    return {name: column[:sizes] for name, column in found.items()}
+
+
+def _differ(path: Path, one: str, first: _Clock, other: str, second: _Clock) -> str:
+    """Sentence on two channels whose clocks differ."""
+    if first.unit != second.unit or not math.isclose(
+        first.increment, second.increment, rel_tol=EVEN
+    ):
+        return (
+            f"{path}: {one} has a step of {first.increment:g} {first.unit} and {other} one of "
+            f"{second.increment:g} {second.unit}"
+        )
+    late = second.begin - first.begin
+    way = "after" if late > 0 else "before"
+    return f"{path}: {other} begins {abs(late):.6g} {first.unit} {way} {one}"
 
 
 class _Stream(BufferedReader):
@@ -185,19 +304,49 @@ def _clock(properties: Mapping[str, Any], samples: int) -> _Clock | None:
         return None
     if not (0 < increment < math.inf and math.isfinite(start)) or measure(unit) != "time":
         return None
-    return _Clock(float(increment), float(start), unit, samples)
+    began = _seconds(properties.get("wf_start_time"))
+    return _Clock(float(increment), float(start), unit, samples, began)
+
+
+def _seconds(moment: Any) -> float | None:
+    """Seconds of a time stamp since 2020, about; None where a writer left it at its zero, 1904."""
+    if isinstance(moment, datetime):
+        moment = np.datetime64(moment.replace(tzinfo=None) - (moment.utcoffset() or timedelta()))
+    if not isinstance(moment, np.datetime64) or np.isnat(moment) or moment < np.datetime64("1910"):
+        return None
+    return float((moment - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
 
 
 def _clocks(channels: Sequence[_Channel]) -> dict[str, _Clock]:
-    """Name to clock: one for all channels, or one for each group whose channels share one."""
-    groups: dict[str, set[_Clock]] = {}
+    """Name to clock: one for all channels, or one for each group whose channels share a step.
+
+    It is that of the first to begin to the last to end.
+    """
+    groups: dict[str, list[_Channel]] = {}
     for channel in channels:
         if channel.numeric and channel.clock is not None:
-            groups.setdefault(channel.group, set()).add(channel.clock)
-    shared = set().union(*groups.values())
-    if len(shared) == 1:
-        return {"time": shared.pop()}
-    return {f"{group}/time": own.pop() for group, own in groups.items() if len(own) == 1}
+            groups.setdefault(channel.group, []).append(channel)
+    found: dict[str, _Clock] = {}
+    for group, members in groups.items():
+        own = [channel.clock for channel in members if channel.clock is not None]
+        if (span := _span(own)) is not None:
+            found[f"{group}/time"] = span
+    if len(set(found.values())) == 1:
+        return {"time": next(iter(found.values()))}
+    return found
+
+
+def _span(clocks: Sequence[_Clock]) -> _Clock | None:
+    """Clock from the first sample of several to their last; None where their steps differ."""
+    first = min(clocks, key=lambda clock: clock.begin)
+    alike = all(
+        c.unit == first.unit and math.isclose(c.increment, first.increment, rel_tol=EVEN)
+        for c in clocks
+    )
+    if not alike:
+        return None
+    ends = [round((c.begin - first.begin) / c.increment) + c.samples for c in clocks]
+    return replace(first, samples=max(ends))
 
 
 def _numbers(path: Path, name: str, file: Any, channel: _Channel) -> Array:

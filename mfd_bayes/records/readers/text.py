@@ -19,14 +19,19 @@ import numpy as np
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers.bounds import check_columns, check_text
-from mfd_bayes.records.readers.cells import bad_cell, is_number
+from mfd_bayes.records.readers.cells import as_number, bad_cell, is_number
 from mfd_bayes.records.readers.labels import label, labels
 from mfd_bayes.records.readers.layout import (
     SEARCHED,
     Layout,
+    body_of,
     find_layout,
     find_numbers,
+    first_of,
+    gives_units,
     is_narrow,
+    is_word,
+    left_out,
     units_of,
 )
 from mfd_bayes.records.readers.table import Table
@@ -37,6 +42,9 @@ SEPARATORS = (",", "\t", ";", BLANKS)
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 # 0,5 · ,5 · 1,25 · 1,2345 · 1234,5: the comma cannot be a thousands separator.
 _SURELY_DECIMAL = re.compile(r"(?<![\d.])0*,\d|\d,\d{1,2}(?!\d)|,\d{4}|\d{4},\d|,\d{3}[eE]")
+_ERROR = re.compile(r"#(?:N/A|VALUE!|REF!|DIV/0!|NUM!|NAME\?|NULL!)")
+_COMMENTS = ("#", "%", "//", ";", "!")  # signs before names, from programs of all kinds
+_DIGITS = frozenset("0123456789+-.,")
 _COMMA_NUMBER = re.compile(r"[+-]?\d+,\d{3}(?!\d)")
 
 
@@ -67,6 +75,19 @@ class _Text:
                     self._check_commas()
                 return dict(zip(wanted, columns, strict=True))
         raise self._fault(wanted, positions)
+
+    def patchy(self, wanted: Sequence[str]) -> dict[str, Array]:
+        """As `load`, with NaN for cells that hold no finite number."""
+        positions = [self.names.index(name) for name in wanted]
+        cells = self._frame(positions, dtype=str, keep_default_na=False)
+        found = [
+            {
+                name: np.array([as_number(cell, sign) for cell in cells[at]])
+                for name, at in zip(wanted, positions, strict=True)
+            }
+            for sign in self._decimals()
+        ]
+        return max(found, key=lambda one: sum(np.isfinite(c).sum() for c in one.values()))
 
     def _decimals(self) -> tuple[str, ...]:
         return (".",) if self.separator == "," else (".", ",")
@@ -168,40 +189,134 @@ def read_text(path: Path) -> Table:
 
     A table is a row of names, perhaps a row of units, and rows of numbers; the one with the
     largest share of numbers is taken. Where there is none, the longest block of rows of numbers
-    is, and its columns are called "column 1", "column 2", …. Blank lines and those that begin
-    with # are skipped.
+    is, and its columns are called "column 1", "column 2", …, or as in a comment right above them.
+    Blank lines and those that begin with # are skipped, and headings that are repeated between the
+    numbers.
     """
     check_text(path)
     lines = _decoded(path).split("\n")
-    kept = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    kept = [i for i, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     if not kept:
         raise RecordError(f"{path} is empty")
     head = [lines[i] for i in kept[:SEARCHED]]
     check_columns(path, 1 + max(line.count(sign) for line in head for sign in SEPARATORS[:-1]))
     separator, layout = _best(head) or (_written_in(head[0]), Layout(0, None, 1, 0.0, 0))
+    heading = [_split(line, separator) for line in head]
+    layout = first_of(heading, layout, _reads)
     names = _names(head, layout, separator)
-    rows = _without_footer(lines, kept[layout.data :], separator, len(names))
-    top = layout.data if layout.names is None else layout.names
+    units = heading[layout.units] if layout.units is not None else []
+    top = kept[layout.data if layout.names is None else layout.names]
+    headed = layout.names is not None
+    if not headed and (said := _commented(lines[:top], separator, len(names))):
+        top, (names, units), headed = said[0], said[1:], True
+    rows = range(layout.data, len(kept))
+    body = body_of(
+        _words(lines, kept, rows, separator),
+        rows,
+        lambda at: _split(lines[kept[at]], separator),
+        heading[: layout.data],
+        layout,
+        _reads,
+    )
+    of_numbers = _without_footer(lines, [kept[at] for at in body.rows], separator, len(names))
     text = _Text(
         path,
         separator,
         names,
-        heading=kept[top] + 1,
-        lines=[lines[i] for i in rows],
-        numbers=[i + 1 for i in rows],
-        as_in="as many as in" if layout.names is None else "one for each name in",
+        heading=top + 1,
+        lines=[lines[i] for i in of_numbers],
+        numbers=[i + 1 for i in of_numbers],
+        as_in="one for each name in" if headed else "as many as in",
     )
+    places = [f"line {i + 1}" for i in kept]
+    notes = left_out(str(path), heading[: layout.data], body, places, names, headed, _reads)
     _check_widths(text)
-    units = () if layout.units is None else _split(head[layout.units], separator)
-    found = units_of(names, units)
-    return Table(path, names, text.load, text.place, found, headed=layout.names is not None)
+    _check_order(path, lines, separator, names, top if headed else None)
+    return Table(
+        path,
+        names,
+        text.load,
+        text.place,
+        units_of(names, units),
+        headed=headed,
+        blocks={row: places[at] for row, at in body.blocks.items()},
+        notes=notes,
+        patchy=text.patchy,
+    )
+
+
+def _is_comment(line: str) -> bool:
+    """Whether a line is a comment, and does not begin with an error of a spreadsheet: "#N/A"."""
+    text = line.lstrip()
+    return text.startswith("#") and not _ERROR.match(text)
+
+
+def _commented(
+    above: Sequence[str], separator: str, width: int
+) -> tuple[int, tuple[str, ...], list[str]] | None:
+    """Names, and units, in the comments right above numbers that have none, with their line."""
+    comments = [at for at, line in enumerate(above) if line.lstrip().startswith(_COMMENTS)]
+    rows = {at: _words_of(above[at], separator, width) for at in comments[-2:]}
+    found = [at for at in rows if rows[at]]
+    if not found:
+        return None
+    at = found[0] if len(found) == 2 and gives_units(rows[found[1]], rows[found[0]]) else found[-1]
+    units = rows[found[1]] if at != found[-1] else []
+    return at, labels(rows[at]), units
+
+
+def _words_of(comment: str, separator: str, width: int) -> list[str]:
+    """Words of a comment, one for each column; empty where it has not so many, or a number."""
+    whole = comment.strip()
+    for text in (whole.lstrip("".join(_COMMENTS)).strip(), whole):  # a column may be called #
+        for sign in dict.fromkeys((separator, *SEPARATORS)):
+            words = _split(text, sign)
+            if len(words) == width > 1 and not any(map(_reads, words)):
+                return words
+    return []
+
+
+def _check_order(
+    path: Path, lines: Sequence[str], separator: str, names: Sequence[str], top: int | None
+) -> None:
+    """Refuse a comment below the names that has them in another order."""
+    for at, line in enumerate(lines[top + 1 :] if top is not None else (), start=(top or 0) + 2):
+        if line.lstrip().startswith("#"):
+            words = _words_of(line, separator, len(names))
+            if words and words != list(names) and sorted(words) == sorted(names):
+                raise RecordError(
+                    f"line {at} of {path} names the columns in another order than line "
+                    f"{(top or 0) + 1}: keep one table in a file"
+                )
+
+
+def _words(lines: Sequence[str], kept: Sequence[int], rows: range, separator: str) -> list[int]:
+    """Rows that hold words where the first row has its first number."""
+    first = _split(lines[kept[rows.start]], separator) if rows else []
+    column = next((k for k, cell in enumerate(first) if _reads(cell)), None)
+    found: list[int] = []
+    if column is None:
+        return found
+    for at in rows:
+        line = lines[kept[at]]
+        if column == 0 and line.lstrip()[:1] in _DIGITS:
+            continue
+        cells = _split(line, separator)
+        if any(is_word(cell) for cell in cells[: column + 1]) and not (
+            column < len(cells) and _reads(cells[column])
+        ):
+            found.append(at)
+    return found
 
 
 def _decoded(path: Path) -> str:
-    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or in Windows-1252."""
+    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan.
+
+    Numbers and units are the same in all of these; names may look odd.
+    """
     with path.open("rb") as file:
         marked = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252", "cp932", "latin-1"):
         try:
             text = path.read_text(encoding=encoding)
         except UnicodeError:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.together.causes import Cause, likely_cause
-from mfd_bayes.records.together.odd import QUANTITIES, Deviation, find_odd
+from mfd_bayes.records.together.odd import QUANTITIES, SAME_LEVEL, Deviation, find_odd
 from mfd_bayes.records.together.tested import Tested
 from mfd_bayes.records.together.twins import find_twin
 from mfd_bayes.units import actuation_factor
@@ -26,6 +26,11 @@ WHOLE = 0.98
 
 FAR, ALIKE = 4.0, 1.6
 """An actuation of more than `FAR` times the nearest one changes the slip force by `ALIKE`."""
+
+UNLIKE = 1.6
+"""Slip forces at like actuation, and speeds within `SPEED`, differ by less than this factor."""
+
+SPEED = 3.0
 
 _OF_FORCE = (
     "the swapped sign is probably that of the force: its motion begins as those of the other tests"
@@ -44,8 +49,27 @@ _SAID |= {"plateau": "a slip force of {:.3g} kip"}
 
 
 def compare_tests(tests: Sequence[Tested]) -> list[tuple[str, Fault]]:
-    """Faults by test: duplicates, then signs, then units, actuations and other devices."""
-    return [*_twins(tests), *_signs(tests), *_odd(tests)]
+    """Faults by test: duplicates, then clocks, signs, units, actuations and other devices."""
+    return [*_twins(tests), *_clocks(tests), *_signs(tests), *_odd(tests)]
+
+
+def _clocks(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose steps of time and cycles are those of another one, but in ms."""
+    for one in tests:
+        for other in tests:
+            if not 0.0 < other.cycle < one.cycle:
+                continue
+            steps, cycles = one.step / other.step, one.cycle / other.cycle
+            if abs(steps - 1000.0) < 1.0 and 0.5 < cycles / 1000.0 < 2.0:
+                yield (
+                    one.id,
+                    Fault(
+                        "time unit",
+                        f"its steps of {one.step:.3g} s and its cycles of {one.cycle:.4g} s are a "
+                        f"thousand times those of {other.id}: is time in ms rather than in s?",
+                    ),
+                )
+                break
 
 
 def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
@@ -112,7 +136,9 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         cause = likely_cause(away, steady[j].units)
         yield steady[j].id, Fault(cause.name, _sentence(steady[j], away, cause, others))
     rest = [t for i, t in enumerate(steady) if i not in found]
-    yield from _far_levels(rest)
+    far = list(_far_levels(rest))
+    yield from far
+    yield from _unlike([t for t in rest if t.id not in {name for name, _ in far}])
 
 
 def _far_levels(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
@@ -138,6 +164,64 @@ def _far_levels(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                     f"same: {_of_actuation(one, cause, others)}",
                 ),
             )
+
+
+def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose slip force is not that of their neighbours in actuation."""
+    known = [t for t in tests if t.level > 0.0 and _plateau(t) > 0.0]
+    away = {one.id: _from_neighbours(one, known) for one in known}
+    for one in known:
+        same = [t for t in known if t is not one and _same_level(t, one)]
+        factor, names = away[one.id]
+        if abs(factor) < np.log(UNLIKE):
+            continue
+        which = "check the range of its load cell, its actuation and its file"
+        if len(same) == 1 and abs(away[same[0].id][0]) >= np.log(UNLIKE):  # which of the two is it?
+            others = [t for t in known if not _same_level(t, one)]
+            sizes = [abs(_from_neighbours(t, [t, *others], ends=True)[0]) for t in (one, same[0])]
+            if sizes[0] < sizes[1]:
+                continue
+            if sizes[0] == sizes[1]:
+                which = f"one of the two is wrong; {which}"
+        sentence = (
+            f"its slip force, {_plateau(one):.3g} kip, is {np.exp(factor):.2g} times the one of "
+            f"about {_plateau(one) / np.exp(factor):.3g} kip of its neighbours in actuation "
+            f"({', '.join(names)}): {which}"
+        )
+        yield one.id, Fault("slip force" if which.startswith("one") else "force", sentence)
+
+
+def _same_level(one: Tested, other: Tested) -> bool:
+    return bool(abs(np.log(one.level / other.level)) < SAME_LEVEL)
+
+
+def _from_neighbours(
+    one: Tested, tests: Sequence[Tested], *, ends: bool = False
+) -> tuple[float, list[str]]:
+    """Logarithm of the slip force over that of tests at like actuation and speed, and their names.
+
+    Without a test at the same actuation, it is interpolated between the levels below and above;
+    0 where it cannot be. With `ends`, beyond the other levels the slip force follows the root of
+    the actuation.
+    """
+    others = [
+        t for t in tests if t is not one and not abs(np.log(t.speed / one.speed)) > np.log(SPEED)
+    ]
+    near = [t for t in others if _same_level(t, one)]
+    if near:
+        expected = float(np.median([np.log(_plateau(t)) for t in near]))
+        return np.log(_plateau(one)) - expected, [t.id for t in near]
+    below = max((t.level for t in others if t.level < one.level), default=None)
+    above = min((t.level for t in others if t.level > one.level), default=None)
+    levels = [level for level in (below, above) if level is not None]
+    near = [t for t in others if t.level in levels]
+    if len(levels) < 2 and not (ends and levels):
+        return 0.0, []
+    forces = [np.median([np.log(_plateau(t)) for t in near if t.level == at]) for at in levels]
+    expected = float(np.interp(np.log(one.level), np.log(levels), forces))
+    if len(levels) < 2:
+        expected += 0.5 * float(np.log(one.level / levels[0]))
+    return np.log(_plateau(one)) - expected, [t.id for t in near]
 
 
 def _plateau(test: Tested) -> float:

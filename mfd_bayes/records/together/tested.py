@@ -40,6 +40,10 @@ class Tested:
         As the campaign gives it, "" for a column.
     units : mapping of str to str
         Unit of displacement and of force that the record was read in.
+    step, cycle : float, s
+        Median step of time, and median time of a full loop; 0 where there is none.
+    speed : float, in/s
+        Exceeded in a tenth of the samples.
     swapped : bool
         Whether displacement and force seem to be each other.
     """
@@ -55,6 +59,9 @@ class Tested:
     level: float
     actuation: str
     units: dict[str, str]
+    step: float = 0.0
+    cycle: float = 0.0
+    speed: float = float("nan")
     swapped: bool = False
 
     @classmethod
@@ -76,5 +83,8 @@ class Tested:
             level=trace.reference_actuation,
             actuation=actuation,
             units=units,
+            step=float(np.median(np.diff(trace.time))),
+            cycle=float(np.median(loops.period)) if loops.period.size else 0.0,
+            speed=float(np.quantile(np.abs(trace.velocity), 0.9)),
             swapped=channels_swapped(trace),
         )
