@@ -29,7 +29,7 @@ _PREDICT = ("predict", "out", "--motion", "a.csv", "--actuation", "500 psi", "-o
 COMMANDS: tuple[tuple[str, ...], ...] = (
     (*_PREDICT, "--kind", "new_test", "--probability", "0.9"),
     (*_PREDICT, "--kind", "this_test", "--test", "a", "--quiet"),
-    (*_PREDICT, "--kind", "observation", "--recalibrate", "--compare", "--whole"),
+    (*_PREDICT, "--kind", "observation", "--compare", "--whole"),
     ("calibrate", "campaign.toml", "-o", "new", "--effort", "quick", "--seed", "1", "--jobs", "1"),
     ("calibrate", "campaign.toml", "-o", "new", "--scheduler", "tcp://127.0.0.1:1"),
     ("crossvalidate", "campaign.toml", "-o", "new", "--by", "level", "--jobs", "1"),

@@ -27,9 +27,12 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.pipeline.commands import effort_of
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.design import lay_out
-from mfd_bayes.population.population import Population
+from mfd_bayes.population.design import design_of
+from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
+from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.population import LawDraws, Population
 from mfd_bayes.population.settings import Setting, setting_of
+from mfd_bayes.population.starts import Starts
 from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables
@@ -127,16 +130,24 @@ def _write_posterior(path: Path, posterior: Posterior, rng: Rng) -> None:
 def _write_population(
     path: Path, priors: PriorFile, names: Sequence[str], under: list[Setting], rng: Rng
 ) -> None:
-    layout = lay_out(priors, names, under, LAWS)
-    cells = sum(len(effect.cells) for effect in layout.effects)
-    d = len(layout.names)
-    factors = np.tril(rng.normal(size=(2, 6, d, d)))
+    design = design_of(priors, names, under, LAWS)
+    begin = design.free.size + len(design.effects)
+    h = rng.normal(-2.0, 0.2, size=(12, begin + len(design.shapes)))
+    choice = np.tile([LAW_NAMES.index(law) for law in design.laws.values()], (12, 1))
+    draws = {"h": h[:, :begin], "z": 0.1 * rng.normal(size=(12, design.quantity.size))}
+    draws |= dict(zip(("share", "exponent"), design.law_shapes(h[:, begin:], choice), strict=True))
+    zeros = np.zeros(2 * KNOTS)
+    learned = 0.01 * rng.normal(size=zeros.size), 1e-4 * np.eye(zeros.size), zeros
     population = Population(
-        layout=layout,
-        h=rng.normal(-2.0, 0.2, size=(2, 6, layout.dim)),
-        latent=0.1 * rng.normal(size=(2, 6, 1 + cells, d)),
-        choice=layout.draw_choice(12).reshape(2, 6, -1),
-        together=factors / np.linalg.norm(factors, axis=-1, keepdims=True),
+        design=design,
+        draws=LawDraws(**{name: values.reshape(2, 6, -1) for name, values in draws.items()}),
+        choice=choice.reshape(2, 6, -1),
+        weights={name: {law: 1.0} for name, law in design.laws.items()},
+        alternatives=LawDraws(**draws),
+        alternative_weight=np.full(12, 1.0 / 12.0),
+        residual=Residual(TravelBasis(1.0, 2.0), *learned, 1.0, 0.3, 0.2, 0.01, 0.01),
+        starts=Starts(),
+        begun=None,
         priors=priors.parameters,
         actuation_unit="ksi",
         walkers=6,

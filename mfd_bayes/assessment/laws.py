@@ -120,12 +120,16 @@ def _drawn(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
         index = population.draw_index(n, float(grid[-1]), rng)
         inside = np.where(index < population.size, index, index % population.size)
         numbers = population.draw_numbers(n, grid.size, rng)
-        effects = population.level_effects(index, session, grid, numbers.level)
+        within, beyond = (
+            population.level_effects(chosen, session, grid, numbers.level)
+            for chosen in (inside, index)
+        )
         found: dict[str, list[dict[str, Array]]] = {"device": [], "new_test": []}
         for at, p in enumerate(grid.tolist()):
             setting = Setting(p, session, dict(population.design.covariates))
+            known = population.within_levels(p)
+            chosen, effects = (inside, within) if known else (index, beyond)
             here = {name: effect[:, at] for name, effect in effects.items()}
-            chosen = inside if population.within_levels(p) else index
             made = population.parts(setting, chosen, numbers, here)
             found["device"].append(population.values(made.mean))
             found["new_test"].append(population.values(made.mean + made.scatter))

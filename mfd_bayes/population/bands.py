@@ -19,7 +19,7 @@ from mfd_bayes.population.discrepancy import slip_force_of
 from mfd_bayes.population.population import Numbers, Parts, Population
 from mfd_bayes.population.settings import KIND_NAMES, KINDS, Setting, setting_of
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.records.numbers import MOST_DRAWS, real_number, whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent
@@ -75,7 +75,7 @@ class Forecast:
         if self.kind not in KINDS:
             raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
         real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
-        whole_number("draws", self.draws, FEWEST, FitError)
+        whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, FitError)
         if not isinstance(self.session, str):
             raise FitError(f"session must be text, got {self.session!r}")

@@ -330,6 +330,7 @@ def predict_given(
     grid = population.grid(setting.actuation, trace.actuation if trace.varying else None)
     test = KnownTest(predictor, setting, trace, grid)
     p, log_weights, told = take_in(test, part, counted, max(PARTICLES, forecast.draws), rng)
+    told = replace(told, window=checked_window(window, "given", FitError))
     drawn = test.drawn(p.of(systematic(log_weights, forecast.draws, rng)), trace)
     drawn = replace(drawn, knots=population.residual.draw_knots(rng, forecast.draws))
     source = f"population laws with scatter, and {told.sentence}"

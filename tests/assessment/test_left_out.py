@@ -48,12 +48,6 @@ def test_whole_histories_that_were_held_are_counted():
     assert "whole" not in older.sentence
 
 
-@pytest.mark.parametrize("factors", [(1.0,), (-1.0,) * 7, (math.nan,) * 7])
-def test_factors_that_are_none_are_refused(factors):
-    with pytest.raises(ValueError, match="factors"):
-        replace(STORED.predictions[0], factors=factors)
-
-
 def test_a_test_left_out_is_predicted_from_the_others():
     assert "each predicted from the others" in left_out_view(replace(STORED, by="test")).sentence
 

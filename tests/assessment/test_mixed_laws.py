@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.assessment.mixed_laws import FEWEST, mixed_rows
-from mfd_bayes.population.design import LAW_NAMES
+from mfd_bayes.population.laws import LAW_NAMES
 from mfd_bayes.runs.systems import SI, US
 
 REFERENCE = 2.0  # ksi
@@ -20,7 +20,7 @@ class Mixed:
 
     def __init__(self, name="Fc_fwd", draws=50):
         laws = {"sigma0": "proportional", name: "compare"}
-        self.layout = SimpleNamespace(laws=laws, reference=REFERENCE)
+        self.design = SimpleNamespace(laws=laws, reference=REFERENCE)
         self.law_weights = {name: dict.fromkeys(self.laws, 0.25)}
         of_chain = np.array([[NUMBER[law]] * draws for law in self.laws])
         self.choice = np.stack([np.zeros_like(of_chain), of_chain], axis=-1)

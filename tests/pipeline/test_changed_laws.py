@@ -26,5 +26,5 @@ def test_another_law_samples_the_population_and_no_test(finished_run, tmp_path):
     assert {step.id for step in steps if step.stage == "sampling"} == {"population"}
     assert {p: p.read_bytes() for p in before} == before
     run = mb.open_run(out)
-    assert run.population.layout.laws["sigma0"] == "constant"
+    assert run.population.design.laws["sigma0"] == "constant"
     assert run.manifest.settings.laws["sigma0"] == "constant"

@@ -27,7 +27,6 @@ from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.runs.folder import discard
-from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
 from mfd_bayes.runs.systems import SI_SMALL
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
@@ -384,44 +383,6 @@ def test_a_band_of_the_whole_history_is_wider_than_that_of_single_samples(run):
     assert np.all(whole.whole_upper >= whole.upper)
     inside = (whole.draws >= whole.whole_lower) & (whole.draws <= whole.whole_upper)
     assert 0.95 <= np.mean(np.all(inside, axis=1)) < 0.97
-
-
-def crossed_by_hand(run, *factors):
-    """The run with a cross-validation in which the band of 80 % had these factors."""
-    score = Score((0.5, 0.9, 0.95), 1.0, 1.0, 0.1, 0.3)
-    found = [
-        Prediction(name, name, score, score, True, (1.0, 1.0, 1.0, factor, 1.0, 1.0, 1.0))
-        for name, factor in zip(TESTS, factors, strict=True)
-    ]
-    changed = run.manifest.changed(crossvalidation=CampaignCrossValidation("test", tuple(found)))
-    return replace(run, manifest=changed)
-
-
-def test_a_band_is_widened_by_the_tests_that_were_left_out(run):
-    asked = {"kind": "observation", "probability": 0.8}
-    plain = predicted(run, 0.7, **asked)
-    band = predicted(crossed_by_hand(run, 1.1, 1.6, 0.9), 0.7, **asked, recalibrate=True)
-    # three tests: rank ⌈4 · 0.8⌉ = 4 is beyond them, so the largest, which promises 3 of 4
-    np.testing.assert_allclose(band.median - band.lower, 1.6 * (plain.median - plain.lower))
-    np.testing.assert_allclose(band.upper - band.median, 1.6 * (plain.upper - plain.median))
-    assert plain.remarks == ()
-    assert "1.6 times" in band.remarks[-1]
-    assert "75 % of tests like those, and 3 tests can promise no more" in band.remarks[-1]
-
-
-def test_a_band_that_cannot_be_recalibrated_is_refused(run):
-    observed = {"kind": "observation", "recalibrate": True}
-    with pytest.raises(FitError, match="first run: mfd-bayes crossvalidate"):
-        predicted(run, 0.7, **observed)
-    with pytest.raises(FitError, match="only the kind observation"):
-        predicted(crossed_by_hand(run, 1, 1, 1), 0.7, recalibrate=True)
-    with pytest.raises(FitError, match=r"probability of 0.5, .*, got 0.77"):
-        predicted(crossed_by_hand(run, 1, 1, 1), 0.7, probability=0.77, **observed)
-    older = crossed_by_hand(run, 1, 1, 1).manifest.crossvalidation
-    older = replace(older, predictions=tuple(replace(p, factors=()) for p in older.predictions))
-    old = replace(run, manifest=run.manifest.changed(crossvalidation=older))
-    with pytest.raises(FitError, match="crossvalidate"):
-        predicted(old, 0.7, **observed)
 
 
 def test_predict_explains_what_makes_the_band_wide(out, motion, tmp_path):

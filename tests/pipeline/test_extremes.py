@@ -13,10 +13,9 @@ from typer.testing import CliRunner
 from mfd_bayes.calibration import task as tasks
 from mfd_bayes.calibration.task import calibrate_test
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import FitError, MfdError, RecordError, StoreError, UnitError
+from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.jobs.job import State
-from mfd_bayes.pipeline.plan import Options, layout_of, plan_campaign
-from mfd_bayes.population.storage import check_storable, load_population, save_population
+from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
@@ -136,25 +135,6 @@ def test_a_force_of_zero_and_a_small_one_are_read(tmp_path):
 def test_an_actuation_that_no_run_may_hold_is_refused(text):
     with pytest.raises(UnitError, match="expected an actuation of 0, or of 1e-20 to 1e\\+10"):
         parse_actuation(text)
-
-
-def test_a_layout_that_could_not_be_stored_is_refused_before_anything_is_sampled(home):
-    plan = plan_campaign(write_campaign(home), Options(effort="quick"))
-    layout = layout_of(plan.tasks, plan.manifest.settings)
-    check_storable(layout, "campaign.toml")
-    layout.spread[0] = 1e7
-    with pytest.raises(FitError, match="too large or too small to be stored"):
-        check_storable(layout, "campaign.toml")
-
-
-def test_a_population_that_would_not_be_read_is_not_written(stored, tmp_path):
-    run = open_run(stored)
-    save_population(tmp_path / "good.nc", run.population)
-    load_population(tmp_path / "good.nc", run.priors)
-    run.population.h[0, 0, -1] = 1e300
-    with pytest.raises(StoreError, match=r"bad\.nc must hold hyperparameters"):
-        save_population(tmp_path / "bad.nc", run.population)
-    assert not (tmp_path / "bad.nc").exists()
 
 
 def test_draws_that_would_not_be_read_are_a_failed_test(home, tmp_path, monkeypatch):

@@ -381,7 +381,7 @@ def test_with_another_run_both_give_half_of_the_draws(ask, run, tmp_path, monkey
     assert not {"gap", "C_fwd"} & set(derived["quantity"])  # each model has its own
 
 
-@pytest.mark.parametrize("option", ["--design", "--explain", "--recalibrate"])
+@pytest.mark.parametrize("option", ["--design", "--explain"])
 def test_what_is_of_one_model_is_not_asked_of_several(ask, out, option):
     refused = ask("--sine", "1 in, 0.5 Hz, 2 cycles", "--with", out, option)
     assert refused.exit_code == 2

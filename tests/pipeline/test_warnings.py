@@ -7,14 +7,13 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.calibration.prior_files import find_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.pipeline.findings import laws_without
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.population import sampling
+from mfd_bayes.population import inference
 from mfd_bayes.population.laws import complete_laws
 
 HEAD = '[campaign]\nmodel = "lugre"\nnoise = "iid"\nrate = "32 Hz"\n'
@@ -97,7 +96,7 @@ def test_tolerances_of_a_campaign_are_kept_and_checked(tmp_path):
 @pytest.mark.usefixtures("no_figures")
 def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path, monkeypatch):
     # the laws of tests that contradict each other converge late, and are no matter here
-    monkeypatch.setitem(sampling.SWEEPS, EFFORTS["quick"].ess, 20)
+    monkeypatch.setitem(inference.SWEEPS, "quick", 40)
     path, out = write_campaign(tmp_path, (1, -1)), tmp_path / "out"
     outcome = here("calibrate", path, "-o", out, "--effort", "quick", "--jobs", "1", "--strict")
     assert outcome.exit_code == 1, outcome.output
@@ -117,13 +116,13 @@ def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
 def test_a_run_with_a_test_without_actuation_is_finished(tmp_path, monkeypatch):
-    monkeypatch.setitem(sampling.SWEEPS, EFFORTS["quick"].ess, 20)
+    monkeypatch.setitem(inference.SWEEPS, "quick", 40)
     path, out = write_campaign(tmp_path, (1, 1)), tmp_path / "out"
     path.write_text(path.read_text().replace('"500 psi"', '"0 psi"'))
     outcome = here("calibrate", path, "-o", out, "--effort", "quick", "--jobs", "2")
     assert outcome.exit_code == 0, outcome.output
     run = mb.open_run(out)
-    assert run.population.layout.laws["Fc_fwd"] == "proportional"  # which a test at zero has not
+    assert run.population.design.laws["Fc_fwd"] == "proportional"  # which a test at zero has not
     assert np.all(np.isfinite(run.predict(run.tests["t1"].trace).median))
 
 

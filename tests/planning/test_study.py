@@ -1,7 +1,5 @@
 """Advice on populations of given values, whose best next tests are known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,8 +11,7 @@ from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.loop import loop_of
 from mfd_bayes.planning.regression import fit_left_out
 from mfd_bayes.planning.study import Effort, advise, goals_of
-from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.settings import setting_of
 
 SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
@@ -187,14 +184,11 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
 
 def test_cycles_average_noise(make_situation):
     """With noise alone the energy of n cycles scatters by √n less."""
-    situation = make_situation(level=1e-9, scatter=1e-9)
-    noisy = replace(situation.population, latent=situation.population.latent.copy())
-    column = noisy.layout.names.index("noise_sd")
-    noisy.latent[..., 0, column] += np.log(30.0) / noisy.layout.spread[column]
+    situation = make_situation(level=1e-9, scatter=1e-9, noise=0.3)
     loop = loop_of(AT_ONE, 0.16)
     kinds = situation.model, situation.noise
     rng = np.random.default_rng(0)
-    devices = Devices.draw(noisy, kinds, [setting_of(loop.trace)], 1600, rng)
+    devices = Devices.draw(situation.population, kinds, [setting_of(loop.trace)], 1600, rng)
     one, nine = (loop.energy(devices.measured(loop, "", n, (1,))).std() for n in (1.0, 9.0))
     assert one / nine == pytest.approx(3.0, rel=0.1)
 

@@ -1,9 +1,10 @@
 """Draws of dampers whose actuation changes in time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from mfd_bayes.population.along import Along
 from mfd_bayes.response import draws
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.choice import Choice
@@ -91,16 +92,17 @@ def test_dampers_of_a_building_deviate_from_the_laws_alike(study, tmp_path, monk
     # what the laws say of each draw is known; the sd of the rest falls with the actuation, and
     # levels one octave apart are related
     population = study.predictor.population
-    index = np.random.default_rng([CHOICE.seed, 0]).choice(population.size, size=CHOICE.draws)
+    rng = np.random.default_rng([CHOICE.seed, 0])
+    index = population.draw_index(CHOICE.draws, 1.0, rng)
     law = population.median("Fc_fwd", np.array([1.0, 2.0])).reshape(-1, 2)[index]
     away = slip - np.log(law)
-    place = [effect.name for effect in population.layout.effects].index("level")
-    effect = np.exp(population.h.reshape(population.size, -1)[index])
-    sd = np.sqrt(np.mean(effect[:, len(population.layout.names) + place] ** 2))
+    sds = population.effect_sds["level_friction"].ravel()[index]
+    sd = np.sqrt(np.mean(sds**2))
     np.testing.assert_allclose(away.std(axis=0), [sd, sd / 2.0], rtol=0.15)
     assert np.corrcoef(away.T)[0, 1] == pytest.approx(0.48, abs=0.1)
-    monkeypatch.setattr(Along, "size", 0)  # the control: the laws hold along the history
-    monkeypatch.setattr(Along, "log_factors", lambda *_: {})
+    # the control: the laws hold along the history
+    grid = type(population).grid
+    monkeypatch.setattr(type(population), "grid", lambda self, level, _: grid(self, level, None))
     away = forward(dampers(study, tmp_path, 2)) - np.log(law)
     assert np.corrcoef(away.T)[0, 1] > 0.95
 
@@ -119,8 +121,11 @@ def test_dampers_begin_without_load_where_the_tests_did(benchmark_module, tmp_pa
     assert np.all((found.mean(axis=0) > 0.01) & (found.mean(axis=0) < 0.2))
     # all dampers of a building do, or none; those that begin anywhere may still bear little
     assert np.corrcoef(found.T)[0, 1] > 0.1
-    monkeypatch.setattr(draws, "replace", lambda standing, luck: standing)  # the control
-    assert abs(np.corrcoef(loaded().T)[0, 1]) < 0.05
+    # the control: each damper has its own luck
+    monkeypatch.setattr(
+        draws, "_own", lambda n, rng: replace(n, flat=rng.normal(size=n.flat.shape))
+    )
+    assert abs(np.corrcoef(loaded().T)[0, 1]) < 0.09  # 4 standard errors
 
 
 def test_random_numbers_are_the_same_at_tested_levels_and_between(study, tmp_path):
@@ -136,7 +141,7 @@ def test_random_numbers_are_the_same_at_tested_levels_and_between(study, tmp_pat
         )
         return np.log(found.theta[:, 0, column])
 
-    tested = [setting.actuation for setting in predictor.population.layout.settings]
+    tested = [setting.actuation for setting in predictor.population.design.settings]
     assert 1.0 in tested
     assert 1.2 not in tested
     assert np.corrcoef(gaps(1.0), gaps(1.2))[0, 1] > 0.99

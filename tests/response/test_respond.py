@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
+from mfd_bayes.population.population import LawDraws
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.choice import Choice
@@ -79,11 +80,18 @@ def quake(tmp_path, ground):
 
 
 def alone(population):
-    """The population with one draw of its hyperparameters, and nothing else unknown."""
-    one = {
-        name: getattr(population, name)[:1, :1] for name in ("h", "latent", "choice", "together")
-    }
-    return replace(population, **one, residual=None, starts=None)
+    """The population with its first draw alone, and nothing else unknown."""
+    one = {name: values[:1, :1] for name, values in vars(population.draws).items()}
+    none = {name: values[:0] for name, values in vars(population.alternatives).items()}
+    certain = replace(population.residual, covariance=np.zeros_like(population.residual.covariance))
+    return replace(
+        population,
+        draws=LawDraws(**one),
+        choice=population.choice[:1, :1],
+        alternatives=LawDraws(**none),
+        alternative_weight=np.zeros(0),
+        residual=certain,
+    )
 
 
 def dampers_of(run, path, scatter, draws=40):

@@ -10,6 +10,7 @@ import pytest
 import mfd_bayes as mb
 from mfd_bayes.errors import NotThereError
 from mfd_bayes.planning.candidate import Candidate, Limits
+from mfd_bayes.population.given import given_part
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.response import grounds_of
 
@@ -60,11 +61,9 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
     ("options", "said"),
     [
         ({"whole": "no"}, "whole must be True or False, got 'no'"),
-        ({"recalibrate": "yes"}, "recalibrate must be True or False, got 'yes'"),
-        ({"explain": "2"}, "explain .*must be a whole number, 0 or more, got '2'"),
-        ({"explain": -5}, "explain .*must be a whole number, 0 or more, got -5"),
-        ({"explain": 2.7}, "explain .*must be a whole number"),
-        ({"explain": None}, "explain .*must be a whole number"),
+        ({"explain": "2"}, "explain must be True or False, got '2'"),
+        ({"explain": 5}, "explain must be True or False, got 5"),
+        ({"explain": None}, "explain must be True or False, got None"),
         ({"session": ["a"]}, "session must be text"),
         ({"kind": "this_test", "test": ["a"]}, r"test must be text, got \['a'\]"),
         ({"probability": "0.9"}, "probability must be a number between 0 and 1, got '0.9'"),
@@ -83,18 +82,16 @@ def test_options_of_a_prediction_are_checked(run, trace, options, said):
     "given", ["02", b"\x00\x02", {0.0, 2.0}, {0: 1, 2: 3}, ("0", "2"), (True, 2), 5, None]
 )
 def test_a_given_part_is_two_times(run, trace, given):
-    from mfd_bayes.population.given_part import given_part
-
     with pytest.raises(mb.MfdError, match="given must be two times in s"):
         given_part(trace, given, 0.1)
-    assert given_part(trace, np.array([0, 2.0]), 0.1).window == (0.0, 2.0)
+    part, counted = given_part(trace, np.array([0, 2.0]), 0.1)
+    assert part.time[counted][-1] == pytest.approx(2.0, abs=0.2)  # the control
 
 
-def test_true_of_any_kind_explains_as_much(run, trace):
+def test_true_of_any_kind_explains(run, trace):
     own, numpys = (run.predict(trace, draws=20, explain=yes) for yes in (True, np.True_))
     assert own.explained == numpys.explained
-    once = run.predict(trace, draws=20, explain=1).explained
-    assert once != own.explained  # the number of permutations is another
+    assert own.explained != {}
     assert run.predict(trace, draws=20, explain=np.False_).explained == {}
 
 

@@ -8,9 +8,8 @@ import pytest
 from scipy import stats
 
 import mfd_bayes as mb
-from mfd_bayes.population.bands import band_of
+from mfd_bayes.population.bands import Band, Forecast
 from mfd_bayes.population.given import Conditioned
-from mfd_bayes.population.bands import Forecast
 
 TIME = np.arange(200) / 100.0
 
@@ -21,7 +20,7 @@ def fake(model, middle, sd=1.0, tests=("a", "b"), force=0.0, remarks=(), given=N
     def predict(trace, kind, probability, *, draws, seed, **_):
         rng = np.random.default_rng([seed, len(model)])
         force = middle + sd * rng.standard_normal((draws, trace.time.size))
-        band = band_of(trace.time, force, Forecast(kind, probability, draws), "laws")
+        band = Band.of(trace.time, force, Forecast(kind, probability, draws), "laws")
         return replace(band, remarks=remarks, given=given)
 
     record = SimpleNamespace(trace=SimpleNamespace(force=np.full(3, force)))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.population.bands import band_of
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Band, Forecast
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.following import Following
@@ -15,7 +14,7 @@ from mfd_bayes.runs.tested import range_of
 TIME = np.arange(401) / 100
 MOTION = np.sin(2 * np.pi * 0.5 * TIME)
 TESTED = range_of([Trace.from_arrays(TIME, MOTION, p) for p in (0.5, 1.0)], "ksi")
-BAND = band_of(TIME, np.random.default_rng(1).standard_normal((20, TIME.size)), Forecast(), "laws")
+BAND = Band.of(TIME, np.random.default_rng(1).standard_normal((20, TIME.size)), Forecast(), "laws")
 PLAN = {"amplitude": 1.0, "velocity": 3.1}
 
 

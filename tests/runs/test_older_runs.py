@@ -1,7 +1,8 @@
 """Run folders written by earlier versions of this program.
 
 `run_format_0` is of commit 4b0c3bd, before the manifest had hashes and the number of a format:
-two synthetic tests at 500 and 1000 psi with few draws, and one at 800 psi held out.
+two synthetic tests at 500 and 1000 psi with few draws, and one at 800 psi held out. Its population
+was inferred again since.
 """
 
 import json

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.order import NO_GAP, Order

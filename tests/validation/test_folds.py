@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.population.apart import joined
 from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.inference import Inference
+from mfd_bayes.population.population import LawDraws
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.storage import save_test_draws
 from mfd_bayes.runs.folder import hash_stored, pooled_of
@@ -32,7 +33,7 @@ def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):
     file.write_text(json.dumps({"key": key, "predictions": []}))
     assert not replace(fold, rests_on="these laws").stored(tmp_path)
     key = asdict(fold)
-    del key["scores"]  # without whole histories and factors of recalibration
+    del key["scores"]  # without whole histories
     file.write_text(json.dumps({"key": key, "predictions": []}))
     assert not fold.stored(tmp_path)
 
@@ -65,11 +66,10 @@ def test_all_tests_with_an_actuation_cannot_be_left_out(by, part):
 
 def drawn_of(run):
     """An inference of the tests a and b, with draws that no sampler has seen."""
-    rng, layout = np.random.default_rng(0), run.population.layout
-    shape = run.population.h.shape[:2]
-    population = replace(run.population, starts=rng.random((*shape, 2)))
-    tests = [0.1 * rng.normal(size=(*shape, len(layout.names) + 1)) for _ in "ab"]
-    return SimpleNamespace(draws=SimpleNamespace(population=population, tests=tests))
+    rng, population = np.random.default_rng(0), run.population
+    names = population.design.coordinates.names
+    x = 0.1 * rng.normal(size=(*population.shape, 2, len(names)))
+    return Inference(population, x, (), {}, (), 1, (0.5, 0.5))
 
 
 def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
@@ -78,19 +78,19 @@ def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
     benchmark_module("fuzz.runs").write_run(tmp_path / "out")
     run = open_run(tmp_path / "out")
     inference = drawn_of(run)
-    population, layout = inference.draws.population, run.population.layout
+    population, names = inference.population, run.population.design.coordinates.names
     path = tmp_path / "out" / pooled_of("b")
-    save_test_draws(path, layout, joined(layout, 1, inference.draws.tests[1]), {}, "b")
+    save_test_draws(path, inference.values(1), {}, "b")
     files = {k: v for k, v in run.manifest.files.items() if k != pooled_of("b")}
     files |= hash_stored(run.folder, [pooled_of("b")])
     manifest = run.manifest.changed(files=files)
     stored = StoredPooled(run.folder, manifest, population, ("a", "b"))("b")
     found = _pooled(inference, run.tests, "b")
-    assert set(found) == set(stored) == {*layout.names, "start"}
-    for name in found:
+    assert set(found) >= set(names)
+    for name in stored:
         np.testing.assert_allclose(found[name], stored[name], rtol=1e-6)
-    np.testing.assert_array_equal(found["start"], population.starts[..., 1].ravel())
-    fewer = replace(population, h=population.h[:, 1:])
+    draws = {name: values[:, 1:] for name, values in vars(population.draws).items()}
+    fewer = replace(population, draws=LawDraws(**draws))
     with pytest.raises(StoreError, match="does not hold the draws of its population"):
         StoredPooled(run.folder, manifest, fewer, ("a", "b"))("b")
 

@@ -1,0 +1,145 @@
+"""Populations of given values, which no sampler has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.population.design import design_of
+from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
+from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.population import LawDraws, Population
+from mfd_bayes.population.settings import Setting
+from mfd_bayes.population.starts import Starts
+
+Array = NDArray[np.float64]
+
+THREE_STAGE = {
+    "sigma0": 30.0,
+    "sigma1": 0.02,
+    "sigma2": 0.015,
+    "Fc_fwd": 1.3,
+    "Fc_bwd": 1.6,
+    "static_excess_fwd": 0.15,
+    "static_excess_bwd": 0.1,
+    "k2": 0.6,
+    "k3": 20.0,
+    "d2": 0.09,
+    "d3": 0.07,
+    "ell": 0.02,
+    "v_s": 0.4,
+    "offset": 0.03,
+    "noise_sd": 0.05,
+}
+"""Medians over tests at the reference actuation."""
+
+
+def no_residual(**changed: Any) -> Residual:
+    """No discrepancy, and even white noise."""
+    zeros = np.zeros(2 * KNOTS)
+    plain = Residual(
+        TravelBasis(1.0, 1.0), zeros, np.zeros((zeros.size, zeros.size)), zeros, 1.0, 0.0, 1e-3,
+        1e-3, 1e-6,
+    )  # fmt: skip
+    return replace(plain, **changed)
+
+
+def make_population(
+    settings: Sequence[Setting],
+    laws: Mapping[str, str] | None = None,
+    *,
+    medians: Mapping[str, float] | None = None,
+    level_sd: float | Mapping[str, float] = 0.01,
+    scatter: float | Mapping[str, float] = 0.1,
+    effect: float | Mapping[str, float] = 1e-6,
+    share: float = 0.5,
+    exponent: float = 1.0,
+    exponent_sd: float = 0.0,
+    shape: tuple[int, int] = (4, 100),
+    everywhere: bool = True,
+    residual: Residual | None = None,
+    starts: Starts | None = None,
+    reference: float | None = 1.0,
+    dependence: Mapping[str, Sequence[str]] | None = None,
+    alternatives: Mapping[str, float] | None = None,
+) -> Population:
+    """A population with medians known to `level_sd`, and scatter and effects of these sds.
+
+    A mapping has values by quantity, or by effect, and 0 or next to nothing for others.
+    `everywhere` lets every quantity differ between tests. `alternatives` has weights of laws of
+    slip forces beyond the levels.
+    """
+    priors, medians = load_priors("mfd"), dict(medians or THREE_STAGE)
+    design = design_of(priors, tuple(medians), settings, laws, dependence)
+    design = replace(design, reference=reference or design.reference)
+    if everywhere:
+        design = replace(design, common=np.zeros(len(design.names), dtype=bool))
+    rng, names = np.random.default_rng(1), design.names
+
+    def by_name(given: float | Mapping[str, float], keys: Sequence[str], least: float) -> Array:
+        if isinstance(given, Mapping):
+            return np.array([max(given.get(key, 0.0), least) for key in keys])
+        return np.full(len(keys), max(given, least))
+
+    tau = by_name(scatter, names, 1e-9)
+    if "offset" in names and not isinstance(scatter, Mapping):
+        tau[names.index("offset")] = min(scatter, 0.02)
+    omega = by_name(effect, [f"{e.name}_{e.group}" for e in design.effects], 1e-9)
+    h = np.log(np.concatenate([tau[design.free], omega]))
+    d = len(names)
+    middle = design.coordinates.of({n: np.array([medians[n]]) for n in names})[0]
+    z = np.zeros((*shape, design.quantity.size))
+    wide = by_name(level_sd, names, 0.0) / design.spread
+    z[..., :d] = middle[:d] + wide * rng.standard_normal((*shape, d))
+    laws_of = [*design.laws.values()]
+    choice = np.broadcast_to(
+        [LAW_NAMES.index("power" if law == "compare" else law) for law in laws_of],
+        (*shape, len(laws_of)),
+    ).astype(np.intp)
+
+    def shapes(chosen: NDArray[np.intp]) -> tuple[Array, Array]:
+        size = (len(chosen), len(design.shapes))
+        free = np.empty(size)
+        for i, (_, name) in enumerate(design.shapes):
+            spread = exponent + exponent_sd * rng.standard_normal(len(chosen))
+            free[:, i] = np.log(share / (1.0 - share)) if name == "share" else spread
+        return design.law_shapes(free, chosen)
+
+    flat = choice.reshape(-1, len(laws_of))
+    drawn = [s.reshape(*shape, -1) for s in shapes(flat)]
+    other, weight = LawDraws(np.zeros((0, h.size)), z[0, :0], *(s[0, :0] for s in drawn)), []
+    if alternatives:
+        parts = []
+        for law, w in alternatives.items():
+            row = [law if n != "sigma0" else laws_of[i] for i, n in enumerate(design.laws)]
+            under = design.under(dict(zip(design.laws, row, strict=True)))
+            chosen = np.tile([LAW_NAMES.index(one) for one in row], (shape[1], 1))
+            free = np.ones((shape[1], len(under.shapes)))
+            free[:, [s == "share" for _, s in under.shapes]] = 0.0
+            parts.append(under.law_shapes(free, chosen))
+            weight += [w / shape[1]] * shape[1]
+        pairs = [np.concatenate(p) for p in zip(*parts, strict=True)]
+        n = len(weight)
+        other = LawDraws(np.tile(h, (n, 1)), np.resize(z[0], (n, z.shape[-1])), *pairs)
+    known = {*medians, "start", "gamma1"} & set(priors.parameters)
+    return Population(
+        design=design,
+        draws=LawDraws(np.broadcast_to(h, (*shape, h.size)).copy(), z, *drawn),
+        choice=choice,
+        weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
+        alternatives=other,
+        alternative_weight=np.array(weight),
+        residual=residual or no_residual(),
+        starts=starts or Starts(),
+        begun=None,
+        priors={name: priors.parameters[name] for name in known},
+        actuation_unit="ksi",
+        walkers=10,
+        convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
+    )

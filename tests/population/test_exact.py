@@ -1,0 +1,161 @@
+"""The exact sampler against closed forms and quadrature."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import special
+
+from mfd_bayes.population.design import design_of
+from mfd_bayes.population.exact import ExactSampler
+from mfd_bayes.population.mixed_model import MixedModel
+from mfd_bayes.population.settings import Setting
+
+CHAINS = 32
+SWEEPS = 1500
+
+
+class Campaign:
+    """Tests of one slip force at one level, known by any likelihoods and by Gaussian ones."""
+
+    def __init__(self, priors, mean, sd, functions=None):
+        laid = design_of(priors, ("Fc_fwd",), [Setting(1.0)] * len(mean))
+        self.design = replace(laid, common=np.zeros(1, dtype=bool))
+        self.mean, self.precision = mean[:, None], sd[:, None, None] ** -2.0
+        self.functions = functions or self.gaussians()
+        self.mixed = MixedModel(self.design, self.mean, self.precision)
+        self.choice = np.zeros((CHAINS, 1), dtype=np.intp)
+        self.h = np.linspace(-7.0, 1.5, 200)[:, None] + np.log(self.mixed.scale)
+
+    def gaussians(self):
+        each = zip(self.mean[:, 0], self.precision[:, 0, 0], strict=True)
+        return [lambda x, m=m, p=p: -0.5 * p * (x - m) ** 2 for m, p in each]
+
+    def sampler(self, seed=0, evaluated=None):
+        """The sampler; what is evaluated may be other functions than the exact ones."""
+        rng = np.random.default_rng(seed)
+        weight = special.softmax(self.mixed.log_prob(self.h, self.choice[0]))
+        pool = self.h[rng.choice(len(self.h), size=4000, p=weight)]
+        pool = pool + (self.h[1] - self.h[0]) * (rng.random(pool.shape) - 0.5)
+        functions = evaluated or self.functions
+        fit = SimpleNamespace(
+            mean=self.mean,
+            precision=self.precision,
+            tests=[SimpleNamespace(log_likelihood=lambda x, f=f: f(x[:, 0])) for f in functions],
+        )
+        own = np.zeros(self.mean.shape, dtype=bool)
+        return ExactSampler(self.mixed, fit, own, self.choice, [pool] * CHAINS, rng)
+
+    def truth(self):
+        """Means and sds of log scatter, level and coordinates by quadrature."""
+        x, level = np.linspace(-3.0, 3.0, 1501), np.linspace(-2.5, 2.5, 161)
+        likelihoods = np.exp([f(x) for f in self.functions])
+        tau = self.mixed.tau(self.h)[:, 0]
+        weight, moments = np.zeros((tau.size, level.size)), []
+        first, second = (np.zeros((tau.size, level.size, len(self.mean))) for _ in "12")
+        prior = self.mixed.log_prior(self.h)
+        for i, t in enumerate(tau):
+            fine = max(t, 0.004)  # as narrow as the grid of x can hold
+            normal = np.exp(-0.5 * ((x - level[:, None]) / fine) ** 2) / fine
+            parts = [normal @ (likelihoods * x**k).T + 1e-300 for k in (0, 1, 2)]
+            weight[i] = np.log(parts[0]).sum(axis=1) + prior[i] - 0.5 * level**2
+            first[i], second[i] = parts[1] / parts[0], parts[2] / parts[0]
+        weight = special.softmax(weight)
+        for values, squares in (
+            (self.h[:, 0, None] + 0 * level, None),
+            (0 * tau[:, None] + level, None),
+            *((first[..., j], second[..., j]) for j in range(len(self.mean))),
+        ):
+            mean = np.sum(weight * values)
+            square = np.sum(weight * (values**2 if squares is None else squares))
+            moments.append((mean, np.sqrt(square - mean**2)))
+        return np.array(moments)
+
+
+def moments_of(sampler, sweeps=SWEEPS, *, learn=True):
+    """Means and standard deviations by chain, (chain, 2 + J) each, after a warm-up."""
+    history, found = [], []
+    for step in range(sweeps):
+        sampler.sweep()
+        history.append(sampler.state.e_z)
+        if learn and step < 80:
+            if step % 10 == 9:
+                sampler.tune()
+            if step % 40 == 39:
+                sampler.learn(history[len(history) // 2 :])
+        if step >= 100:
+            s = sampler.state
+            found.append(np.concatenate([s.h, s.z[:, :1], s.x[..., 0]], axis=1))
+    draws = np.array(found)
+    return draws.mean(axis=0), draws.std(axis=0)
+
+
+def errors(by_chain, expected):
+    """Differences of means over chains from what is expected, in standard errors."""
+    se = by_chain.std(axis=0, ddof=1) / np.sqrt(len(by_chain))
+    return (by_chain.mean(axis=0) - expected) / se
+
+
+Y, SD = np.array([0.3, -0.1, 0.5]), np.array([0.05, 0.08, 0.06])
+
+
+def test_with_gaussian_likelihoods_every_move_is_accepted_and_draws_are_the_closed_form(priors):
+    campaign = Campaign(priors, Y, SD)
+    sampler = campaign.sampler()
+    means, _ = moments_of(sampler, 800, learn=False)
+    for tests, together in sampler.rates:
+        assert np.all(tests == 1.0)
+        assert together == 1.0
+    # closed form given h, on a grid of the one h
+    h, choice = campaign.h, np.zeros((len(campaign.h), 1), dtype=np.intp)
+    weight = special.softmax(campaign.mixed.log_prob(h, choice))
+    z = campaign.mixed.marginal(h, choice)[1].mean[:, 0]
+    deviations = campaign.mixed.deviations(h, choice, z[:, None])[0][..., 0]
+    expected = np.array([weight @ h[:, 0], weight @ z, *(weight @ (z[:, None] + deviations))])
+    assert np.abs(errors(means, expected)).max() < 4.0
+    np.testing.assert_allclose(campaign.truth()[:, 0], expected, atol=0.01)  # so is the quadrature
+    other = Campaign(priors, Y + 0.1, SD).truth()[1:, 0]  # the control
+    assert np.abs(errors(means[:, 1:], other)).min() > 8.0
+
+
+@pytest.fixture(scope="module")
+def skewed(priors):
+    """Likelihoods of the shape k (u - exp u), whose Gaussians at the mode are far from them."""
+    each = zip(Y, SD, (1.0, 0.7, 1.5), strict=True)
+    functions = [
+        lambda x, y=y, s=s, k=k: k * ((x - y) / (3.0 * s) - np.exp((x - y) / (3.0 * s)))
+        for y, s, k in each
+    ]
+    sd = 3.0 * SD / np.sqrt([1.0, 0.7, 1.5])
+    return Campaign(priors, Y, sd, functions)
+
+
+def test_with_other_likelihoods_draws_are_those_of_quadrature(skewed):
+    expected = skewed.truth()
+    sampler = skewed.sampler(seed=1)
+    means, sds = moments_of(sampler)
+    assert 0.2 < np.mean([together for _, together in sampler.rates]) < 0.999
+    assert np.abs(errors(means, expected[:, 0])).max() < 4.0
+    squares = sds**2 + (means - expected[:, 0]) ** 2
+    assert np.abs(errors(squares, expected[:, 1] ** 2)).max() < 4.0
+
+
+def test_accepting_every_move_would_be_seen(skewed):
+    expected, gaussians = skewed.truth(), skewed.gaussians()
+    means, _ = moments_of(skewed.sampler(seed=1, evaluated=gaussians))
+    assert np.abs(errors(means, expected[:, 0])).max() > 8.0
+
+
+def test_a_run_reports_and_keeps_what_it_is_told_to(priors):
+    reports = []
+    draws = (
+        Campaign(priors, Y, SD)
+        .sampler()
+        .run(1.5, 10.0, 80, 64, lambda n, c: reports.append((n, c.worst_r_hat)))
+    )
+    assert draws.h.shape == (4, 64, 1)
+    assert draws.x.shape == (4, 64, 3, 1)
+    assert draws.sweeps == reports[-1][0] <= 80
+    again = Campaign(priors, Y, SD).sampler().run(1.5, 10.0, 80, 64, lambda *_: None)
+    np.testing.assert_array_equal(draws.x, again.x)

@@ -1,0 +1,316 @@
+"""The linear mixed model against dense normal distributions, which scipy computes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg, special, stats
+
+from mfd_bayes.population.design import design_of
+from mfd_bayes.population.law_scores import TestGaussians, compare_laws, extrapolation_weights
+from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.settings import Setting, levels_of
+
+NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
+LAWS = {"Fc_fwd": "power", "sigma0": "affine"}
+CONDITIONS = [  # actuation, session, half the stroke
+    (0.5, "a", 1.0), (1.0, "a", 0.5), (2.0, "a", 1.0), (1.0, "b", 2.0), (2.0, "b", 0.7),
+    (0.5, "b", 1.5),
+]  # fmt: skip
+SETTINGS = [Setting(p, s, {"amplitude": x, "velocity": 3.0 * x}) for p, s, x in CONDITIONS]
+
+
+def design(priors, settings=SETTINGS, names=NAMES, laws=LAWS, dependence=None):
+    found = design_of(priors, names, settings, laws, dependence or {"Fc_fwd": ("amplitude",)})
+    return replace(found, common=np.array([name == "k3" for name in names]))
+
+
+def random_likelihoods(rng, count, d, sd=0.3):
+    roots = rng.standard_normal((count, d, d + 2))
+    covariance = sd**2 * roots @ roots.swapaxes(1, 2) / (d + 2)
+    return 0.5 * rng.standard_normal((count, d)), np.linalg.inv(covariance)
+
+
+@pytest.fixture(scope="module")
+def mixed(priors):
+    rng, laid = np.random.default_rng(1), design(priors)
+    return MixedModel(laid, *random_likelihoods(rng, len(SETTINGS), len(NAMES)))
+
+
+def choice_of(mixed):
+    return np.array([LAW_NAMES.index(law) for law in mixed.design.laws.values()])
+
+
+class Dense:
+    """Joint normal distribution of z and of all y, by the formulas of the design's docstring."""
+
+    def __init__(self, mixed, h):
+        laid, d = mixed.design, len(mixed.design.names)
+        f, effects = laid.free, laid.effects
+        tau = np.zeros(d)
+        tau[f] = np.exp(h[: f.size]) / laid.spread[f]
+        omega = np.exp(h[f.size : f.size + len(effects)])
+        shapes = dict(zip(laid.shapes, h[f.size + len(effects) :], strict=True))
+        p = np.array([s.actuation for s in laid.settings])
+        p0 = np.exp(np.log(np.unique(p)).mean()) if laid is None else laid.reference
+        sessions = list(dict.fromkeys(s.session for s in laid.settings))
+        cells = list(dict.fromkeys((s.session, s.actuation) for s in laid.settings))
+        rows, prior, law = [], [], np.zeros((p.size, d))
+        for k in range(d):
+            row = np.zeros((p.size, d))
+            row[:, k] = 1.0
+            rows.append(row)
+            prior.append(np.eye(1))
+        for name, those in laid.dependence.items():
+            for c in those:
+                known = np.array([s.covariates[c] for s in laid.settings])
+                row = np.zeros((p.size, d))
+                k = laid.names.index(name)
+                row[:, k] = np.log(known / np.exp(np.log(known).mean())) / laid.spread[k]
+                rows.append(row)
+                prior.append(0.1**2 * np.eye(1))
+        level = np.array([a for _, a in cells])
+        apart = np.sqrt(3.0) * np.abs(np.log(level[:, None] / level)) / np.log(2.0)
+        far = np.maximum(apart, 1e-9)  # Matérn of order 3/2 by Bessel's K, not by its closed form
+        kernel = np.sqrt(2.0 / np.pi) * far**1.5 * special.kv(1.5, far)
+        kernel *= np.array([[a[0] == b[0] for b in cells] for a in cells])
+        size = np.clip(p0 / level, 0.5, 2.0)
+        for e, effect in enumerate(effects):
+            for k in effect.members:
+                homes = cells if effect.name == "level" else sessions
+                for home in homes:
+                    row = np.zeros((p.size, d))
+                    for j, s in enumerate(laid.settings):
+                        mine = (s.session, s.actuation) if effect.name == "level" else s.session
+                        row[j, k] = (mine == home) / laid.spread[k]
+                    rows.append(row)
+                block = np.outer(size, size) * kernel if effect.name == "level" else None
+                block = np.eye(len(sessions)) if block is None else block
+                prior.append(omega[e] ** 2 * block)
+        for name, kind in laid.laws.items():
+            k = laid.names.index(name)
+            share, exponent = {"affine": (None, 1.0), "power": (1.0, None)}.get(kind, (1.0, 1.0))
+            share = special.expit(shapes[name, "share"]) if share is None else share
+            exponent = shapes[name, "exponent"] if exponent is None else exponent
+            law[:, k] = np.log(share * (p / p0) ** exponent + 1.0 - share) / laid.spread[k]
+        self.a = np.array(rows).reshape(len(rows), -1).T
+        self.prior = linalg.block_diag(*prior)
+        self.law = law.ravel()
+        noise = linalg.block_diag(*np.linalg.inv(mixed.p))
+        scatter = np.tile(tau**2, (p.size, 1))
+        scatter[:, f] /= mixed.weight
+        self.scatter = np.diag(scatter.ravel())
+        self.covariance = self.a @ self.prior @ self.a.T + self.scatter + noise
+        self.y, self.d, self.p = mixed.y.ravel(), d, mixed.p
+
+    def log_density(self, tests):
+        """Of the likelihoods of tests, each exp(-½ (x - y)' P (x - y))."""
+        own = np.concatenate([np.arange(j * self.d, (j + 1) * self.d) for j in tests])
+        of_y = stats.multivariate_normal(self.law[own], self.covariance[np.ix_(own, own)])
+        sizes = sum(self.d * np.log(2 * np.pi) - np.linalg.slogdet(self.p[j])[1] for j in tests)
+        return of_y.logpdf(self.y[own]) + 0.5 * sizes
+
+    def coefficients(self):
+        gain = np.linalg.solve(self.covariance, self.a @ self.prior).T
+        return gain @ (self.y - self.law), self.prior - gain @ self.a @ self.prior
+
+
+def some_h(mixed, n=4, seed=0):
+    rng = np.random.default_rng(seed)
+    h = np.log(0.5 * np.concatenate([mixed.scale, np.ones(mixed.dim - mixed.scale.size)]))
+    return h + 0.5 * rng.standard_normal((n, mixed.dim))
+
+
+def test_the_marginal_likelihood_is_the_dense_normal_density(mixed):
+    assert {effect.name for effect in mixed.design.effects} == {"level", "session"}
+    h, choice, every = some_h(mixed), choice_of(mixed), range(len(SETTINGS))
+    found = mixed.marginal(h, np.tile(choice, (4, 1)))[0]
+    expected = [Dense(mixed, row).log_density(every) for row in h]
+    np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], atol=1e-5)
+    assert np.ptp(expected) > 0.5  # the control: it is not the same for all h
+    for tests in ([0, 1, 2], [1, 3, 5], [4]):
+        some = mixed.marginal(h, np.tile(choice, (4, 1)), tests)[0]
+        fewer = [Dense(mixed, row).log_density(tests) for row in h]
+        difference = np.array(fewer) - expected
+        np.testing.assert_allclose(some - found, difference, atol=1e-5)
+
+
+def test_coefficients_given_h_are_those_of_the_dense_distribution(mixed):
+    h = some_h(mixed, 2)
+    found = mixed.marginal(h, np.tile(choice_of(mixed), (2, 1)))[1]
+    for row, mean, factor in zip(h, found.mean, found.factor, strict=True):
+        expected, covariance = Dense(mixed, row).coefficients()
+        np.testing.assert_allclose(mean, expected, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.inv(factor @ factor.T), covariance, atol=1e-5)
+    drawn = mixed.marginal(np.repeat(h[:1], 4000, axis=0), np.tile(choice_of(mixed), (4000, 1)))[1]
+    z = drawn.draw(np.random.default_rng(3))
+    mean, covariance = Dense(mixed, h[0]).coefficients()
+    sd = np.sqrt(np.diag(covariance))
+    assert np.all(np.abs(z.mean(axis=0) - mean) < 4.5 * sd / np.sqrt(4000))
+    np.testing.assert_allclose(z.std(axis=0), sd, rtol=4.5 / np.sqrt(2 * 4000))
+
+
+def test_deviations_given_the_rest_are_those_of_each_test(mixed):
+    h, choice = some_h(mixed, 1), choice_of(mixed)[None]
+    z = 0.3 * np.random.default_rng(5).standard_normal((1, mixed.design.quantity.size))
+    mean, factor = mixed.deviations(h, choice, z)
+    dense = Dense(mixed, h[0])
+    base = (dense.a @ z[0] + dense.law).reshape(mixed.y.shape)
+    scatter = np.diag(dense.scatter).reshape(mixed.y.shape)
+    for j, free in [(j, mixed.free) for j in range(len(SETTINGS))]:
+        prior, p = np.diag(1.0 / scatter[j][free]), mixed.p[j]
+        precision = p[np.ix_(free, free)] + prior
+        np.testing.assert_allclose(factor[0, j] @ factor[0, j].T, precision, rtol=1e-8)
+        expected = np.linalg.solve(precision, (p @ (mixed.y[j] - base[j]))[free])
+        np.testing.assert_allclose(mean[0, j], expected, atol=1e-8)
+
+
+def clean(priors, seed, count=10):
+    """Tests at one level that scatter by half the prior's scale, known to a fifth of that."""
+    rng = np.random.default_rng(seed)
+    laid = design(
+        priors, [Setting(1.0)] * count, ("Fc_fwd", "sigma0", "offset"), dependence={"": ()}
+    )
+    laid = replace(laid, common=np.zeros(3, dtype=bool))
+    tau = 0.5 * laid.scatter_sd / laid.spread
+    y = tau * rng.standard_normal((count, 3))
+    precision = np.tile(np.diag((0.2 * tau) ** -2.0), (count, 1, 1))
+    return laid, y, precision, tau
+
+
+def test_a_test_that_stands_apart_weighs_less_and_clean_ones_do_not(priors):
+    flagged = 0
+    for seed in range(10):
+        laid, y, precision, tau = clean(priors, seed)
+        mixed = MixedModel(laid, y, precision)
+        widest = mixed.tau(mixed.mode(choice_of(mixed))[None])[0, 0]
+        mixed.set_apart(choice_of(mixed))
+        flagged += np.count_nonzero(mixed.weight != 1.0)
+        y = y.copy()
+        y[3, 0] += 15.0 * tau[0]
+        odd = MixedModel(laid, y, precision)
+        wide = odd.tau(odd.mode(choice_of(odd))[None])[0, 0]
+        odd.set_apart(choice_of(odd))
+        assert odd.weight[3, 0] == 0.01
+        np.testing.assert_array_equal(np.delete(odd.weight[:, 0], 3), 1.0)
+        robust = odd.tau(odd.mode(choice_of(odd))[None])[0, 0]
+        assert robust < 1.5 * widest
+        assert wide > 2.0 * robust  # the control: with all weights even
+    assert flagged <= 0.01 * 10 * 30
+
+
+def test_emcee_finds_the_scatter_that_a_grid_finds(priors):
+    laid, y, precision, _ = clean(priors, 0)
+    mixed = MixedModel(laid, y, precision)
+    choice = choice_of(mixed)
+    assert mixed.dim == 5  # three scatters, and two shapes of which one level says nothing
+    draws = mixed.sample(choice, np.random.default_rng(1), 1500, 8000)
+    axis = np.linspace(-5.0, 1.5, 400)
+    middle = draws.mean(axis=0)
+    for i in range(3):  # the three are independent here
+        grid = np.tile(middle, (axis.size, 1))
+        grid[:, i] = axis + np.log(mixed.scale[i])
+        weight = special.softmax(mixed.log_prob(grid, choice))
+        mean = weight @ grid[:, i]
+        sd = np.sqrt(weight @ (grid[:, i] - mean) ** 2)
+        assert abs(draws[:, i].mean() - mean) < 0.15 * sd
+        assert draws[:, i].std() == pytest.approx(sd, rel=0.15)
+        assert np.log(mixed.scale[i]) - mean > 0.4 * sd  # the control: it is not the prior
+
+
+def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
+    rng = np.random.default_rng(2)
+    laid = design(priors, names=("Fc_fwd", "offset"), laws={"Fc_fwd": "power"})
+    laid = replace(laid, common=np.zeros(2, dtype=bool))
+    y, precision = random_likelihoods(rng, len(SETTINGS), 2)
+    tests = TestGaussians.given_common(laid, y, precision, np.zeros(2))
+    folds = levels_of(laid.settings)
+    assert [[laid.settings[j].actuation for j in f] for f in folds] == [
+        [p] * 2 for p in (0.5, 1, 2)
+    ]
+    alone = laid.restricted("Fc_fwd", "power")
+    log, h, _ = tests.densities(alone, folds, "power")
+    one = MixedModel(alone, tests.mean[:, [0]], 1.0 / tests.variance[:, [0], None])
+    every = set(range(len(SETTINGS)))
+    for i in (3, 500, 900):
+        dense = Dense(one, h[i])
+        for f, fold in enumerate(folds):
+            expected = dense.log_density(sorted(every)) - dense.log_density(sorted(every - {*fold}))
+            assert log[i, 0] - log[i, 1 + f] == pytest.approx(expected, abs=1e-5)
+
+
+def power_tests(priors, scatter, noise):
+    """Tests at four levels that follow a power law with an exponent of 0.4."""
+    settings = [Setting(p) for p in (0.25, 0.25, 0.5, 0.5, 1.0, 1.0, 2.0, 2.0)]
+    laid = design(priors, settings, ("Fc_fwd", "offset"), {"Fc_fwd": "compare"}, {"": ()})
+    laid = replace(laid, common=np.zeros(2, dtype=bool))
+    rng, p = np.random.default_rng(4), np.array([s.actuation for s in settings])
+    y = np.zeros((len(p), 2))
+    logs = 0.4 * np.log(p / laid.reference) + scatter * rng.standard_normal(p.size)
+    y[:, 0] = logs / laid.spread[0]
+    precision = np.tile(np.diag((noise / laid.spread) ** -2.0), (p.size, 1, 1))
+    return TestGaussians.given_common(laid, y, precision, np.zeros(2))
+
+
+def test_a_law_that_predicts_the_levels_left_out_is_preferred(priors):
+    tests = power_tests(priors, 0.08, 0.1)
+    scores = {score.law: score for score in compare_laws(tests)}
+    assert max(scores.values(), key=lambda s: s.elpd).law == "power"
+    assert sum(s.weight for s in scores.values()) == pytest.approx(1.0)
+    assert scores["power"].weight > 0.5 > 0.01 > scores["proportional"].weight
+    weights = extrapolation_weights(tests, ["Fc_fwd"], ["proportional", "power", "constant"])
+    assert weights[1] == max(weights)
+    assert weights.sum() == pytest.approx(1.0)
+    few = replace(tests.design, settings=tests.design.settings[2:6])
+    two = TestGaussians(few, tests.mean[2:6], tests.variance[2:6])
+    even = extrapolation_weights(two, ["Fc_fwd"], ["power", "affine"])
+    np.testing.assert_allclose(even, 0.5)
+    assert compare_laws(two) == ()
+
+
+@pytest.mark.xfail(reason="draws of the prior are too few where tests are precise", strict=True)
+def test_laws_of_precise_tests_are_compared_too(priors):
+    scores = {score.law: score for score in compare_laws(power_tests(priors, 0.03, 0.05))}
+    assert scores["power"].elpd - scores["affine"].elpd > 5.0
+    assert scores["power"].weight > 0.5
+
+
+def test_a_law_without_an_intercept_learns_nothing_from_a_test_at_zero(priors):
+    settings = [Setting(p) for p in (0.0, 0.5, 1.0)]
+    names = ("Fc_fwd", "Fc_bwd", "offset")
+    laws = {"Fc_fwd": "proportional", "Fc_bwd": "affine"}
+    laid = design(priors, settings, names, laws, {"": ()})
+    np.testing.assert_array_equal(laid.informs[0], [False, True, True])
+    assert np.all(laid.informs[1:])
+    y, precision = random_likelihoods(np.random.default_rng(6), 3, 3)
+    reduced = [without(y[j], precision[j], ~laid.informs[j]) for j in range(3)]
+    other = y.copy()
+    other[0] += precision[0] @ np.zeros(3) + np.array([5.0, 0.0, 0.0])
+
+    def levels(values):
+        pairs = [without(values[j], precision[j], ~laid.informs[j]) for j in range(3)]
+        mixed = MixedModel(laid, *(np.array(part) for part in zip(*pairs, strict=True)))
+        h = some_h(mixed, 1)
+        return mixed.marginal(h, choice_of(mixed)[None])[1].mean[0]
+
+    assert not np.any(reduced[0][1][0])  # zero precision
+    diagonal = precision.copy()
+    diagonal[0] = np.diag(np.diag(precision[0]))
+    precision = diagonal
+    np.testing.assert_allclose(levels(other), levels(y), atol=1e-9)
+    other[1, 0] += 0.5
+    assert np.abs(levels(other) - levels(y)).max() > 0.01  # the control
+
+
+def test_what_is_a_tests_own_is_integrated_over_its_prior():
+    rng = np.random.default_rng(7)
+    (y,), (precision,) = random_likelihoods(rng, 1, 3)
+    own = np.array([False, True, False])
+    mean, reduced = without(y, precision, own)
+    # by the joint normal: covariance of the likelihood's mean, its own coordinate known by N(0, 1)
+    covariance = np.linalg.inv(precision + np.diag(own.astype(float)))
+    kept = np.ix_(~own, ~own)
+    np.testing.assert_allclose(np.linalg.inv(reduced[kept]), covariance[kept], rtol=1e-8)
+    np.testing.assert_allclose(mean[~own], (covariance @ precision @ y)[~own], rtol=1e-8)
+    assert not np.any(reduced[own])
