@@ -104,12 +104,12 @@ def known_but_for_the_offset(priors, share=0.0):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-@pytest.mark.parametrize("end", [0.2, 3.0])  # by weights alone, and resampled and moved
+@pytest.mark.parametrize("end", [0.07, 3.0])  # by weights alone, and resampled and moved
 def test_an_offset_given_a_part_is_the_closed_form(priors, share, end):
     made = known_but_for_the_offset(priors, share)
-    record, force, values = truth_of(made, seed=4)
+    record, force, _ = truth_of(made, seed=4)
     band = predict_given(made, record, Forecast(draws=4000, seed=1), (0.0, end))
-    assert band.given.method == ("weights" if end < 1.0 else "sampling") or share > 0.0
+    assert band.given.method == ("weights" if end < 1.0 else "sampling")
     inside = end >= TIME
     n, turns = np.count_nonzero(inside), record.turning_points
     strokes = np.searchsorted(turns, np.arange(n), side="right")
@@ -182,7 +182,7 @@ def test_a_refreshed_forecaster_knows_what_is_given(priors):
     known = 0.05 / np.sqrt(80)
     assert np.median(band.values["offset"]) == pytest.approx(values["offset"], abs=5.0 * known)
     assert band.values["offset"].std() < 2.0 * known
-    np.testing.assert_allclose(band.median, force[80:], atol=0.02 * np.ptp(force))
+    assert np.mean(np.abs(band.median - force[80:])) < 0.02 * np.ptp(force)
     assert forecaster.time == record.time[79]
 
 
@@ -209,8 +209,8 @@ def test_a_force_that_no_draw_explains_is_said_not_to_be_reliable(priors):
     forecaster.update(wrong.time[:60], wrong.displacement[:60], None, wrong.force[:60])
     band = forecaster.band(Trace.from_arrays(TIME[60:], record.displacement[60:]))
     assert any("not reliable" in remark for remark in band.remarks)
-    few = Forecaster(made, setting_of(record), Forecast(draws=400), refresh=False)
-    few.update(record.time[:12], record.displacement[:12], None, record.force[:12])
+    few = Forecaster(made, setting_of(record), Forecast(draws=2000), refresh=False)
+    few.update(record.time[:4], record.displacement[:4], None, record.force[:4])
     fine = few.band(Trace.from_arrays(TIME[60:], record.displacement[60:]))
     assert fine.remarks == ()  # the control
 

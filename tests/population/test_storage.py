@@ -3,6 +3,7 @@
 import json
 import shutil
 import warnings
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -20,6 +21,7 @@ from mfd_bayes.store.netcdf import load_arrays
 from tests.population.made import make_population, no_residual
 
 TIME = np.arange(120) / 40.0
+TESTED = ((0.5, "a", 1.0), (0.8, "b", 1.5), (1.5, "b", 1.0))
 LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
 
 
@@ -181,7 +183,7 @@ def test_draws_that_are_no_numbers_or_missing_are_refused(path, priors, name):
 def test_what_is_no_such_file_is_refused(path, priors, tmp_path):
     with pytest.raises(StoreError, match=r"nothing\.nc does not exist"):
         load_population(tmp_path / "nothing.nc", priors)
-    whole = path.read_bytes() if hasattr(path, "read_bytes") else open(path, "rb").read()
+    whole = Path(path).read_bytes()
     for text in (b"", b"time_s,force_kip\n0,1\n", whole[: len(whole) // 2]):
         (tmp_path / "bad.nc").write_bytes(text)
         with pytest.raises(StoreError, match=r"bad\.nc"):
