@@ -49,7 +49,7 @@ def situation(run: Run, names: Iterable[str], seed: int) -> Situation:
     """What is known from some of a run's tests."""
     tests = {name: run.tests[name] for name in names}
     settings = replace(run.manifest.settings.inference("quick", (23, seed)), sessions={})
-    population = infer_population(tests, run.priors, settings).draws.population
+    population = infer_population(tests, run.priors, settings).population
     some = next(iter(tests.values())).posterior
     done = tuple(tested_of(test.trace) for test in tests.values())
     return Situation(population, some.model, some.noise, done, ("",) * len(done))

@@ -100,8 +100,9 @@ class Coordinates:
         own = [self.priors[name].coordinate(np.atleast_1d(values[name])) for name in self.names]
         return np.asarray((self._from_own(np.stack(own, axis=1)) - self.centre) / self.spread)
 
-    def log_prior(self, x: Array) -> Array:
-        """Log density of each coordinate of x (n, D) under its prior, in prior units, (n, D)."""
-        own = self.own(x)
-        found = [self.priors[name].log_density(own[:, k]) for k, name in enumerate(self.names)]
-        return np.asarray(np.stack(found, axis=1) + np.log(self.spread))
+    def log_prior(self, x: Array, columns: NDArray[np.bool_]) -> Array:
+        """Log density of some coordinates of x (n, D) under their priors, in prior units, (n,)."""
+        own, total = self.own(x), np.zeros(len(x))
+        for k in np.flatnonzero(columns):
+            total += self.priors[self.names[k]].log_density(own[:, k]) + np.log(self.spread[k])
+        return total

@@ -44,6 +44,9 @@ ACCEPT = 0.3
 STEPS = (1.0, 0.3)
 """Steps of z over the tuned one: long ones, and short ones that leave the tails."""
 
+EVERY = 4
+"""Sweeps between random walks of h, which moves in every sweep with the levels too."""
+
 RANDOM_WALK = 0.6
 """Sd of the random walk of the coordinates of h."""
 
@@ -203,8 +206,8 @@ class ExactSampler:
         found = np.stack(list(exact), axis=1) - gaussian
         for j, own in enumerate(self.own):
             if np.any(own):
-                density = self.fit.tests[j].coordinates.log_prior(x[:, j])[:, own]
-                found[:, j] += np.sum(density + 0.5 * x[:, j][:, own] ** 2, axis=1)
+                found[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], own)
+                found[:, j] += 0.5 * np.sum(x[:, j][:, own] ** 2, axis=1)
         return np.where(np.isnan(found), -np.inf, found)
 
     def sweep(self) -> None:
@@ -225,7 +228,8 @@ class ExactSampler:
         together = np.log(rng.random(len(better))) < better
         self.state = s.where(together, new)
         self.rates.append((accepted.mean(axis=0), float(together.mean())))
-        self._move_h()
+        if len(self.rates) % EVERY == 0:
+            self._move_h()
 
     def tune(self) -> None:
         """Step sizes by the shares of the last moves that were accepted."""

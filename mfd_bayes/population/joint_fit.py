@@ -78,10 +78,10 @@ class TestLikelihood:
         order = [names.index(name) for name in self.posterior.names]
         return self.posterior.values(self.posterior.from_own(own[:, order]))
 
-    def left_over(self, x: Array) -> Array:
-        """Measured less computed force at x (n, D), (n, T), kip; without discrepancy."""
-        values = self.values(x)
-        along = {k: np.broadcast_to(f, (len(x), f.size)) for k, f in self.scales.items()}
+    def left_over(self, values: Mapping[str, Array]) -> Array:
+        """Measured less computed force of quantities by name, (n, T), kip; δ is in it."""
+        n = len(values["offset"])
+        along = {k: np.broadcast_to(f, (n, f.size)) for k, f in self.scales.items()}
         force = self.posterior.force(values, scales=along or None)
         measured = np.asarray(self.posterior.trace.force)
         left = measured - force - values["offset"][:, None]
@@ -90,15 +90,16 @@ class TestLikelihood:
     def linearised(self, x: Array) -> Array:
         """What is left over at x (1, D), and its slopes, (1 + D, T)."""
         step = STEP * np.eye(x.shape[1])
-        left = self.left_over(np.concatenate([x, x + step, x - step]))
+        left = self.left_over(self.values(np.concatenate([x, x + step, x - step])))
         up, down = np.split(left[1:], 2)
         return np.concatenate([left[:1], (up - down) / (2.0 * STEP)])
 
     def log_likelihood(self, x: Array) -> Array:
         """Magnitude-adjusted log likelihood at x (n, D), (n,); -inf where there is none."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            left = (self.left_over(x) - self.discrepancy) / self.shape
-            sd = self.coordinates.values(x)["noise_sd"]
+            values = self.values(x)
+            left = (self.left_over(values) - self.discrepancy) / self.shape
+            sd = values["noise_sd"]
             squares = np.einsum("nt,nt->n", left, left)
             found = -self.information * (0.5 * squares / sd**2 + left.shape[1] * np.log(sd))
         return np.where(np.isfinite(found), found, -np.inf)

@@ -2,8 +2,8 @@
 
 Each quantity is scored by itself, with the Gaussians of the tests given the quantities that all
 tests share. A law has scatter here, but not the level effects that predictions allow it, which
-would excuse any law. Coefficients are integrated in closed form, scatter and shapes over
-quasi-random draws of their prior: the scores are always the same.
+would excuse any law. Coefficients are integrated in closed form, scatter and shapes by importance
+sampling with a fixed seed: the scores are always the same.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mfd_bayes.store.schema import Figure
 Array = NDArray[np.float64]
 
 POINTS = 1024
-"""Draws of the prior over which scatter and shapes are integrated."""
+"""Points at which scatter and shapes are integrated."""
 
 FOLDS = 10
 """Most parts of the tests that are left out in turn to score a covariate."""
@@ -53,7 +53,7 @@ class LawScore:
     levels : tuple of float
         The terms of the sum.
     pareto_k : float
-        Of the weights of the prior's draws.
+        Of the importance weights.
     """
 
     quantity: str
@@ -129,12 +129,11 @@ class TestGaussians:
         informs = design.informs[:, 0]
         precision = np.where(informs, 1.0 / self.variance[:, k], 0.0)
         mixed = MixedModel(design, self.mean[:, [k]], precision[:, None, None])
-        number = LAW_NAMES.index(law) if law else 0
-        choice = np.full((POINTS, len(design.laws)), number)
-        h = mixed.draw_prior(POINTS)
+        choice = np.full((POINTS, len(design.laws)), LAW_NAMES.index(law))
+        h, weight = mixed.near_and_far(choice[0], POINTS)
         every = range(len(self.mean))
         kept = [list(every), *([j for j in every if j not in set(fold)] for fold in folds)]
-        found = np.stack([mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)
+        found = np.stack([weight + mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)
         # where the law has no value the quantity has the prior of a test by itself, N(0, 1)
         total = 1.0 + self.variance[:, k]
         alone = -0.5 * (self.mean[:, k] ** 2 / total + np.log(total / self.variance[:, k]))

@@ -222,22 +222,48 @@ class MixedModel:
             optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
         )
 
-    def laplace(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
-        """Draws of h from the Gaussian at its mode, (n, dim)."""
+    def gaussian(self, choice: Index) -> tuple[Array, Array]:
+        """Mode of h, (dim,), and a root of the covariance there, (dim, dim) (Laplace)."""
         mode, step = self.mode(choice), 1e-2
         unit = step * np.eye(self.dim)
         i, k = np.triu_indices(self.dim)
-        points = np.concatenate(
-            [mode + a * unit[i] + b * unit[k] for a in (1, -1) for b in (1, -1)]
-        )
+        signs = [(a, b) for a in (1, -1) for b in (1, -1)]
+        points = np.concatenate([mode + a * unit[i] + b * unit[k] for a, b in signs])
         parts = np.array_split(points, max(len(points) // 64, 1))
         f = np.concatenate([self.log_prob(part, choice) for part in parts]).reshape(4, -1)
         hessian = np.zeros((self.dim, self.dim))
         hessian[i, k] = hessian[k, i] = (f[0] - f[1] - f[2] + f[3]) / (4.0 * step**2)
         values, vectors = np.linalg.eigh(-hessian)
-        sd = np.minimum(1.0 / np.sqrt(np.maximum(values, 0.25)), 2.0)
-        drawn = mode + (rng.standard_normal((n, self.dim)) * sd) @ vectors.T
+        return mode, vectors * np.minimum(1.0 / np.sqrt(np.maximum(values, 0.25)), 2.0)
+
+    def laplace(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
+        """Draws of h from that Gaussian, (n, dim)."""
+        mode, root = self.gaussian(choice)
+        drawn = mode + rng.standard_normal((n, self.dim)) @ root.T
         return np.clip(drawn, 1.0 - LARGEST, LARGEST - 1.0)
+
+    def near_and_far(self, choice: Index, n: int) -> tuple[Array, Array]:
+        """Points of h, (n, dim), and log weights that make them stand for the prior, (n,).
+
+        Half of them are of the prior, and half of Laplace's Gaussian, half as wide again.
+        """
+        rng, half = np.random.default_rng(0), n // 2
+        mode, root = self.gaussian(choice)
+        root = 1.5 * root
+        near = mode + rng.standard_normal((half, self.dim)) @ root.T
+        h = np.clip(np.concatenate([self.draw_prior(half), near]), 1.0 - LARGEST, LARGEST - 1.0)
+        numbers = np.linalg.solve(root, (h - mode).T)
+        log = -0.5 * np.sum(numbers**2, axis=0) - np.linalg.slogdet(root)[1]
+        log -= 0.5 * self.dim * np.log(2.0 * np.pi)
+        prior = self.log_prior(h) + self.log_prior_constant
+        return h, prior - np.logaddexp(prior, log) + np.log(2.0)
+
+    @property
+    def log_prior_constant(self) -> float:
+        """What `log_prior` leaves out."""
+        sds = np.sum(0.5 * np.log(2.0 / np.pi) - np.log(self.scale))
+        exponents = sum(shape == "exponent" for _, shape in self.design.shapes)
+        return float(sds - exponents * np.log(np.sqrt(2.0 * np.pi) * EXPONENT[1]))
 
     def sample(self, choice: Index, rng: np.random.Generator, steps: int, n: int) -> Array:
         """Draws of h, (n, dim), by emcee's differential evolution move; choice is one row (L,)."""

@@ -13,7 +13,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.errors import FitError, NotThereError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.design import Design
+from mfd_bayes.population.design import WIDER, Design
 from mfd_bayes.population.discrepancy import Residual
 from mfd_bayes.population.laws import INTERCEPTS, TIED, ratio
 from mfd_bayes.population.settings import Setting, folds_beyond, same_level
@@ -430,15 +430,25 @@ class Population:
         return Parts(mean, scattered)
 
     def _beyond(self, setting: Setting) -> Array:
-        """Sd of what a motion outside those of the tests may change, in prior units, (d,)."""
-        stroke, rate = folds_beyond(setting, self.design.settings)
-        found = np.zeros(len(self.design.names))
-        for k in self.design.free:
-            name = self.design.names[k]
+        """Sd of what a setting outside those of the tests may change, in prior units, (d,).
+
+        Of a motion outside theirs; and of an untested level, where too few levels were tested to
+        tell how far levels lie from a law.
+        """
+        design = self.design
+        stroke, rate = folds_beyond(setting, design.settings)
+        rest = design.krige([design.cell_of(setting)])[1][0, 0]
+        level = WIDER * design.scatter_sd * np.sqrt(np.maximum(rest, 0.0))
+        level[[k for _, k, _ in self._leveled]] = 0.0
+        found = np.zeros(len(design.names))
+        for k in design.free:
+            name = design.names[k]
             if name != "offset" and not name.startswith("noise_"):
-                change = np.hypot(STROKE * stroke, RATE * rate * (name in self.design.laws))
-                found[k] = change / self.design.spread[k]
-        return found
+                follows = name in design.laws
+                found[k] = np.sqrt(
+                    (STROKE * stroke) ** 2 + ((RATE * rate) ** 2 + level[k] ** 2) * follows
+                )
+        return np.asarray(found / design.spread)
 
     def repeats(self, setting: Setting) -> bool:
         """Whether a motion repeats those of the tests: of their kind and of their stroke."""

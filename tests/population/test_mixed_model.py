@@ -269,7 +269,6 @@ def test_a_law_that_predicts_the_levels_left_out_is_preferred(priors):
     assert compare_laws(two) == ()
 
 
-@pytest.mark.xfail(reason="draws of the prior are too few where tests are precise", strict=True)
 def test_laws_of_precise_tests_are_compared_too(priors):
     scores = {score.law: score for score in compare_laws(power_tests(priors, 0.03, 0.05))}
     assert scores["power"].elpd - scores["affine"].elpd > 5.0

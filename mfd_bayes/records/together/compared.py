@@ -175,7 +175,9 @@ def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         factor, names = away[one.id]
         if abs(factor) < np.log(UNLIKE):
             continue
-        which = "check the range of its load cell, its actuation and its file"
+        which = (
+            "its load cell or its actuation is probably wrong, or the file is that of another test"
+        )
         if len(same) == 1 and abs(away[same[0].id][0]) >= np.log(UNLIKE):  # which of the two is it?
             others = [t for t in known if not _same_level(t, one)]
             sizes = [abs(_from_neighbours(t, [t, *others], ends=True)[0]) for t in (one, same[0])]
