@@ -11,6 +11,7 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.population import given as given_part
 from mfd_bayes.population.bands import FEWEST, Forecast, Predictor
 from mfd_bayes.population.follow import Forecaster
 from mfd_bayes.population.given import Sums, effective_draws, predict_given, systematic
@@ -130,7 +131,8 @@ def test_an_offset_given_a_part_is_the_closed_form(priors, share, end):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name):
+def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name, monkeypatch):
+    monkeypatch.setattr(given_part, "PARTICLES", 400)
     made = predictor(priors, name, scatter=0.2)
     errors, widths, inside = [], [], []
     rest = TIME > 2.2
