@@ -204,12 +204,10 @@ def draws(data: Path) -> Arrays:
         for seed in (1, 2):
             drawn = mb.sample(posterior, effort="quick", seed=seed)
             key = f"draws/{name}/{noise}/seed_{seed}"
-            found[f"{key}/theta_every_20th"] = drawn.theta[:, ::20].reshape(
-                -1, drawn.theta.shape[-1]
-            )
-            found[f"{key}/log_prob_every_20th"] = drawn.log_prob[:, ::20]
             flat = drawn.theta.reshape(-1, drawn.theta.shape[-1])
+            found[f"{key}/theta_every_20th"] = flat[::20].T
             found[f"{key}/theta_quantiles"] = np.quantile(flat, [0.05, 0.5, 0.95], axis=0).T
+            found[f"{key}/log_prob_every_20th"] = drawn.log_prob[:, ::20]
             found[f"{key}/number_of_draws"] = np.array(drawn.log_prob.shape)
     return found
 
@@ -225,15 +223,16 @@ def command(*words: object) -> int:
     return ended.returncode
 
 
-def table(path: Path, name: str) -> Arrays:
-    """Columns of a CSV: numbers as (rows, 1), so that each has its own scale; the rest as text."""
-    frame = pd.read_csv(path, comment="#", dtype=None)
-    return {
-        f"{name}/{column}": frame[column].to_numpy(float)[:, None]
-        if frame[column].dtype.kind in "fiu"
-        else frame[column].fillna("").to_numpy(str)
-        for column in frame.columns
-    }
+def table(path: Path, name: str, *, history: bool = False) -> Arrays:
+    """Columns of a CSV but for notes: numbers (T,) of a history, else (rows, 1); text (rows,)."""
+    found: Arrays = {}
+    for column, values in (
+        pd.read_csv(path, comment="#").drop(columns="note", errors="ignore").items()
+    ):
+        numbers = values.dtype.kind in "fiu"
+        cells = values.to_numpy(float) if numbers else values.fillna("").to_numpy(str)
+        found[f"{name}/{column}"] = cells[:, None] if numbers and not history else cells
+    return found
 
 
 def demo(data: Path) -> Arrays:
@@ -260,9 +259,9 @@ def demo(data: Path) -> Arrays:
             found[f"predict_sine/{what}/exit_status"] = np.array(
                 [command("predict", out, *words, "-o", bands, "-q")]
             )
-            found |= table(bands, f"predict_sine/{what}")
-            derived = table(bands.with_name(f"{what}_derived.csv"), f"predict_sine/{what}/derived")
-            found |= derived
+            found |= table(bands, f"predict_sine/{what}", history=True)
+            derived = bands.with_name(f"{what}_derived.csv")
+            found |= table(derived, f"predict_sine/{what}/derived")
         found |= building(run, home, data)
     return found
 
