@@ -144,20 +144,24 @@ def table():
     commit = subprocess.check_output(["git", "describe", "--always"], text=True)
     print(f"python -m benchmarks.faults.run, seed {SEED}, code and tests of commit {commit}")
     print(
-        f"{'':28}{'faults':>8}{'noticed':>9}{'timeout':>9}{'survived':>10}{'untried':>9}{'share':>8}"
+        f"{'':28}{'faults':>8}{'noticed':>9}{'timeout':>9}{'survived':>10}{'open':>9}{'share':>8}"
     )
     groups = defaultdict(Counter)
     for f in faults:
         kind = f["operator"].split("/")[1].split("_")[0]
         for group in ("/".join(f["file"].split("/")[:2]), f" {kind}", "  all"):
-            groups[group][f["state"] if f["parts"] else "untried"] += 1
+            left = f["state"] == "survived" and (not f["tests"] or f["tests"][0] < f["tests"][1])
+            groups[group]["open" if left else f["state"]] += 1
     for group, states in sorted(groups.items()):
-        counts = [states[state] for state in ("noticed", "timeout", "survived", "untried")]
+        counts = [states[state] for state in ("noticed", "timeout", "survived", "open")]
         share = f"{(counts[0] + counts[1]) / max(1, sum(counts[:3])):8.0%}"
         print(
             f"{group.strip():28}{sum(counts):8}{counts[0]:9}{counts[1]:9}{counts[2]:10}{counts[3]:9}{share}"
         )
-    print("\nSurvived, with the number of tests that run the line and were tried:")
+    print(
+        "\nOpen: not tried yet on all tests that run the line. share: noticed or timed out, of those"
+    )
+    print("not open. Not noticed so far, with the number of tests tried and to try:")
     for f in (f for f in faults if f["parts"] and f["state"] == "survived"):
         done = " of ".join(str(n) for n in f["tests"])
         print(f"{f['number']:4} {f['file']}:{f['line']} {f['function']}, {done} tests")
