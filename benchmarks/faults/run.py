@@ -14,11 +14,8 @@ processor time than without the fault is a timeout. At the end all tests that fa
 fault; what fails then counts no more. A fault may delete any file: make all but HOME read-only.
 """
 
-import ast
-import difflib
 import json
 import os
-import random
 import re
 import shutil
 import subprocess
@@ -28,49 +25,15 @@ from itertools import accumulate
 from pathlib import Path
 
 import coverage
-from cosmic_ray.commands.init import _all_work_items
-from cosmic_ray.mutating import mutate_code, use_mutation
+from cosmic_ray.mutating import use_mutation
 from cosmic_ray.plugins import get_operator
 from cosmic_ray.testing import TestOutcome, run_tests
 
 from benchmarks.faults.cover import cover, tests_of
+from benchmarks.faults.draw import SEED, draw
 
 HOME = Path(sys.argv[2]).resolve()
-COUNT, SEED = 300, 52
 PARTS = (20.0, 80.0, 380.0, 4000.0)  # s without a fault, from the first test to a part's last
-NO_FLOAT = r"Operator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(BitOr|BitAnd|BitXor|LShift|RShift)"
-
-
-def draw():
-    every = [w.mutations[0] for w in _all_work_items(sorted(Path("mfd_bayes").rglob("*.py")), {})]
-    random.Random(SEED).shuffle(every)
-    faults = []
-    while len(faults) < COUNT:
-        m = every.pop()
-        text = m.module_path.read_text("utf-8")
-        new = mutate_code(text, get_operator(m.operator_name)(), m.occurrence)
-        if re.search(NO_FLOAT, m.operator_name) or code(new) in (None, code(text)):
-            continue
-        lines = list(difflib.ndiff(text.splitlines(), new.splitlines()))
-        before, after = ("\n".join(s[2:] for s in lines if s[0] == c).strip() for c in "-+")
-        fault = {"number": len(faults) + 1, "file": str(m.module_path), "line": m.start_pos[0]}
-        fault["column"] = m.start_pos[1]
-        fault |= {"function": m.definition_name, "operator": m.operator_name}
-        fault |= {"occurrence": m.occurrence, "before": before, "after": after}
-        faults.append(fault | {"state": "survived", "parts": 0, "tests": None, "by": ""})
-    keep(faults)
-
-
-def code(text):
-    """What the code does: its tree without annotations; None where it does not compile."""
-    try:
-        compile(text, "", "exec")
-    except (SyntaxError, ValueError):
-        return None
-    for node in ast.walk(tree := ast.parse(text)):
-        for name in {"annotation", "returns"} & {*node._fields}:
-            setattr(node, name, None)
-    return ast.dump(tree)
 
 
 def keep(faults):
@@ -154,14 +117,13 @@ def table():
             groups[group]["open" if left else f["state"]] += 1
     for group, states in sorted(groups.items()):
         counts = [states[state] for state in ("noticed", "timeout", "survived", "open")]
-        share = f"{(counts[0] + counts[1]) / max(1, sum(counts[:3])):8.0%}"
-        print(
-            f"{group.strip():28}{sum(counts):8}{counts[0]:9}{counts[1]:9}{counts[2]:10}{counts[3]:9}{share}"
-        )
+        share = sum(counts[:2]) / max(1, sum(counts[:3]))
+        cells = "{:9}{:9}{:10}{:9}".format(*counts)
+        print(f"{group.strip():28}{sum(counts):8}{cells}{share:8.0%}")
     print(
-        "\nOpen: not tried yet on all tests that run the line. share: noticed or timed out, of those"
+        "\nOpen: not tried yet on all tests that run the line. Share: of those that are not open."
     )
-    print("not open. Not noticed so far, with the number of tests tried and to try:")
+    print("Not noticed so far, with the number of tests that were tried:")
     for f in (f for f in faults if f["parts"] and f["state"] == "survived"):
         done = " of ".join(str(n) for n in f["tests"])
         print(f"{f['number']:4} {f['file']}:{f['line']} {f['function']}, {done} tests")
@@ -171,5 +133,10 @@ def table():
 if __name__ == "__main__":
     os.chdir(HOME / "house")
     sys.path[0] = str(HOME / "house")
-    steps = {"draw": draw, "cover": lambda: cover(HOME), "try": try_all, "table": table}
+    steps = {
+        "draw": lambda: keep(draw()),
+        "cover": lambda: cover(HOME),
+        "try": try_all,
+        "table": table,
+    }
     steps[sys.argv[1]]()
