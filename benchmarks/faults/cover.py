@@ -35,8 +35,10 @@ class Watch:
 def cover(home):
     """Run all fast tests once, and keep what was watched in a folder."""
     os.environ["FAULTS"] = str(home)
-    words = ["--cov", f"--cov-config={INI}", "--cov-context=test", "--cov-report="]
-    pytest.main([*words, f"--basetemp={home / 'temporary'}"], plugins=[watch := Watch()])
+    words = ["-o", "addopts=", "-m", "not slow", "--import-mode=importlib"]  # --dist hides contexts
+    words += ["--cov", f"--cov-config={INI}", "--cov-context=test", "--cov-report="]
+    words += [f"--basetemp={home / 'temporary'}"]
+    pytest.main(words, plugins=[watch := Watch()])
     (home / "tests.json").write_text(json.dumps(watch.tests, indent=0))
 
 
