@@ -137,9 +137,7 @@ def test_a_run_is_followed(out, record):
     later = mb.Trace.from_arrays(trace.time[60:], trace.displacement[60:])
     band = forecaster.band(later)
     assert band.draws.shape == (100, later.samples)
-    with pytest.raises(
-        mb.MfdError, match="the planned actuation must be a finite number"
-    ):
+    with pytest.raises(mb.MfdError, match="the planned actuation must be a finite number"):
         run.follow(-1.0)
     with pytest.raises(mb.MfdError, match="the planned velocity"):
         run.follow(1.0, velocity=0.0)
