@@ -26,9 +26,8 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.common.machine import processor, versions
 from benchmarks.heldout import records
 from benchmarks.heldout.run import DRAWS, finished
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.bands import Predictor
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.validation.scores import Score, score
 

@@ -27,9 +27,8 @@ from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.grid import tested_of
 from mfd_bayes.planning.study import Effort, Situation, advise, goals_of
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.bands import Predictor
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.scores import score

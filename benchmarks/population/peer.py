@@ -14,6 +14,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from mfd_bayes.population.sharing import draw_common
+from mfd_bayes.population.test_likelihood import TestLikelihood
 from numpyro.infer import MCMC, NUTS
 
 from benchmarks.forward import peers as forward_peers
@@ -22,8 +24,6 @@ from benchmarks.sampling import peers
 from mfd_bayes.population.design import WIDER
 from mfd_bayes.population.design import WIDER as FAR
 from mfd_bayes.population.design import Layout as OurLayout
-from mfd_bayes.population.sharing import draw_common
-from mfd_bayes.population.test_likelihood import TestLikelihood
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mfd_bayes.population.pilot import Pilot, fit_pilot
+from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
+from mfd_bayes.population.sharing import share
+from mfd_bayes.population.test_likelihood import TestLikelihood
+from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 from numpy.typing import NDArray
 
 from benchmarks.sbc.study import narrow_priors
@@ -17,18 +22,10 @@ from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.population.design import WIDER
-from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.design import lay_out
-from mfd_bayes.population.design import Layout
-from mfd_bayes.population.pilot import Pilot, fit_pilot
+from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.design import WIDER, Layout, lay_out
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.bands import Predictor
-from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
 from mfd_bayes.population.settings import Setting, setting_of
-from mfd_bayes.population.sharing import share
-from mfd_bayes.population.test_likelihood import TestLikelihood
-from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
