@@ -73,7 +73,7 @@ def without(run: Run, fold: Fold, effort: str) -> Run:
     settings = run.manifest.settings.inference(effort, (run.manifest.seed, 2))
     inference = infer_population(kept, run.priors, settings)
     others = replace(run, tests=kept)
-    vars(others)["population"] = inference.draws.population  # instead of the one that is stored
+    vars(others)["population"] = inference.population  # instead of the one that is stored
     return others
 
 

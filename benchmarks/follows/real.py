@@ -25,8 +25,7 @@ from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import print_bars, processor, versions
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Band, Forecast
 from mfd_bayes.population.starts import Ending
 from mfd_bayes.validation.scores import score
 

@@ -20,8 +20,7 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, MfdError
 from mfd_bayes.jobs.dispatch import Workplace, check_workers
 from mfd_bayes.pipeline import prediction
-from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
 

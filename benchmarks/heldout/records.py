@@ -135,7 +135,7 @@ def join(runs: dict, effort: str):
     named = {key: sessions.get(s := key.split(" ")[0], s) for key in tests}
     settings = replace(some.manifest.settings.inference(effort, (1, 3)), sessions=named)
     inference = infer_population(tests, some.priors, settings)
-    return inference.draws.population, next(iter(tests.values())).posterior
+    return inference.population, next(iter(tests.values())).posterior
 
 
 def semi_active_tests(source: Path) -> list[tuple[str, str, Trace]]:

@@ -6,6 +6,9 @@ calibrates the sessions of the band brake and predicts what was left out:
 
 -   the 36 lb harmonic tests, each in turn, and the earthquakes from all of them;
 -   the 2022 session: each tension in turn, and each test whose tension another test has too;
+-   with --kinds, instead: kinds of motion. All 36 lb tests at 1 Hz from the others, all with a
+    stroke of 0.5 in, all of 1.5 in, all slow ones, all at 0.5 Hz; the 30 lb tests and the
+    earthquakes from all 36 lb tests;
 -   with --zero, instead: the two tests at zero tension from those at 30 and 36 lb, and each from
     all others.
 
@@ -26,6 +29,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +38,9 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.inference import infer_population
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.results import Score
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.folds import folds_of, run_folds
@@ -185,6 +192,50 @@ def many_levels(run: Run, options: argparse.Namespace) -> None:
     bar("width at a tension seen over that of a fitted test", ratio, ratio <= 2.0, "at most 2")
 
 
+KINDS: dict[str, Callable[[str], bool]] = {
+    "all at 1 Hz": lambda name: "1.00Hz" in name,
+    "all at 0.5 Hz": lambda name: "0.50Hz" in name,
+    "all slow ones (0.25 and 0.1 Hz)": lambda name: "0.25Hz" in name or "0.10Hz" in name,
+    "all of 0.5 in": lambda name: "0.5in" in name,
+    "all of 1.5 in": lambda name: "1.5in" in name,
+}
+"""Kinds of harmonic motion that are left out, by the ids of their tests."""
+
+
+def kinds(options: argparse.Namespace) -> None:
+    """Whole kinds of motion left out: the mean over each kind's tests, and the least coverage."""
+    run, other = (finished(options.out, session, options) for session in ("36lb", "30lb"))
+    header("36 lb, 2023: kinds of motion left out (means over the tests)", "least", "tests")
+    some = next(iter(run.tests.values())).posterior
+    for kind, belongs in KINDS.items():
+        rest = {name: test for name, test in run.tests.items() if not belongs(name)}
+        settings = run.manifest.settings.inference(options.fold_effort, (1, 4))
+        population = infer_population(rest, run.priors, settings).population
+        predictor = Predictor(population, some.model, some.noise)
+        left_out = {name: test.trace for name, test in run.tests.items() if belongs(name)}
+        judge_kind(kind, [score_of(predictor, trace) for trace in left_out.values()])
+    predictor = Predictor(run.population, some.model, some.noise)
+    traces = [test.trace for test in other.tests.values()]
+    judge_kind("30 lb from 36 lb", [score_of(predictor, trace) for trace in traces])
+    for name, trace in run.held_out.items():
+        begin, end = WINDOWS[name]
+        inside = (trace.time >= begin) & (trace.time <= end)
+        judge_kind(name, [score_of(predictor, trace, inside)])
+
+
+def score_of(predictor: Predictor, trace: Trace, inside: np.ndarray | slice = slice(None)) -> Score:
+    """Score of the predicted band of a record."""
+    band = predictor.predict(trace, Forecast("observation", draws=DRAWS, seed=1))
+    return score(band.draws[:, inside], np.asarray(trace.force)[inside])
+
+
+def judge_kind(kind: str, found: list[Score]) -> None:
+    total, least = mean(found), min(s.coverage[2] for s in found)
+    line(kind, total, f"{100 * least:5.1f}", f"{len(found):5d}")
+    covered = total.coverage[2]
+    bar(f"coverage of 95 % bands, {kind}", covered, covered >= 0.90, "at least 0.90")
+
+
 def zero(run: Run, options: argparse.Namespace) -> None:
     """Three levels of one session, one of them zero: what the laws say there, with and without."""
     noise = run.manifest.settings.noise
@@ -230,12 +281,16 @@ def parse() -> argparse.Namespace:
     dependence = "of friction, as in a campaign file: such as travel velocity"
     parser.add_argument("--dependence", nargs="+", default=[], help=dependence)
     parser.add_argument("--one-level", action="store_true", help="the 36 lb session alone")
+    parser.add_argument("--kinds", action="store_true", help="kinds of motion left out, alone")
     parser.add_argument("--zero", action="store_true", help="zero tension in and out, alone")
     return parser.parse_args()
 
 
 def main() -> None:
     options = parse()
+    if options.kinds:
+        kinds(options)
+        return
     if options.zero:
         zero(finished(options.out, "2023-04", options), options)
         return

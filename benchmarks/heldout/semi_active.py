@@ -26,10 +26,8 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.common.machine import processor, versions
 from benchmarks.heldout import records
 from benchmarks.heldout.run import DRAWS, finished
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.given import predict_given
-from mfd_bayes.population.pace import Pace
-from mfd_bayes.population.bands import Predictor
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.validation.scores import Score, score
 
@@ -45,24 +43,20 @@ HEAD = (
 )
 
 
-def joined(options: argparse.Namespace, model: str) -> tuple[Predictor, Pace]:
+def joined(options: argparse.Namespace, model: str) -> Predictor:
     """Predictor of all sessions' tests with a model, and the rates at which they were fitted."""
     chosen = argparse.Namespace(**{**vars(options), "model": model})
     runs = {session: finished(options.out, session, chosen) for session in SESSIONS}
     population, some = records.join(runs, options.fold_effort)
-    pace = Pace.of(test.trace for run in runs.values() for test in run.tests.values())
-    return Predictor(population, some.model, some.noise), pace
+    return Predictor(population, some.model, some.noise)
 
 
-def draws_of(
-    known: tuple[Predictor, Pace], trace: Trace, session: str
-) -> tuple[np.ndarray, np.ndarray]:
+def draws_of(predictor: Predictor, trace: Trace, session: str) -> tuple[np.ndarray, np.ndarray]:
     """Draws of a record's force alone, and given its first part, (n, T), kip."""
-    predictor, pace = known
     forecast = Forecast("observation", draws=DRAWS, session=session)
     begin = float(trace.time[0])
     alone = predictor.predict(trace, forecast)
-    given = predict_given(predictor, trace, forecast, (begin, begin + GIVEN), pace)
+    given = predict_given(predictor, trace, forecast, (begin, begin + GIVEN))
     return alone.draws, given.draws
 
 

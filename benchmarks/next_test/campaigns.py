@@ -115,7 +115,7 @@ def calibrated(traces: Sequence[Trace], seed: int) -> Campaign:
     priors = load_priors("mfd")
     tests = {f"t{k}": _test(trace, priors) for k, trace in enumerate(traces)}
     settings = InferenceSettings(LAWS, "ksi", "quick", (seed, 0))
-    population = infer_population(tests, priors, settings).draws.population
+    population = infer_population(tests, priors, settings).population
     done = tuple(tested_of(trace) for trace in traces)
     some = next(iter(tests.values())).posterior
     situation = Situation(population, some.model, some.noise, done, ("",) * len(done))

@@ -27,9 +27,8 @@ from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.grid import tested_of
 from mfd_bayes.planning.study import Effort, Situation, advise, goals_of
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.bands import Predictor
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
 from mfd_bayes.validation.scores import score
@@ -49,7 +48,7 @@ def situation(run: Run, names: Iterable[str], seed: int) -> Situation:
     """What is known from some of a run's tests."""
     tests = {name: run.tests[name] for name in names}
     settings = replace(run.manifest.settings.inference("quick", (23, seed)), sessions={})
-    population = infer_population(tests, run.priors, settings).draws.population
+    population = infer_population(tests, run.priors, settings).population
     some = next(iter(tests.values())).posterior
     done = tuple(tested_of(test.trace) for test in tests.values())
     return Situation(population, some.model, some.noise, done, ("",) * len(done))

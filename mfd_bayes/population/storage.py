@@ -100,6 +100,7 @@ def _population(
 
     draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
     other = LawDraws(**{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()})
+    design.row(settings[0])  # which fails where a covariate is unknown
     z = design.quantity.size
     sizes = (draws.h.shape[-1], draws.z.shape[-1], other.z.shape[-1])
     if sizes != (design.free.size + len(design.effects), z, z):

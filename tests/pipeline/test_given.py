@@ -50,7 +50,7 @@ def test_the_part_is_marked_and_the_rest_narrower(ask, out, record, tmp_path):
     np.testing.assert_array_equal(narrow.given == 1, narrow.time_s <= 1.0)
     assert np.all(narrow.whole_upper_kip >= narrow.upper_kip)
     rest = narrow.time_s > 1.0
-    assert f"of the {rest.sum()} measured samples that were not given" in " ".join(
+    assert f"of the {rest.sum()} measured samples in motion that were not given" in " ".join(
         found.stdout.split()
     )
     trace = mb.read_record(record).trace()

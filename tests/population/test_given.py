@@ -1,0 +1,284 @@
+"""A first part of a test is given, or arrives sample by sample."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg, stats
+
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError, RecordError
+from mfd_bayes.friction.models import find_model
+from mfd_bayes.population import given as given_part
+from mfd_bayes.population.bands import FEWEST, Forecast, Predictor
+from mfd_bayes.population.follow import Forecaster
+from mfd_bayes.population.given import Sums, effective_draws, predict_given, systematic
+from mfd_bayes.population.settings import setting_of
+from mfd_bayes.records.trace import Trace
+from tests.population.made import make_population, no_residual
+
+RATE = 32.0
+TIME = np.arange(160) / RATE
+MODELS = ("three_stage", "lugre", "backlash", "bouc_wen")
+RESIDUAL = {"lag_one": 1e-3, "noise_time": 1.0 / RATE / np.log(1e3), "travel": 1e-6}
+"""Independent noise, of which every sample counts."""
+
+
+def motion(actuation=1.0):
+    small = 0.04 * np.sin(4.0 * np.pi * TIME)
+    later = np.maximum(TIME - 1.0, 0.0)
+    x = np.where(TIME < 1.0, small, 0.5 * np.sin(1.4 * np.pi * later))
+    return Trace.from_arrays(TIME, x, actuation, np.ones(TIME.size))
+
+
+def predictor(priors, name, **options):
+    """A population of a model, with medians typical of the priors."""
+    model = find_model(name)
+    names = Posterior(motion(), priors, "iid", model, start="sample").names
+    medians = {n: priors.parameters[n].typical for n in names if n not in ("start", "gamma1")}
+    medians |= {"noise_sd": 0.05, "offset": 0.0}
+    options = {"scatter": 0.1, "level_sd": 0.01} | options
+    residual = no_residual(**RESIDUAL, **options.pop("residual", {}))
+    tested = [setting_of(motion(p)) for p in (0.5, 1.0, 2.0)]
+    population = make_population(tested, medians=medians, residual=residual, **options)
+    return Predictor(population, model, find_noise("iid"))
+
+
+def truth_of(made, seed=1, actuation=1.0):
+    """A test of the population: its record, its force without noise, and its quantities."""
+    rng, trace = np.random.default_rng(seed), motion(actuation)
+    drawn = made.draw(trace, Forecast(draws=FEWEST), rng)
+    values = {name: value[0] for name, value in made.values(drawn).items()}
+    force = made.force(trace, drawn)[0]
+    noise = made.population.residual.draw_noise(rng, trace, np.array([values["noise_sd"]]))[0]
+    record = replace(trace, force=force + values["offset"] + noise)
+    return record, force, values
+
+
+# --- likelihood
+
+
+def test_the_likelihood_is_the_dense_density_with_an_intercept_of_each_stroke():
+    rng = np.random.default_rng(1)
+    strokes, left = np.repeat([0, 1, 2], [5, 9, 4]), rng.standard_normal((3, 18))
+    sd, h = np.array([0.5, 1.0, 1.7]), 0.6
+    sums = Sums.of(left, np.ones(18), strokes, 3)
+    found = sums.log_likelihood(sd, h)
+    common = linalg.block_diag(*(np.ones((n, n)) for n in (5, 9, 4)))
+    unit = (1.0 - h**2) * np.eye(18) + h**2 * common
+    expected = [
+        stats.multivariate_normal(np.zeros(18), s**2 * unit).logpdf(row)
+        for s, row in zip(sd, left, strict=True)
+    ]
+    np.testing.assert_allclose(found - 9.0 * np.log(2.0 * np.pi), expected, rtol=1e-10)
+    parts = Sums.of(left[:, :7], np.ones(7), strokes[:7], 2)
+    parts = parts + Sums.of(left[:, 7:], np.ones(11), strokes[7:], 3)
+    np.testing.assert_allclose(parts.log_likelihood(sd, h), found)
+    assert np.abs(sums.log_likelihood(sd, 0.0) - found).max() > 1.0  # the control
+
+
+def test_a_sample_that_counts_for_half_is_half_a_sample():
+    left = np.full((1, 4), 0.7)
+    half = Sums.of(left, np.full(4, 0.5), np.zeros(4, dtype=int), 1)
+    whole = Sums.of(left[:, :2], np.ones(2), np.zeros(2, dtype=int), 1)
+    sd = np.array([0.9])
+    np.testing.assert_allclose(half.log_likelihood(sd, 0.4), whole.log_likelihood(sd, 0.4))
+
+
+def test_draws_are_resampled_in_proportion_to_their_weights():
+    log = np.log(np.array([0.1, 0.2, 0.3, 0.4]))
+    chosen = systematic(log, 1000, np.random.default_rng(1))
+    np.testing.assert_allclose(np.bincount(chosen), [100, 200, 300, 400], atol=1)
+    assert effective_draws(np.zeros((50, 1)))[0] == pytest.approx(50.0)
+    assert effective_draws(np.array([[0.0], [-800.0]]))[0] == pytest.approx(1.0)
+
+
+# --- a closed form
+
+
+def known_but_for_the_offset(priors, share=0.0):
+    return predictor(
+        priors, "lugre", scatter={"offset": 0.1}, level_sd=0.0, residual={"stroke_share": share}
+    )
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+@pytest.mark.parametrize("end", [0.07, 3.0])  # by weights alone, and resampled and moved
+def test_an_offset_given_a_part_is_the_closed_form(priors, share, end):
+    made = known_but_for_the_offset(priors, share)
+    record, force, _ = truth_of(made, seed=4)
+    band = predict_given(made, record, Forecast(draws=4000, seed=1), (0.0, end))
+    assert band.given.method == ("weights" if end < 1.0 else "sampling")
+    inside = end >= TIME
+    n, turns = np.count_nonzero(inside), record.turning_points
+    strokes = np.searchsorted(turns, np.arange(n), side="right")
+    same = (strokes[:, None] == strokes).astype(float)
+    covariance = 0.05**2 * ((1.0 - share**2) * np.eye(n) + share**2 * same)
+    left = (record.force - force)[inside]
+    weight = np.linalg.solve(covariance, np.ones(n))
+    precision = weight.sum() + 0.1**-2
+    mean, sd = weight @ left / precision, precision**-0.5
+    drawn = band.values["offset"]
+    size = min(band.given.effective, 1500) if band.given.method == "weights" else 300.0
+    assert abs(drawn.mean() - mean) < 4.0 * sd / np.sqrt(size)
+    assert drawn.std() == pytest.approx(sd, rel=4.0 / np.sqrt(2.0 * size))
+    assert sd < 0.06  # the control: the prior's is 0.1
+
+
+# --- all models
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name, monkeypatch):
+    monkeypatch.setattr(given_part, "PARTICLES", 400)
+    made = predictor(priors, name, scatter=0.2)
+    errors, widths, inside = [], [], []
+    rest = TIME > 2.2
+    for seed in range(3):
+        record, force, _ = truth_of(made, seed)
+        forecast = Forecast(draws=300, seed=seed)
+        before = made.predict(record, forecast)
+        band = predict_given(made, record, forecast, (0.0, 2.2))
+        assert band.given.window == (0.0, 2.2)
+        errors.append([np.abs(b.median - force)[rest].mean() for b in (before, band)])
+        widths.append([np.mean((b.upper - b.lower)[rest]) for b in (before, band)])
+        inside.append(np.mean(((force >= band.lower) & (force <= band.upper))[rest]))
+    without, given = np.mean(widths, axis=0)
+    assert given < 0.7 * without
+    before, after = np.mean(errors, axis=0)
+    assert after < 0.7 * before
+    assert np.mean(inside) > 0.6
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_test_that_is_followed_is_that_which_is_given(priors, name):
+    made = predictor(priors, name, scatter=0.1)
+    record, _, _ = truth_of(made, 2)
+    forecast, at = Forecast(draws=3000, seed=1), 30
+    forecaster = Forecaster(made, setting_of(record), forecast, refresh=False)
+    for i in range(at):
+        one = slice(i, i + 1)
+        forecaster.update(record.time[one], record.displacement[one], None, record.force[one])
+    later = Trace.from_arrays(record.time[at:], record.displacement[at:])
+    followed = forecaster.band(later)
+    given = predict_given(made, record, forecast, (0.0, float(record.time[at - 1])))
+    free = made.predict(record, forecast)
+    both = [followed.draws, given.draws[:, at:]]
+    sd = both[1].std(axis=0)
+    size = min(followed.given.effective, given.given.effective)
+    apart = np.abs(both[0].mean(axis=0) - both[1].mean(axis=0)) / sd
+    # within the error of two weighted samples, and what blocks of samples leave
+    assert np.mean(apart) < 4.0 / np.sqrt(size) + 0.1
+    assert np.mean(both[0].std(axis=0) / sd) == pytest.approx(1.0, abs=8.0 / np.sqrt(size) + 0.1)
+    assert np.mean(free.draws[:, at:].std(axis=0) / sd) > 1.02  # the control
+
+
+def test_a_refreshed_forecaster_knows_what_is_given(priors):
+    made = known_but_for_the_offset(priors)
+    record, force, values = truth_of(made, 3)
+    forecaster = Forecaster(made, setting_of(record), Forecast(draws=500))
+    forecaster.update(record.time[:80], record.displacement[:80], None, record.force[:80])
+    band = forecaster.band(Trace.from_arrays(TIME[80:], record.displacement[80:]))
+    known = 0.05 / np.sqrt(80)
+    assert np.median(band.values["offset"]) == pytest.approx(values["offset"], abs=5.0 * known)
+    assert band.values["offset"].std() < 2.0 * known
+    assert np.mean(np.abs(band.median - force[80:])) < 0.02 * np.ptp(force)
+    assert forecaster.time == record.time[79]
+
+
+def test_an_update_costs_the_same_however_long_the_test_has_run(priors):
+    made = predictor(priors, "lugre")
+    n = 1200
+    at = np.arange(n) / RATE
+    x, force = 0.5 * np.sin(1.4 * np.pi * at), np.sin(1.4 * np.pi * at)
+    forecaster = Forecaster(made, setting_of(motion()), Forecast(draws=200), refresh=False)
+    cost = []
+    for i in range(n):
+        began = time.process_time()
+        forecaster.update(at[i : i + 1], x[i : i + 1], None, force[i : i + 1])
+        cost.append(time.process_time() - began)
+    early, late = np.median(cost[50:250]), np.median(cost[-200:])
+    assert late < 2.5 * early + 1e-3
+
+
+def test_a_force_that_no_draw_explains_is_said_not_to_be_reliable(priors):
+    made = predictor(priors, "lugre", scatter=0.02)
+    record, _, _ = truth_of(made, 1)
+    wrong = replace(record, force=np.asarray(record.force) * 4.0)
+    forecaster = Forecaster(made, setting_of(record), Forecast(draws=200), refresh=False)
+    forecaster.update(wrong.time[:60], wrong.displacement[:60], None, wrong.force[:60])
+    band = forecaster.band(Trace.from_arrays(TIME[60:], record.displacement[60:]))
+    assert any("not reliable" in remark for remark in band.remarks)
+    few = Forecaster(made, setting_of(record), Forecast(draws=2000), refresh=False)
+    few.update(record.time[:4], record.displacement[:4], None, record.force[:4])
+    fine = few.band(Trace.from_arrays(TIME[60:], record.displacement[60:]))
+    assert fine.remarks == ()  # the control
+
+
+def test_the_force_after_the_window_does_not_matter(priors):
+    made = predictor(priors, "three_stage")
+    record, _, _ = truth_of(made, 1)
+    other = replace(record, force=np.where(TIME > 1.5, -7.0, record.force))
+    bands = [predict_given(made, r, Forecast(draws=50), (0.0, 1.5)) for r in (record, other)]
+    np.testing.assert_array_equal(bands[0].draws, bands[1].draws)
+    early = replace(record, force=np.where(TIME < 1.2, 2.0 * record.force, record.force))
+    changed = predict_given(made, early, Forecast(draws=50), (0.0, 1.5))
+    assert np.any(changed.draws != bands[0].draws)  # the control
+
+
+@pytest.mark.parametrize("actuation", [1.4, np.where(TIME < 2.5, 1.0, 2.0), 0.0])
+def test_any_actuation_can_be_given_and_followed(priors, actuation):
+    laws = {"Fc_fwd": "affine", "Fc_bwd": "affine"}
+    made = predictor(priors, "three_stage", laws=laws, effect={"level_friction": 0.1})
+    record, force, _ = truth_of(made, 2, actuation)
+    band = predict_given(made, record, Forecast(draws=200), (0.0, 2.0))
+    assert np.mean(np.abs(band.median - force)[TIME > 2.0]) < 0.3 * np.std(force)
+    forecaster = Forecaster(made, setting_of(record), Forecast(draws=200), refresh=False)
+    level = np.broadcast_to(actuation, TIME.shape)
+    forecaster.update(TIME[:40], record.displacement[:40], level[:40], record.force[:40])
+    later = Trace.from_arrays(TIME[40:], record.displacement[40:], level[40:])
+    followed = forecaster.band(later)
+    assert np.mean(np.abs(followed.median - force[40:])) < 0.4 * np.std(force)
+
+
+# --- what is refused
+
+
+def test_what_cannot_be_given_is_one_sentence(priors):
+    made = predictor(priors, "lugre")
+    record, _, _ = truth_of(made)
+    for kind in ("device", "this_test"):
+        with pytest.raises(FitError, match="given is for the kinds new_test and observation"):
+            predict_given(made, record, Forecast(kind), (0.0, 1.0))
+    with pytest.raises(FitError, match="must lie within the record"):
+        predict_given(made, record, Forecast(), (0.0, 60.0))
+    with pytest.raises(FitError, match="samples, too few"):
+        predict_given(made, record, Forecast(), (1.0, 1.03))
+    with pytest.raises(FitError, match="the force is zero in the whole given part"):
+        predict_given(made, replace(record, force=0.0 * TIME), Forecast(), (0.0, 1.0))
+    with pytest.raises(FitError, match="the trace has no force"):
+        predict_given(made, replace(record, force=None), Forecast(), (0.0, 1.0))
+
+
+def test_samples_that_cannot_follow_are_one_sentence(priors):
+    made = predictor(priors, "lugre")
+    record, _, _ = truth_of(made)
+    forecaster = Forecaster(made, setting_of(record), Forecast(draws=20), refresh=False)
+    with pytest.raises(FitError, match="a band needs some samples"):
+        forecaster.band(record)
+    forecaster.update(TIME[:9], record.displacement[:9], None, record.force[:9])
+    for arguments, words in (
+        ((TIME[:2], [0.0, 0.0], None, [0.0, 0.0]), "time must increase"),
+        (([9.0], [np.nan], None, [0.0]), "displacement of an update must be finite"),
+        (([9.0], [0.0, 1.0], None, [0.0]), r"displacement of an update must have shape \(1,\)"),
+        (([9.0], [0.0], -1.0, [0.0]), "actuation of an update must not be negative"),
+    ):
+        with pytest.raises(RecordError, match=words):
+            forecaster.update(*arguments)
+    with pytest.raises(FitError, match="must begin after the last sample"):
+        forecaster.band(record)
+    idle = Forecaster(made, setting_of(motion(0.0)), Forecast(draws=20), refresh=False)
+    with pytest.raises(RecordError, match="planned without actuation, and now has one"):
+        idle.update([0.0], [0.0], 1.0, [0.0])

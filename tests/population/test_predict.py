@@ -1,0 +1,319 @@
+"""Bands of populations of given values: laws, levels, sessions, sources and whole curves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.errors import FitError, NotThereError
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.population.bands import (
+    ADVICE,
+    Forecast,
+    Predictor,
+    holds_whole,
+    whole_band,
+)
+from mfd_bayes.population.settings import planned_setting, setting_of, with_zeros
+from mfd_bayes.records.trace import Trace
+from tests.population.made import THREE_STAGE, make_population, no_residual
+
+TIME = np.arange(200) / 50.0
+LEVELS = (0.5, 1.0, 2.0)
+DRAWS = 4000
+
+
+def motion(actuation=1.0, amplitude=1.0, rate=1.0):
+    return Trace.from_arrays(TIME, amplitude * np.sin(np.pi * rate * TIME), actuation)
+
+
+def settings(levels=LEVELS, sessions=("", "", ""), amplitudes=(1.0, 1.0, 1.0)):
+    each = zip(levels, sessions, amplitudes, strict=True)
+    return [setting_of(motion(p, x), session) for p, session, x in each]
+
+
+def predictor(*arguments, **options):
+    tested = options.pop("tested", None) or settings()
+    population = make_population(tested, *arguments, **options)
+    return Predictor(population, ThreeStage(), find_noise("iid"))
+
+
+def spread(band, name="Fc_fwd"):
+    return np.log(band.values[name]).std()
+
+
+# --- laws, between the levels and beyond them
+
+POWER = {"Fc_fwd": "proportional", "Fc_bwd": "proportional"}
+MIXED = {"proportional": 0.5, "constant": 0.3, "power": 0.2}
+
+
+def test_beyond_the_levels_laws_are_mixed_and_between_them_the_named_one_holds():
+    named, mixed = (
+        predictor(POWER, level_sd=0.02, scatter=0.02, alternatives=a) for a in (None, MIXED)
+    )
+    forecast = Forecast(draws=DRAWS)
+    for level in (0.5, 0.8, 1.4, 2.0):
+        one, other = (p.predict(motion(level), forecast) for p in (named, mixed))
+        np.testing.assert_array_equal(one.draws, other.draws)
+    for level in (0.2, 5.0):
+        one, other = (p.predict(motion(level), forecast) for p in (named, mixed))
+        assert spread(other) > 5.0 * spread(one)
+        constant = np.abs(np.log(other.values["Fc_fwd"] / 1.3)) < 0.3
+        share = MIXED["constant"]
+        assert abs(constant.mean() - share) < 4.0 * np.sqrt(share * (1.0 - share) / DRAWS)
+        law = np.median(one.values["Fc_fwd"]) / 1.3
+        assert law == pytest.approx(level, rel=0.02)
+        assert np.mean(other.upper - other.lower) > 1.5 * np.mean(one.upper - one.lower)
+
+
+def test_the_named_law_gives_the_median_and_its_slope():
+    made = predictor({"Fc_fwd": "power", "Fc_bwd": "affine"}, exponent=0.6, share=0.7, level_sd=0.0)
+    population = made.population
+    np.testing.assert_allclose(
+        population.median("Fc_fwd", [0.5, 2.0])[0, 0], [1.3 * 0.5**0.6, 1.3 * 2**0.6]
+    )
+    np.testing.assert_allclose(population.median("Fc_bwd", 2.0)[..., 0], 1.6 * (0.3 + 0.7 * 2.0))
+    np.testing.assert_allclose(population.ratio("Fs_fwd", 2.0), 2.0**0.6)  # as its friction
+    np.testing.assert_allclose(population.ratio("k3", 2.0), 1.0)
+    assert population.slopes["K_c_bwd"][0, 0] == pytest.approx(1.6 * 0.7)
+    assert population.slopes["Fc_bwd_0"][0, 0] == pytest.approx(1.6 * 0.3)
+    assert "K_c_fwd" not in population.slopes
+    with pytest.raises(NotThereError, match="no quantity 'zz'"):
+        population.median("zz", 1.0)
+    with pytest.raises(FitError, match="actuation must be finite numbers of at least 0"):
+        population.ratio("Fc_fwd", [1.0, -1.0])
+
+
+def test_levels_deviate_from_the_laws_less_where_tests_are_near():
+    made = predictor(
+        {"Fc_fwd": "power"}, effect={"level_friction": 0.1}, scatter=1e-9, level_sd=0.0
+    )
+    forecast = Forecast("device", draws=DRAWS)
+    tested, between, far = (
+        spread(made.predict(motion(p), forecast)) for p in (1.0, 1.4, 2.0 * 1.9)
+    )
+    assert tested < 1e-6  # its effect is known, and 0 here
+    assert 0.005 < between < 0.05
+    assert far > 1.3 * between
+
+
+# --- a test without actuation, and one whose actuation changes
+
+
+def test_without_actuation_a_proportional_friction_is_none():
+    tested = with_zeros([setting_of(motion(p)) for p in (1e-5, 1.0, 2.0)])
+    assert tested[0].actuation == 0.0
+    made = predictor(POWER, tested=tested)
+    band = made.predict(motion(0.0), Forecast(draws=200))
+    assert np.all(band.values["Fc_fwd"] < 1e-6)
+    assert np.all(np.isfinite(band.draws))
+    affine = predictor(dict.fromkeys(POWER, "affine"), tested=tested, share=0.7)
+    left = affine.predict(motion(0.0), Forecast(draws=DRAWS)).values["Fc_fwd"]
+    assert np.median(left) == pytest.approx(1.3 * 0.3, rel=4.0 * 1.25 * 0.11 / np.sqrt(DRAWS))
+    with pytest.raises(FitError, match="an actuation above zero in at least one"):
+        with_zeros([setting_of(motion(0.0))])
+
+
+def test_a_history_that_never_changes_is_the_constant():
+    made = predictor({"Fc_fwd": "affine"}, effect={"level_friction": 0.1})
+    almost = 1.2 * (1.0 + 1e-12 * np.arange(TIME.size))
+    history, constant = (made.predict(motion(p), Forecast(draws=50)) for p in (almost, 1.2))
+    np.testing.assert_allclose(history.draws, constant.draws, rtol=1e-4, atol=1e-4)
+
+
+def test_along_a_history_friction_follows_its_law_and_levels_deviate():
+    law = {"Fc_fwd": "power", "Fc_bwd": "power"}
+    history = np.where(TIME < 2.0, 1.0, 2.0)
+    force = {}
+    asked = Forecast(draws=DRAWS, session="another")
+    for effect in (1e-9, 0.2):
+        effects = {"level_friction": effect}
+        made = predictor(law, exponent=0.5, scatter=1e-9, level_sd=0.0, effect=effects)
+        drawn = made.draw(motion(history), asked, np.random.default_rng(1))
+        force[effect] = drawn.scales["Fc_fwd"]
+        np.testing.assert_array_equal(drawn.scales["Fs_fwd"], drawn.scales["Fc_fwd"])
+    at, up = 0, -1
+    lawful = force[1e-9][:, up] / force[1e-9][:, at]
+    np.testing.assert_allclose(lawful, 2.0**0.5, rtol=1e-6)
+    logs = np.log(force[0.2][:, up] / force[0.2][:, at])
+    # Matérn 3/2 an octave apart, with half the sd at twice the actuation
+    r = np.sqrt(3.0)
+    rho = (1.0 + r) * np.exp(-r)
+    expected = 0.2 * np.sqrt(1.0 + 0.25 - 2.0 * 0.5 * rho)
+    assert logs.std() == pytest.approx(expected, rel=4.0 / np.sqrt(2.0 * DRAWS) + 0.01)
+    assert logs.mean() == pytest.approx(0.5 * np.log(2.0), abs=4.0 * expected / np.sqrt(DRAWS))
+
+
+# --- sessions, motions outside the tests
+
+
+def test_a_new_session_is_wider_than_a_known_one():
+    made = predictor(
+        tested=settings(sessions=("a", "a", "b")), effect={"session_friction": 0.2}, scatter=0.05,
+        level_sd=0.0,
+    )  # fmt: skip
+    known, new = (made.predict(motion(), Forecast(draws=DRAWS, session=s)) for s in ("a", "new"))
+    rel = 4.0 / np.sqrt(2.0 * DRAWS)
+    assert spread(known) == pytest.approx(0.05, rel=rel)
+    assert spread(new) == pytest.approx(np.hypot(0.05, 0.2), rel=rel)
+    mean = made.predict(motion(), Forecast("device", draws=DRAWS, session="new"))
+    assert spread(mean) < 1e-6  # the mean property is that of the device
+
+
+def test_a_motion_outside_the_tests_is_wider_and_one_inside_is_not():
+    made = predictor(scatter=0.02, level_sd=0.0, tested=settings(amplitudes=(0.5, 1.0, 1.5)))
+    inside = made.predict(motion(amplitude=1.0), Forecast(draws=DRAWS))
+    assert spread(inside) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * DRAWS))
+    longer = made.predict(motion(amplitude=1.5 * np.e, rate=1.0 / np.e), Forecast(draws=DRAWS))
+    faster = made.predict(motion(rate=4.0), Forecast(draws=DRAWS))
+    assert spread(longer) > 0.15
+    assert spread(inside) < spread(faster) < spread(longer)
+
+
+def test_a_dependence_on_the_stroke_holds_within_the_tested_strokes():
+    made = predictor(
+        tested=settings(amplitudes=(0.5, 1.0, 1.5)), dependence={"Fc_fwd": ("amplitude",)},
+        scatter=1e-9, level_sd=0.0,
+    )  # fmt: skip
+    z = made.population.draws.z
+    begin = len(made.population.design.names)
+    z[..., begin] = -0.3
+    assert np.all(made.population.dependences["Fc_fwd_amplitude"] == -0.3)
+    middles = {
+        x: np.median(np.log(made.predict(motion(amplitude=x), Forecast(draws=50)).values["Fc_fwd"]))
+        for x in (0.5, 1.0, 1.5)
+    }
+    assert middles[1.0] - middles[0.5] == pytest.approx(-0.3 * np.log(2.0), rel=0.01)
+    assert middles[1.5] - middles[1.0] == pytest.approx(-0.3 * np.log(1.5), rel=0.01)
+
+
+# --- kinds, whole curves, sources
+
+
+def test_the_kinds_are_nested_and_an_observation_has_its_noise():
+    made = predictor(effect={"level_friction": 0.05}, level_sd=0.02)
+    width = {
+        kind: np.mean((b := made.predict(motion(1.3), Forecast(kind, draws=800))).upper - b.lower)
+        for kind in ("device", "new_test", "observation")
+    }
+    assert width["device"] < 0.8 * width["new_test"] < 0.8 * width["observation"]
+    still = predictor(scatter=1e-9, level_sd=0.0, medians=THREE_STAGE | {"noise_sd": 0.2})
+    noisy = still.predict(motion(), Forecast("observation", draws=DRAWS))
+    # from any start in the gap; later samples are the same for all
+    sds = noisy.draws[:, 120:].std(axis=0)
+    np.testing.assert_allclose(sds, 0.2, rtol=5.0 / np.sqrt(2.0 * DRAWS))
+
+
+def test_the_same_seed_gives_the_same_draws_and_another_does_not():
+    made = predictor()
+    one, again, other = (made.predict(motion(), Forecast(draws=20, seed=s)) for s in (1, 1, 2))
+    np.testing.assert_array_equal(one.draws, again.draws)
+    assert np.any(one.draws != other.draws)
+    with pytest.raises(ValueError, match="read-only"):
+        one.draws[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.95])
+def test_a_band_of_whole_curves_holds_its_share_of_new_ones(probability):
+    rng = np.random.default_rng(5)
+    drawn, fresh = (np.cumsum(rng.standard_normal((4000, 40)), axis=1) for _ in "ab")
+    lower, upper = whole_band(drawn, probability)
+    share = np.mean(np.all((fresh >= lower) & (fresh <= upper), axis=1))
+    assert share == pytest.approx(probability, abs=6.0 * np.sqrt(0.25 / 4000))
+    single = np.quantile(drawn, [0.5 - 0.5 * probability, 0.5 + 0.5 * probability], axis=0)
+    held = np.mean(np.all((fresh >= single[0]) & (fresh <= single[1]), axis=1))
+    assert held < probability - 0.1  # the control: that of single samples holds far fewer
+    assert np.all((lower <= single[0]) & (upper >= single[1]))
+    assert holds_whole(drawn, np.zeros(40))
+    assert not holds_whole(drawn, np.full(40, 1e3))
+
+
+def test_each_source_of_the_width_is_named_by_what_varies():
+    for scatter, source in (
+        ({"Fc_fwd": 0.2}, "test-to-test scatter of forward slip force"),
+        ({"d2": 0.3}, "test-to-test scatter of gap"),
+    ):
+        made = predictor(scatter=scatter, level_sd=0.0)
+        band = made.predict(motion(), Forecast(draws=200, explained=True))
+        assert max(band.shares, key=band.shares.get) in (source, "start in the gap")
+        assert band.shares[source] > 0.5
+        assert sum(band.shares.values()) == pytest.approx(1.0)
+        assert set(band.shares) <= set(ADVICE)
+    law = predictor(scatter=1e-9, level_sd={"Fc_fwd": 0.2, "Fc_bwd": 0.2})
+    shares = law.predict(motion(), Forecast(draws=200)).shares
+    assert shares["law, level and session effects"] > 0.5
+    noise = predictor(scatter=1e-9, level_sd=0.0, medians=THREE_STAGE | {"noise_sd": 0.3})
+    assert noise.predict(motion(), Forecast("observation", draws=200)).shares["noise"] > 0.5
+
+
+def test_one_calibrated_test_is_repeated_with_its_own_parameters():
+    made = predictor(level_sd=0.2, scatter=0.3)
+    own = {n: np.full(50, v) for n, v in THREE_STAGE.items()} | {"start": np.full(50, 0.5)}
+    own["Fc_fwd"] = 2.0 * np.exp(0.01 * np.random.default_rng(1).standard_normal(50))
+    band = made.repeat(motion(), Forecast("this_test", draws=400), own)
+    assert np.median(band.values["Fc_fwd"]) == pytest.approx(2.0, rel=0.01)
+    assert spread(band) < 0.02
+    assert "posterior draws of this test" in band.source
+
+
+def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
+    knots = np.full(32, 0.1)
+    plain, shifted = (
+        predictor(POWER, scatter=1e-9, level_sd=0.0, residual=r)
+        for r in (no_residual(), no_residual(mean=knots, slip_force=1.45))
+    )
+    for level in (1.0, 2.0):
+        pair = [p.predict(motion(level), Forecast(draws=10)) for p in (plain, shifted)]
+        late = slice(110, None)  # after the first full strokes
+        difference = (pair[1].median - pair[0].median)[late]
+        assert np.abs(difference).max() == pytest.approx(0.1 * level, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"kind": "all"}, "unknown kind 'all'"),
+        ({"probability": 1.0}, "probability must be a number between 0 and 1"),
+        ({"draws": 9}, "draws must be a whole number, 10 or more"),
+        ({"draws": 10**6}, "draws must be a whole number of at most 100000"),
+        ({"seed": -1}, "seed must be a whole number"),
+        ({"session": 5}, "session must be text"),
+        ({"whole": "no"}, "whole must be True or False"),
+    ],
+)
+def test_what_cannot_be_asked_of_a_prediction_is_one_sentence(options, words):
+    with pytest.raises(FitError, match=words):
+        Forecast(**options)
+
+
+def test_a_motion_without_an_actuation_and_a_plan_that_is_none_are_refused():
+    with pytest.raises(FitError, match="needs the trace's actuation"):
+        setting_of(Trace.from_arrays(TIME, np.sin(TIME)))
+    plan = planned_setting(settings(), 1.0, "", {"amplitude": None, "velocity": 2.0})
+    assert plan.covariates["amplitude"] == pytest.approx(1.0, rel=0.01)
+    assert plan.covariates["velocity"] == 2.0
+    with pytest.raises(FitError, match="the planned amplitude"):
+        planned_setting(settings(), 1.0, "", {"amplitude": -1.0})
+
+
+def test_few_draws_for_a_high_probability_are_told():
+    assert Forecast(probability=0.999, draws=100).remarks[0].startswith("100 draws are too few")
+    assert Forecast(probability=0.95, draws=100).remarks == ()
+
+
+def test_scatter_draws_are_normal_and_independent_between_quantities():
+    band = predictor(level_sd=0.0, scatter=0.1).predict(motion(), Forecast(draws=DRAWS))
+    pair = np.log([band.values["Fc_fwd"], band.values["Fc_bwd"]])
+    assert abs(np.corrcoef(pair)[0, 1]) < 4.0 / np.sqrt(DRAWS)
+    assert stats.kstest((pair[1] - pair[1].mean()) / 0.1, "norm").pvalue > 1e-4
+
+
+def test_draws_of_a_population_are_not_changed_by_a_prediction():
+    made = predictor()
+    before = {k: v.copy() for k, v in vars(made.population.draws).items()}
+    made.predict(motion(3.0), replace(Forecast(), draws=50))
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(made.population.draws, name), value)

@@ -1,0 +1,198 @@
+"""A stored population predicts what it did, or is refused in one sentence."""
+
+import json
+import shutil
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.errors import StoreError
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.settings import setting_of
+from mfd_bayes.population.starts import SHAPES, Starts
+from mfd_bayes.population.storage import load_population, save_population, save_test_draws
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store.netcdf import load_arrays
+from tests.population.made import make_population, no_residual
+
+TIME = np.arange(120) / 40.0
+TESTED = ((0.5, "a", 1.0), (0.8, "b", 1.5), (1.5, "b", 1.0))
+LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
+
+
+def motion(actuation=1.0, amplitude=1.0):
+    return Trace.from_arrays(TIME, amplitude * np.sin(np.pi * TIME), actuation)
+
+
+@pytest.fixture(scope="module")
+def population():
+    """With all that a file may hold."""
+    rng = np.random.default_rng(1)
+    residual = no_residual(
+        mean=0.02 * rng.normal(size=32), covariance=1e-4 * np.eye(32), stroke_share=0.3,
+        log_shape=0.1 * rng.normal(size=32), slip_force=1.3, lag_one=0.4, noise_time=0.05,
+    )  # fmt: skip
+    weights = rng.random((2, SHAPES.size))
+    made = make_population(
+        [
+            setting_of(motion(p, x), s)
+            for p, s, x in ((0.5, "a", 1), (0.8, "b", 1.5), (1.5, "b", 1))
+        ],
+        LAWS,
+        exponent_sd=0.1,
+        effect={"level_friction": 0.05, "session_friction": 0.03},
+        shape=(2, 12),
+        everywhere=False,
+        reference=None,
+        dependence={"Fc_fwd": ("amplitude",)},
+        alternatives={"proportional": 0.6, "residual_power": 0.4},
+        residual=residual,
+        starts=Starts(weights / weights.sum(), 0.4),
+    )
+    made.draws.z[...] += 0.01 * rng.normal(size=made.draws.z.shape)
+    object.__setattr__(made, "begun", rng.random((2, 12, 3)))
+    object.__setattr__(made, "walkers", 6)
+    return made
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory, population):
+    path = tmp_path_factory.mktemp("stored") / "population.nc"
+    save_population(path, population)
+    return path
+
+
+@pytest.fixture
+def path(stored, tmp_path):
+    return shutil.copy(stored, tmp_path / "population.nc")
+
+
+def change(path, **facts):
+    """The facts of a stored file changed; those that become None are left out."""
+    with h5py.File(path, "r+") as file:
+        found = json.loads(file["posterior"].attrs["facts"]) | facts
+        kept = {name: value for name, value in found.items() if value is not None}
+        file["posterior"].attrs["facts"] = json.dumps(kept)
+
+
+HISTORY = np.linspace(0.5, 1.5, TIME.size)
+
+
+@pytest.mark.parametrize(
+    "actuation", [0.8, 1.1, 3.0, HISTORY], ids=["tested", "new", "far", "history"]
+)
+@pytest.mark.parametrize("kind", ["device", "new_test", "observation"])
+@pytest.mark.parametrize("session", ["b", "new"])
+def test_predictions_come_back_bit_by_bit(population, stored, priors, actuation, kind, session):
+    back = load_population(stored, priors)
+    forecast = Forecast(kind, draws=30, seed=3, session=session)
+    first, again = (
+        Predictor(p, ThreeStage(), find_noise("iid")).predict(motion(actuation), forecast)
+        for p in (population, back)
+    )
+    np.testing.assert_array_equal(first.draws, again.draws)
+    assert np.all(np.isfinite(first.draws))
+
+
+def test_what_tables_show_comes_back(population, stored, priors):
+    back = load_population(stored, priors)
+    for what in ("slopes", "scatters", "effect_sds", "dependences"):
+        assert getattr(back, what).keys() == getattr(population, what).keys() != set()
+        for name, values in getattr(population, what).items():
+            np.testing.assert_array_equal(getattr(back, what)[name], values)
+    assert back.law_weights == population.law_weights
+    assert (back.actuation_unit, back.walkers, back.common) == ("ksi", 6, population.common)
+    np.testing.assert_array_equal(back.begun, population.begun)
+    np.testing.assert_array_equal(back.choice, population.choice)
+    for name, values in vars(population.convergence).items():
+        np.testing.assert_array_equal(getattr(back.convergence, name), values)
+
+
+def test_arviz_reads_the_file_by_the_papers_names(stored, population):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz as az
+    data = az.from_netcdf(stored)
+    slope = data.posterior["K_c_bwd"]
+    assert slope.dims == ("chain", "draw")
+    np.testing.assert_array_equal(slope, population.slopes["K_c_bwd"])
+    for name in ("scatter_Fc_fwd", "deviation_level_friction", "deviation_session_friction"):
+        assert data.posterior[name].dims == ("chain", "draw")
+
+
+@pytest.mark.parametrize("other", ["mixed model 0", 7, None])
+def test_a_population_of_another_version_is_refused_in_one_sentence(path, priors, other):
+    change(path, format=other)
+    with pytest.raises(
+        StoreError, match=r"population\.nc .*another version.*run mfd-bayes calibrate"
+    ) as raised:
+        load_population(path, priors)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("names", None),
+        ("names", ["sigma0"]),
+        ("names", ["../x"]),
+        ("settings", []),
+        ("settings", [{"actuation": -1.0, "session": "", "covariates": {}}] * 3),
+        ("settings", [{"weight": 1.0}]),
+        ("laws", {"Fc_fwd": "cubic"}),
+        ("laws", {"k2": "constant", **LAWS}),
+        ("dependence", {"Fc_fwd": ["weight"]}),
+        ("alternatives", {}),
+        ("residual", {"slip_force": 1.0}),
+        ("discrepancy", {"mean": 0.0}),
+        ("basis", {"shortest": 1.0}),
+        ("walkers", "many"),
+        ("r_hat", None),
+    ],
+)
+def test_facts_that_do_not_fit_together_are_refused(path, priors, key, value):
+    load_population(path, priors)  # the control
+    change(path, **{key: value})
+    with pytest.raises(StoreError, match=r"population\.nc is damaged"):
+        load_population(path, priors)
+
+
+@pytest.mark.parametrize("name", ["draws_h", "draws_z", "draws_share", "law", "starts"])
+def test_draws_that_are_no_numbers_or_missing_are_refused(path, priors, name):
+    with h5py.File(path, "r+") as file:
+        kept = file["posterior"][name][...]
+        file["posterior"][name][0, 1, 0] = np.nan
+    with pytest.raises(StoreError, match=r"population\.nc is damaged"):
+        load_population(path, priors)
+    with h5py.File(path, "r+") as file:
+        file["posterior"][name][...] = kept
+    load_population(path, priors)  # the control
+    if name == "starts":
+        return  # a model without a gap has none
+    with h5py.File(path, "r+") as file:
+        del file["posterior"][name]
+    with pytest.raises(StoreError, match=r"population\.nc is damaged"):
+        load_population(path, priors)
+
+
+def test_what_is_no_such_file_is_refused(path, priors, tmp_path):
+    with pytest.raises(StoreError, match=r"nothing\.nc does not exist"):
+        load_population(tmp_path / "nothing.nc", priors)
+    whole = Path(path).read_bytes()
+    for text in (b"", b"time_s,force_kip\n0,1\n", whole[: len(whole) // 2]):
+        (tmp_path / "bad.nc").write_bytes(text)
+        with pytest.raises(StoreError, match=r"bad\.nc"):
+            load_population(tmp_path / "bad.nc", priors)
+
+
+def test_a_pooled_test_is_written_by_its_quantities(tmp_path):
+    values = {"k3": np.arange(8.0).reshape(2, 4), "d2": np.ones((2, 4))}
+    save_test_draws(tmp_path / "test.nc", values, {"k3": "kip/in"}, "first")
+    arrays, facts = load_arrays(tmp_path / "test.nc")
+    assert facts == {"test": "first"}
+    np.testing.assert_array_equal(arrays["k3"], values["k3"])
