@@ -49,11 +49,10 @@ from benchmarks.common.machine import platform_line, print_bars
 from benchmarks.common.series import fingerprint, run_series
 from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
 from benchmarks.population import study as study_of
-from benchmarks.population.study import FACTORS, RIGHT
+from benchmarks.population.study import FACTORS, RIGHT, WALKERS
 from mfd_bayes.calibration.diagnostics import measure
 from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.errors import MfdError
-from mfd_bayes.population.exact import WALKERS
 
 MEAN, SPREAD = 0.1, 0.1
 """Largest deviations of a mean, in sds, and of the ratio of two sds from 1."""
@@ -144,11 +143,13 @@ def agreement(mine, theirs, my_ess, their_ess):
     }
     groups = {group: [name for name in rows if name.startswith(group)] for group in GROUPS}
     for test in TESTS:
-        groups[test] = [f"{test}: {name}" for name in MAIN]
+        groups[test] = [f"{test}: {name}" for name in MAIN if f"{test}: {name}" in rows]
     groups["others"] = [n for n in rows if n.startswith(TESTS) and n.split(": ")[1] not in MAIN]
     print(f"{'':12s}{'mean':>8}{'error':>8}  {'':26s}{'sd':>8}{'error':>8}")
     failed = []
     for group, names in groups.items():
+        if not names:
+            continue
         at, there = (max(names, key=lambda name, i=i: abs(rows[name][i])) for i in (0, 2))
         (mean, error, _, _), (_, _, sd, sd_error) = rows[at], rows[there]
         print(f"{group:12s}{mean:8.3f}{error:8.3f}  {at:26s}{sd:8.1%}{sd_error:8.1%}  {there}")

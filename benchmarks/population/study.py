@@ -22,7 +22,7 @@ from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import WIDER, Design, design_of
-from mfd_bayes.population.exact import CHAINS, WALKERS, ExactSampler
+from mfd_bayes.population.exact import CHAINS, ExactSampler
 from mfd_bayes.population.exact import Draws as JointDraws
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
@@ -44,8 +44,8 @@ FACTORS = {RIGHT: 1.0, HALVED: 0.5, DOUBLED: 2.0}
 LEVELS_RANKED = ("sigma0", "d2", "k3", "offset", "noise_sd")
 TEST_RANKED = ("Fc_fwd", "sigma0", "d2", "offset", "noise_sd")
 """Quantities whose levels, and whose values in the first test, are ranked."""
-STEPS = 3000
-"""Steps of emcee in `draw_jointly`."""
+WALKERS = 8
+"""Chains of each group in `draw_jointly`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,7 @@ def draw_jointly(study: Study, joint: Joint, wider: float = 1.0) -> JointDraws:
         weight, mixed = mixed.weight, MixedModel(design, mixed.y, mixed.p)
         mixed.weight = weight
     choice, effort = _choice(mixed.design, CHAINS * WALKERS), study.joint
-    pool = [mixed.sample(choice[0], rng, STEPS, 8000)] * len(choice)
+    pool = [mixed.sample(choice[0], rng, 8000)] * len(choice)
     sampler = ExactSampler(mixed, joint.fit, joint.own, choice, pool, rng)
     return sampler.run(effort.r_hat, effort.ess, 4000, effort.kept // 4, lambda *_: None)
 
