@@ -4,7 +4,7 @@
     python -m benchmarks.population.run --campaigns 100 > benchmarks/population/population.txt
 
 Agreement: one synthetic campaign of four tests at three levels, 17 parameters each, with
-Ornstein–Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 1500 effective
+Ornstein–Uhlenbeck noise. Ours calibrates the tests and samples them jointly to 5000 effective
 draws. NumPyro's NUTS samples the joint density of population and tests, written in JAX, which
 shares no code with ours (`benchmarks.population.peer`). Both take what the joint fit fixes: the
 discrepancy, the noise's shape, the share of independent samples, and which quantities of tests
@@ -78,7 +78,7 @@ def compare(seed, quick, small):
     from benchmarks.population import peer
 
     study = (study_of.small_study if small else study_of.full_study)(seed)
-    study = replace(study, joint=replace(EFFORTS["thorough"], ess=1500))
+    study = replace(study, joint=replace(EFFORTS["thorough"], ess=5000, kept=32000))
     campaign = study_of.synthesize(study, 0)
     began = time.perf_counter()
     draws = study_of.calibrate(study, campaign, 0)
@@ -87,7 +87,7 @@ def compare(seed, quick, small):
     failed = _likelihoods_that_differ(joint)
     layout = peer.Layout(joint)
     began = time.perf_counter()
-    tuning, kept = (400, 500) if quick else (TUNING, DRAWS)
+    tuning, kept = (400, 1200) if quick else (TUNING, DRAWS)
     found, diverged = peer.nuts(layout, chains=CHAINS, warm_up=tuning, kept=kept, seed=seed)
     theirs = peer.drawn_values(layout, found)
     spent = time.perf_counter() - began

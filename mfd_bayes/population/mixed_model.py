@@ -110,7 +110,7 @@ class MixedModel:
         return np.asarray(total)
 
     def of_numbers(self, g: Array) -> Array:
-        """Values of h for standard normal numbers g (n, dim): draws of its prior for draws of these.
+        """Values of h for numbers g (n, dim): draws of its prior for standard normal draws of these.
 
         Near such numbers the posterior is close to a Gaussian, which it is not near h.
         """
