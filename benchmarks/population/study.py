@@ -1,42 +1,51 @@
 """Synthetic campaigns drawn from the prior of a population, their inference, and ranks of truths.
 
-The truths follow section 6 of model.md and the docstring of `Layout`. Of its code only the
-numbers of the prior are used (centre, spread, scales, reference), not its laws, effects or layout.
+The truths follow section 6 of model.md and the docstring of `Design`. Of its code only the numbers
+of the prior are used (centre, spread, scales, reference), not its laws, effects or layout.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from mfd_bayes.population.pilot import Pilot, fit_pilot
-from mfd_bayes.population.sampling import JointDraws, JointProblem, sample_joint
-from mfd_bayes.population.sharing import share
-from mfd_bayes.population.test_likelihood import TestLikelihood
-from mfd_bayes.population.working import WorkingLikelihood, working_likelihood
 from numpy.typing import NDArray
 
 from benchmarks.sbc.study import narrow_priors
 from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import Draws, sample
+from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.design import WIDER, Layout, lay_out
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import Setting, setting_of
+from mfd_bayes.population.design import WIDER, Design, design_of
+from mfd_bayes.population.exact import CHAINS, ExactSampler
+from mfd_bayes.population.exact import Draws as JointDraws
+from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
+from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
+from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
 LEVELS = (0.7, 1.0, 1.0, 1.4)  # ksi: two tests at the middle one
-UNSEEN = 1.7  # ksi
+UNSEEN = 1.2  # ksi: between tested levels, where the named laws hold
 LAWS = {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine", "noise_sd": "power"}
 FOLLOWERS = {"Fc": ("Fc_fwd", "Fc_bwd"), "sigma0": ("sigma0",), "noise_sd": ("noise_sd",)}
 """Quantities that follow the actuation, by what names their scatter group."""
-RIGHT, WRONG = "whole", "points"
-"""Inference from the tests' likelihoods; and the control, with means as if known exactly."""
+RIGHT, HALVED, DOUBLED = "inferred", "halved", "doubled"
+"""Scatter as the package infers it; and the controls, which tell half or twice of it."""
+FACTORS = {RIGHT: 1.0, HALVED: 0.5, DOUBLED: 2.0}
+LEVELS_RANKED = ("sigma0", "d2", "k3", "offset", "noise_sd")
+TEST_RANKED = ("Fc_fwd", "sigma0", "d2", "offset", "noise_sd")
+"""Quantities whose levels, and whose values in the first test, are ranked."""
+WALKERS = 8
+"""Chains of each group in `draw_jointly`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +79,23 @@ class Campaign:
     Attributes
     ----------
     tests : tuple of Posterior
-    layout : Layout
+    design : Design
     truth : mapping of str to float
         By the names of what is ranked.
     """
 
     tests: tuple[Posterior, ...]
-    layout: Layout
+    design: Design
     truth: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """What the exact posterior of a campaign is made of."""
+
+    fit: JointFit
+    mixed: MixedModel
+    own: NDArray[np.bool_]
 
 
 def full_study(seed: int) -> Study:
@@ -98,7 +116,7 @@ def small_study(seed: int) -> Study:
     sampled = ("sigma0", "Fc_fwd", "Fc_bwd", "k3", "d2", "start", "offset", "noise_sd")
     priors = narrow_priors((*sampled, "noise_time"), noise_time=0.2)
     single = replace(EFFORTS["quick"], ess=150, limit=1600, ensembles=2)
-    joint = replace(EFFORTS["quick"], ess=190, r_hat=1.03)
+    joint = replace(EFFORTS["quick"], ess=190)
     return Study(priors, motion, single, joint, draws=63, seed=seed)
 
 
@@ -107,28 +125,29 @@ def synthesize(study: Study, index: int) -> Campaign:
     rng = np.random.default_rng([study.seed, index, 0])
     blanks = [_blank(study, level) for level in LEVELS]
     settings = [setting_of(blank.trace) for blank in blanks]
-    known = [name for name in blanks[0].names if name != "noise_time"]  # the pilot learns it
-    layout = lay_out(study.priors, known, settings, LAWS)
-    names = list(layout.names)
-    level = layout.centre + layout.spread * rng.standard_normal(len(names))
-    differs = ~np.array(layout.sparse)
-    scatter = differs * layout.scatter_sd * np.abs(rng.standard_normal(len(names)))
-    truth = {f"scatter {name}": scatter[k] for k, name in enumerate(names) if differs[k]}
+    known = [name for name in blanks[0].names if name != "noise_time"]  # the joint fit learns it
+    design = design_of(study.priors, known, settings, LAWS)
+    names, d = list(design.names), len(design.names)
+    centre = design.coordinates.centre[:d]
+    level = centre + design.spread * rng.standard_normal(d)
+    scatter = ~design.common * design.scatter_sd * np.abs(rng.standard_normal(d))
+    truth = {f"scatter {names[k]}": scatter[k] for k in design.free}
     at = np.array([*LEVELS, UNSEEN])
     means = np.tile(level, (at.size, 1))
-    means += _laws(rng, at / layout.reference, names, truth)
-    means += _deviations(rng, at, layout, truth)
+    means += _laws(rng, at / design.reference, names, truth)
+    means += _deviations(rng, at, design, truth)
     q = means + scatter * rng.standard_normal(means.shape)
-    values = layout.coordinates.values(q)
-    median = {n: float(v[0]) for n, v in layout.coordinates.values(level[None]).items()}
+    values = _values(design, q)
+    median = {n: float(v[0]) for n, v in _values(design, level[None]).items()}
     for side in ("fwd", "bwd"):
-        truth[f"K_c_{side}"] = median[f"Fc_{side}"] / layout.reference
-        truth[f"level Fc_{side}"] = level[names.index(f"Fc_{side}")]
-    truth["alpha_sigma0"] = median["sigma0"] * truth["share sigma0"] / layout.reference
-    truth["level offset"] = level[names.index("offset")]
-    for name in ("Fc_fwd", "sigma0", "offset"):
+        truth[f"K_c_{side}"] = median[f"Fc_{side}"] / design.reference
+    truth["alpha_sigma0"] = median["sigma0"] * truth["share sigma0"] / design.reference
+    for name in LEVELS_RANKED:
+        truth[f"level {name}"] = level[names.index(name)]
+    for name in TEST_RANKED:
         truth[f"first test's {name}"] = values[name][0]
     truth["new test's Fc_fwd"] = values["Fc_fwd"][-1]
+    truth["new test's sigma0"] = values["sigma0"][-1]
     tests = []
     for j, blank in enumerate(blanks):
         force = _measured(blank, {name: v[j : j + 1] for name, v in values.items()}, rng)
@@ -136,7 +155,16 @@ def synthesize(study: Study, index: int) -> Campaign:
     new = _blank(study, UNSEEN)
     force = _measured(new, {name: v[-1:] for name, v in values.items()}, rng)
     truth |= {name: value[0] for name, value in _seen_in(new, force).items()}
-    return Campaign(tuple(tests), layout, {name: float(v) for name, v in truth.items()})
+    return Campaign(tuple(tests), design, {name: float(v) for name, v in truth.items()})
+
+
+def _values(design: Design, q: Array) -> dict[str, Array]:
+    """Shared quantities at coordinates q (n, d), by name."""
+    d = len(design.names)
+    x = np.zeros((len(q), len(design.coordinates.names)))
+    x[:, :d] = (q - design.coordinates.centre[:d]) / design.spread
+    found = design.coordinates.values(x)
+    return {name: found[name] for name in design.names}
 
 
 def _measured(blank: Posterior, shared: Mapping[str, Array], rng: np.random.Generator) -> Array:
@@ -147,7 +175,10 @@ def _measured(blank: Posterior, shared: Mapping[str, Array], rng: np.random.Gene
 
 
 def _seen_in(test: Posterior, force: Array) -> dict[str, Array]:
-    """Energy of the first full cycle, and force in the middle of the gap, of forces (n, T)."""
+    """Energy of the first full cycle, and two forces, of forces (n, T).
+
+    One force is in the middle of the gap, the other at the turn after it.
+    """
     x = test.trace.displacement
     peaks = 1 + np.flatnonzero(np.diff(np.sign(np.diff(x))))
     cycle = slice(peaks[0], peaks[2] + 1)
@@ -158,7 +189,11 @@ def _seen_in(test: Posterior, force: Array) -> dict[str, Array]:
         if name in test.priors
     )
     middle = peaks[0] + np.argmax(np.abs(x[peaks[0] :] - x[peaks[0]]) >= 0.5 * gap)
-    return {"new test's energy": energy, "new test's force in the gap": force[:, middle]}
+    return {
+        "new test's energy": energy,
+        "new test's force in the gap": force[:, middle],
+        "new test's force at a turn": force[:, peaks[1]],
+    }
 
 
 def _blank(study: Study, level: float) -> Posterior:
@@ -187,21 +222,21 @@ def deviation_root(at: Array) -> Array:
     Matérn 3/2 over the logarithm of the actuation; in inverse proportion to it, from half to twice.
     """
     r = np.sqrt(3.0) * np.abs(np.log(at[:, None] / at)) / np.log(2.0)
-    reference = np.exp(np.mean(np.log(np.unique(LEVELS))))
+    reference = np.exp(np.mean(np.log(LEVELS)))
     sizes = np.clip(reference / at, 0.5, 2.0)
     covariance = sizes[:, None] * sizes * (1.0 + r) * np.exp(-r)
-    return np.asarray(np.linalg.cholesky(covariance + 1e-12 * np.eye(at.size)))
+    return np.asarray(np.linalg.cholesky(covariance + 1e-9 * np.eye(at.size)))
 
 
 def _deviations(
-    rng: np.random.Generator, at: Array, layout: Layout, truth: dict[str, float]
+    rng: np.random.Generator, at: Array, design: Design, truth: dict[str, float]
 ) -> Array:
     """Smooth deviations from the laws, one Gaussian process for each follower, (J, d)."""
-    names = list(layout.names)
+    names = list(design.names)
     found = np.zeros((at.size, len(names)))
     root = deviation_root(at)
     for group, members in FOLLOWERS.items():
-        scale = WIDER * layout.scatter_sd[names.index(members[0])]
+        scale = WIDER * design.scatter_sd[names.index(members[0])]
         sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
         for name in members:
             found[:, names.index(name)] = sd * root @ rng.standard_normal(at.size)
@@ -214,95 +249,127 @@ def calibrate(study: Study, campaign: Campaign, index: int) -> list[Draws]:
     return [sample(t, study.single, s) for t, s in zip(campaign.tests, seeds, strict=True)]
 
 
-def draw_jointly(
-    study: Study, campaign: Campaign, first: tuple[Layout, Pilot], index: int, way: str = RIGHT
-) -> JointDraws:
-    """Population of a `first_fit`, as the package infers it, or wrongly as the control."""
-    layout, pilot = first
-    tests = [test if way == RIGHT else _as_points(test) for test in pilot.tests]
-    rng = np.random.default_rng([study.seed, index, 2])
-    problem = JointProblem(layout, tests, campaign.tests[0].priors, "ksi", pilot.residual)
-    return sample_joint(problem, study.joint, rng)
+def infer(study: Study, campaign: Campaign, draws: Sequence[Draws], index: int) -> Inference:
+    """Population of a campaign's calibrated tests, as a user infers it."""
+    pairs = enumerate(zip(campaign.tests, draws, strict=True))
+    tests = {
+        f"t{j}": TestResult(f"t{j}", test, Path(), intervals=intervals_of(drawn.values))
+        for j, (test, drawn) in pairs
+    }
+    seed = (study.seed, index, 2)
+    return infer_population(tests, study.priors, InferenceSettings(LAWS, "ksi", study.joint, seed))
 
 
-def first_fit(study: Study, campaign: Campaign, draws: Sequence[Draws]) -> tuple[Layout, Pilot]:
-    """The layout with what the tests leave common, and their likelihoods."""
-    working = [working_likelihood(campaign.layout, test, study.priors) for test in campaign.tests]
-    starts = [_median(one, drawn) for one, drawn in zip(working, draws, strict=True)]
-    pilot = fit_pilot(working, starts)
-    return share(campaign.layout, pilot.tests), pilot
+def fit_campaign(campaign: Campaign, priors: PriorFile, draws: Sequence[Draws]) -> Joint:
+    """The joint fit and the mixed model, step by step as `infer_population` takes them."""
+    design = campaign.design
+    posteriors = [Posterior(test.trace, priors, "iid", test.model) for test in campaign.tests]
+    likelihoods = [TestLikelihood(p, design.coordinates) for p in posteriors]
+    medians = [{n: np.array([np.median(v)]) for n, v in d.values.items()} for d in draws]
+    start = np.concatenate([design.coordinates.of(values) for values in medians])
+    d, own = len(design.names), np.zeros(start.shape, dtype=bool)
+    own[:, d:] = True  # the start in the gap
+    common = np.zeros(start.shape[1], dtype=bool)
+    common[:d] = design.common
+    fit = fit_jointly(likelihoods, np.clip(start, -6.0, 6.0), common)
+    pairs = [without(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
+    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
+    mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
+    mixed.set_apart(_choice(design, 1)[0])
+    return Joint(fit, mixed, own)
 
 
-def _median(likelihood: WorkingLikelihood, draws: Draws) -> Array:
-    """Medians of a test's draws in the prior units of its likelihood, (D,)."""
-    layout, priors = likelihood.layout, likelihood.posterior.priors
-    values = {name: np.array([np.median(v)]) for name, v in draws.values.items()}
-    parts = [layout.coordinates.of(values)]
-    parts += [priors[name].coordinate(values[name])[:, None] for name in likelihood.own]
-    return np.asarray((np.concatenate(parts, axis=1)[0] - likelihood.middle) / likelihood.scale)
+def draw_jointly(study: Study, joint: Joint, wider: float = 1.0) -> JointDraws:
+    """Exact posterior of a `fit_campaign`; the control has a `wider` prior of the scatter."""
+    mixed, rng = joint.mixed, np.random.default_rng([study.seed, 2])
+    if wider != 1.0:
+        design = replace(mixed.design, scatter_sd=wider * mixed.design.scatter_sd)
+        weight, mixed = mixed.weight, MixedModel(design, mixed.y, mixed.p)
+        mixed.weight = weight
+    choice, effort = _choice(mixed.design, CHAINS * WALKERS), study.joint
+    pool = [mixed.sample(choice[0], rng, 8000)] * len(choice)
+    sampler = ExactSampler(mixed, joint.fit, joint.own, choice, pool, rng)
+    return sampler.run(effort.r_hat, effort.ess, 4000, effort.kept // 4, lambda *_: None)
 
 
-def _as_points(test: TestLikelihood) -> TestLikelihood:
-    """The posterior's mean under a N(0, 1) prior taken for a measurement without error."""
-    mean = np.linalg.solve(test.precision + np.eye(test.mean.size), test.precision @ test.mean)
-    certain = replace(test, mean=mean, covariance=1e-4 * np.eye(mean.size))
-    return certain.approximated()
+def _choice(design: Design, n: int) -> NDArray[np.intp]:
+    """Numbers of the laws, (n, L)."""
+    return np.tile([LAW_NAMES.index(law) for law in design.laws.values()], (n, 1))
 
 
-def drawn_values(inference: JointDraws, rng: np.random.Generator) -> dict[str, Array]:
+def coordinates_of(design: Design, drawn: JointDraws) -> dict[str, Array]:
+    """Everything that is inferred by name, tests in shared coordinates, (chain, draw) each."""
+    names, d, f = design.names, len(design.names), design.free.size
+    centre = design.coordinates.centre[:d]
+    level = centre + design.spread * drawn.z[..., :d]
+    found = {f"level {name}": level[..., k] for k, name in enumerate(names)}
+    h = drawn.h
+    found |= {f"scatter {names[k]}": np.exp(h[..., i]) for i, k in enumerate(design.free)}
+    for i, effect in enumerate(design.effects):
+        group = next(g for g, m in FOLLOWERS.items() if names.index(m[0]) in effect.members)
+        found[f"deviation {group}"] = np.exp(h[..., f + i])
+    shapes = {shape: h[..., f + len(design.effects) + i] for i, shape in enumerate(design.shapes)}
+    found["share sigma0"] = 1.0 / (1.0 + np.exp(-shapes["sigma0", "share"]))
+    found["exponent noise_sd"] = shapes["noise_sd", "exponent"]
+    q = centre + design.spread * drawn.x[..., :d]
+    for j in range(q.shape[2]):
+        found |= {f"test {j + 1}: {name}": q[:, :, j, k] for k, name in enumerate(names)}
+    return found
+
+
+def drawn_values(inference: Inference) -> dict[str, Array]:
     """Draws by the names of the truths, (chain, draw) each."""
     population = inference.population
-    layout = population.layout
-    shape = population.h.shape[:2]
-    differs = [name for k, name in enumerate(layout.names) if not layout.sparse[k]]
-    found = {f"scatter {name}": population.scatters[name] for name in differs}
+    design = population.design
+    found = {f"scatter {name}": value for name, value in population.scatters.items()}
     found |= {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
     found["share sigma0"] = population.shapes("sigma0")[0]
     found["exponent noise_sd"] = population.shapes("noise_sd")[1]
-    for name in ("Fc_fwd", "Fc_bwd", "offset"):
-        found[f"level {name}"] = population.levels[..., layout.names.index(name)]
+    for name in LEVELS_RANKED:
+        k = design.names.index(name)
+        z = population.draws.z[..., k]
+        found[f"level {name}"] = design.coordinates.centre[k] + design.spread[k] * z
     for group, members in FOLLOWERS.items():
-        label = f"level_{layout.groups[layout.member[layout.names.index(members[0])]]}"
+        label = f"level_{design.groups[members[0]]}"
         found[f"deviation {group}"] = population.effect_sds[label]
-    first = inference.tests[0].reshape(-1, inference.tests[0].shape[-1])[:, : len(layout.names)]
-    tested = layout.coordinates.values(layout.centre + layout.spread * first)
-    for name in ("Fc_fwd", "sigma0", "offset"):
-        found[f"first test's {name}"] = tested[name].reshape(shape)
-    found["new test's Fc_fwd"] = _new_test(population, rng).reshape(shape)
-    return found
+    tested = inference.values(0)
+    return found | {f"first test's {name}": tested[name] for name in TEST_RANKED}
 
 
-def coordinates_of(inference: JointDraws) -> dict[str, Array]:
-    """Everything that is inferred by name, tests in shared coordinates, (chain, draw) each."""
-    population = inference.population
-    layout = population.layout
-    names = layout.names
-    found = {f"level {name}": population.levels[..., k] for k, name in enumerate(names)}
-    drawn = drawn_values(inference, np.random.default_rng(0))
-    kept = ("scatter", "deviation", "share", "exponent")
-    found |= {name: value for name, value in drawn.items() if name.startswith(kept)}
-    for j, test in enumerate(inference.tests):
-        q = layout.centre + layout.spread * test[..., : len(names)]
-        found |= {f"test {j + 1}: {name}": q[..., k] for k, name in enumerate(names)}
-    return found
+def ranks_of(
+    study: Study, campaign: Campaign, inference: Inference, index: int
+) -> dict[str, dict[str, int]]:
+    """How many of L draws, taken evenly over chains and walkers, lie below each truth, by way.
 
-
-def _new_test(population: Population, rng: np.random.Generator) -> Array:
-    setting: Setting = replace(population.layout.settings[0], actuation=UNSEEN)
-    return population.draw_test(setting, np.arange(population.size), rng)["Fc_fwd"]
-
-
-def ranks_of(study: Study, campaign: Campaign, inference: JointDraws, index: int) -> dict[str, int]:
-    """How many of L draws, taken evenly over chains and walkers, lie below each truth."""
-    drawn = drawn_values(inference, np.random.default_rng([study.seed, index, 3]))
-    ranks = {}
-    for name, values in drawn.items():
+    The controls differ in the scatter alone.
+    """
+    truth, ranks = campaign.truth, {}
+    for name, values in drawn_values(inference).items():
         flat = values.reshape(-1)
         pick = np.linspace(0, flat.size - 1, study.draws).astype(np.intp)
-        ranks[name] = int(np.sum(flat[pick] < campaign.truth[name]))
-    new, test = _blank(study, UNSEEN), campaign.tests[0]
+        ranks[name] = int(np.sum(flat[pick] < truth[name]))
+    population, found = inference.population, {}
+    for way, factor in FACTORS.items():
+        scatters = population.scatters if way != RIGHT else {}
+        found[way] = dict(ranks)
+        for name, values in scatters.items():
+            flat = factor * values.reshape(-1)
+            pick = np.linspace(0, flat.size - 1, study.draws).astype(np.intp)
+            found[way][f"scatter {name}"] = int(np.sum(flat[pick] < truth[f"scatter {name}"]))
+        found[way] |= _ranks_of_new(study, campaign, inference, index, factor)
+    return found
+
+
+def _ranks_of_new(
+    study: Study, campaign: Campaign, inference: Inference, index: int, factor: float
+) -> dict[str, int]:
+    """Ranks of what a new test shows, with the scatter times a factor."""
+    population, test, new = inference.population, campaign.tests[0], _blank(study, UNSEEN)
+    h = population.draws.h.copy()
+    h[..., : population.design.free.size] += np.log(factor)
+    changed = replace(population, draws=replace(population.draws, h=h))
     forecast = Forecast("observation", draws=study.draws, seed=index)
-    band = Predictor(inference.population, test.model, test.noise).predict(new.trace, forecast)
-    for name, seen in _seen_in(new, band.draws).items():
-        ranks[name] = int(np.sum(seen < campaign.truth[name]))
-    return ranks
+    band = Predictor(changed, test.model, test.noise).predict(new.trace, forecast)
+    seen = {f"new test's {name}": band.values[name] for name in ("Fc_fwd", "sigma0")}
+    seen |= _seen_in(new, np.asarray(band.draws))
+    return {name: int(np.sum(value < campaign.truth[name])) for name, value in seen.items()}

@@ -256,7 +256,10 @@ class ExactSampler:
         mixed, s, rng = self.mixed, self.state, self.rng
         h, d = s.h.copy(), len(mixed.design.names)
         without_law = s.x[..., :d] - mixed.fixed(s.z)
-        for i in range(mixed.dim):
+        names = mixed.design.names
+        shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
+        moving = np.flatnonzero([*[True] * (mixed.f + mixed.e), *shapes])
+        for i in moving.tolist():
             new = h.copy()
             new[:, i] += (
                 RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < mixed.f + mixed.e else 0.3)

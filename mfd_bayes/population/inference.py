@@ -48,16 +48,13 @@ ALTERNATIVES = 400
 """Draws under all laws together, for actuations beyond the tested levels."""
 
 POOL = 4000
-"""Draws of the variance parameters by emcee."""
-
-STEPS = {"quick": 240, "standard": 600, "thorough": 2000}
-"""Steps of emcee."""
+"""Draws of the variance parameters."""
 
 SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
 """Largest number of sweeps of the exact sampler."""
 
 MANY = 60
-"""With more tests than this there are fewer chains and steps of emcee: variances are known well."""
+"""With more tests than this there are fewer chains: laws and variances are then known well."""
 
 WALKERS, FEW_WALKERS = 8, 2
 """Chains of each group, and with many tests."""
@@ -173,7 +170,7 @@ def _inferred(
     walkers = WALKERS if len(y) <= MANY else FEW_WALKERS
     choice = _choices(design, weights, CHAINS * walkers)
     mixed.set_apart(choice[0])
-    pool = _pools(mixed, choice, rng, effort)
+    pool = _pools(mixed, choice, rng)
     draws = _sampled(ExactSampler(mixed, fit, own, choice, pool, rng), settings, effort, report)
     shapes = draws.h.shape[:2]
     chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shapes[1] // walkers, axis=1)
@@ -280,14 +277,10 @@ def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int)
     return choice
 
 
-def _pools(
-    mixed: MixedModel, choice: Index, rng: np.random.Generator, effort: Effort
-) -> list[Array]:
+def _pools(mixed: MixedModel, choice: Index, rng: np.random.Generator) -> list[Array]:
     """Draws of h for each chain, of the laws that it has."""
     kinds, kind = np.unique(choice, axis=0, return_inverse=True)
-    steps = STEPS.get(effort.name, 600) // (1 if len(mixed.y) <= MANY else 4)
-    steps = max(steps // len(kinds), 60)
-    found = [mixed.sample(one, rng, steps, POOL) for one in kinds]
+    found = [mixed.sample(one, rng, POOL) for one in kinds]
     return [found[k] for k in kind.ravel()]
 
 

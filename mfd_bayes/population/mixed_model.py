@@ -3,7 +3,8 @@
 The coordinates of test j are x_j = A_j z + law(h)_j + d_j with d_j ~ N(0, diag τ²), and its
 likelihood is N(y_j, P_j⁻¹). Given the variance parameters and the shapes of the laws, together h,
 all is Gaussian and is integrated in closed form: first the deviations d_j, then the coefficients z
-(levels, slopes on covariates, effects). The few h are sampled by emcee on the marginal likelihood.
+(levels, slopes on covariates, effects). The few h are drawn by importance sampling from the
+marginal likelihood times their prior.
 """
 
 from __future__ import annotations
@@ -28,6 +29,15 @@ LARGEST = 12.0
 ODD, WIDER = 0.01, 10.0
 """Probability that a quantity of a test stands apart from the others, and its scatter over
 theirs."""
+
+POINTS, ENOUGH, ADAPTATIONS = 3000, 1000, 6
+"""Points of an importance sample of h, the effective number that is enough, and most rounds."""
+
+FREEDOM, SCALE = 7, 1.1
+"""Degrees of freedom of the points, and their scale over that of the density that they are for."""
+
+FARTHEST = 7.0
+"""Largest standard normal number of the mode of h."""
 
 ROUNDS = 4
 """Largest number of rounds of expectation-maximisation of what stands apart."""
@@ -99,17 +109,20 @@ class MixedModel:
             total += log_shape_prior(shape, h[:, v + i])
         return np.asarray(total)
 
-    def draw_prior(self, n: int) -> Array:
-        """Quasi-random draws of h from its prior, (n, dim)."""
-        u = qmc.Sobol(max(self.dim, 1), seed=0).random(n)[:, : self.dim]
-        u, v = np.clip(u, 1e-9, 1.0 - 1e-9), self.f + self.e
-        h = np.empty((n, self.dim))
-        h[:, :v] = np.log(special.ndtri(0.5 + 0.5 * u[:, :v]) * self.scale)
+    def of_numbers(self, g: Array) -> Array:
+        """Values of h for numbers g (n, dim): draws of its prior for standard normal draws of these.
+
+        Near such numbers the posterior is close to a Gaussian, which it is not near h.
+        """
+        h, v = np.empty(g.shape), self.f + self.e
+        inside = special.ndtri(0.5 + 0.5 * special.ndtr(g[:, :v]))
+        size = np.where(g[:, :v] < 0.0, inside, -special.ndtri(0.5 * special.ndtr(-g[:, :v])))
+        h[:, :v] = np.log(np.maximum(size, 1e-9) * self.scale)
         for i, (_, shape) in enumerate(self.design.shapes):
-            w = u[:, v + i]
-            normal = EXPONENT[0] + EXPONENT[1] * special.ndtri(w)
-            h[:, v + i] = special.logit(w) if shape == "share" else normal
-        return h
+            w = g[:, v + i]
+            share = special.log_ndtr(w) - special.log_ndtr(-w)  # its logit
+            h[:, v + i] = share if shape == "share" else EXPONENT[0] + EXPONENT[1] * w
+        return np.clip(h, 1.0 - LARGEST, LARGEST - 1.0)
 
     # --- Gaussians given h ------------------------------------------------------------------------
 
@@ -203,87 +216,94 @@ class MixedModel:
             found[inside] = self.log_prior(h[inside]) + self.marginal(h[inside], rows, tests)[0]
         return np.where(np.isnan(found), -np.inf, found)
 
-    def mode(self, choice: Index) -> Array:
-        """Mode of h by BFGS, its gradient by central differences, (dim,)."""
-        if not self.dim:
-            return np.zeros(0)
+    def _log_numbers(self, g: Array, choice: Index) -> Array:
+        """Log posterior density of the numbers g (n, dim), (n,)."""
+        found = []
+        for part in np.array_split(g, max(len(g) // 64, 1)):
+            rows = np.broadcast_to(choice, (len(part), choice.shape[-1]))
+            log = self.marginal(self.of_numbers(part), rows)[0] - 0.5 * np.sum(part**2, axis=1)
+            found.append(np.nan_to_num(log, nan=-1e9, neginf=-1e9))
+        return np.concatenate(found)
+
+    def _mode(self, choice: Index) -> Array:
+        """Mode of the numbers by BFGS, its gradient by central differences, (dim,)."""
         step = 1e-4 * np.eye(self.dim)
 
-        def loss(h: Array) -> tuple[float, Array]:
-            points = np.concatenate([h[None], h + step, h - step])
-            f = -np.nan_to_num(self.log_prob(points, choice), neginf=-1e9)
+        def loss(g: Array) -> tuple[float, Array]:
+            f = -self._log_numbers(np.concatenate([g[None], g + step, g - step]), choice)
             up, down = np.split(f[1:], 2)
             return float(f[0]), (up - down) / 2e-4
 
-        start = np.concatenate([np.log(0.7 * self.scale), np.zeros(self.dim - self.scale.size)])
-        start[self.scale.size :] = [float(s == "exponent") for _, s in self.design.shapes]
-        bounds = [(-LARGEST + 1.0, LARGEST - 1.0)] * self.dim
-        return np.asarray(
-            optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
-        )
+        bounds, start = [(-FARTHEST, FARTHEST)] * self.dim, np.zeros(self.dim)
+        found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
+        return np.asarray(found.x)
+
+    def mode(self, choice: Index) -> Array:
+        """The h at the mode of its numbers, (dim,)."""
+        return self.of_numbers(self._mode(choice)[None])[0] if self.dim else np.zeros(0)
 
     def gaussian(self, choice: Index) -> tuple[Array, Array]:
-        """Mode of h, (dim,), and a root of the covariance there, (dim, dim) (Laplace)."""
-        mode, step = self.mode(choice), 1e-2
+        """Mode of the numbers, (dim,), and a root of the covariance there, (dim, dim) (Laplace)."""
+        mode, step = self._mode(choice), 0.05
         unit = step * np.eye(self.dim)
         i, k = np.triu_indices(self.dim)
         signs = [(a, b) for a in (1, -1) for b in (1, -1)]
         points = np.concatenate([mode + a * unit[i] + b * unit[k] for a, b in signs])
-        parts = np.array_split(points, max(len(points) // 64, 1))
-        f = np.concatenate([self.log_prob(part, choice) for part in parts]).reshape(4, -1)
+        f = self._log_numbers(points, choice).reshape(4, -1)
         hessian = np.zeros((self.dim, self.dim))
         hessian[i, k] = hessian[k, i] = (f[0] - f[1] - f[2] + f[3]) / (4.0 * step**2)
         values, vectors = np.linalg.eigh(-hessian)
-        return mode, vectors * np.minimum(1.0 / np.sqrt(np.maximum(values, 0.25)), 2.0)
+        return mode, vectors / np.sqrt(np.maximum(values, 0.5))
 
     def laplace(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
         """Draws of h from that Gaussian, (n, dim)."""
         mode, root = self.gaussian(choice)
-        drawn = mode + rng.standard_normal((n, self.dim)) @ root.T
-        return np.clip(drawn, 1.0 - LARGEST, LARGEST - 1.0)
+        return self.of_numbers(mode + rng.standard_normal((n, self.dim)) @ root.T)
 
     def near_and_far(self, choice: Index, n: int) -> tuple[Array, Array]:
         """Points of h, (n, dim), and log weights that make them stand for the prior, (n,).
 
         Half of them are of the prior, and half of Laplace's Gaussian, half as wide again.
         """
-        rng, half = np.random.default_rng(0), n // 2
         mode, root = self.gaussian(choice)
         root = 1.5 * root
-        near = mode + rng.standard_normal((half, self.dim)) @ root.T
-        h = np.clip(np.concatenate([self.draw_prior(half), near]), 1.0 - LARGEST, LARGEST - 1.0)
-        numbers = np.linalg.solve(root, (h - mode).T)
+        u = np.clip(qmc.Sobol(max(self.dim, 1), seed=0).random(n)[:, : self.dim], 1e-9, 1.0 - 1e-9)
+        g = special.ndtri(u)
+        g[n // 2 :] = mode + g[n // 2 :] @ root.T
+        numbers = np.linalg.solve(root, (g - mode).T)
         log = -0.5 * np.sum(numbers**2, axis=0) - np.linalg.slogdet(root)[1]
-        log -= 0.5 * self.dim * np.log(2.0 * np.pi)
-        prior = self.log_prior(h) + self.log_prior_constant
-        return h, prior - np.logaddexp(prior, log) + np.log(2.0)
+        prior = -0.5 * np.sum(g**2, axis=1)
+        return self.of_numbers(g), prior - np.logaddexp(prior, log) + np.log(2.0)
 
-    @property
-    def log_prior_constant(self) -> float:
-        """What `log_prior` leaves out."""
-        sds = np.sum(0.5 * np.log(2.0 / np.pi) - np.log(self.scale))
-        exponents = sum(shape == "exponent" for _, shape in self.design.shapes)
-        return float(sds - exponents * np.log(np.sqrt(2.0 * np.pi) * EXPONENT[1]))
+    def sample(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
+        """Draws of h, (n, dim), by importance resampling; choice is one row (L,).
 
-    def sample(self, choice: Index, rng: np.random.Generator, steps: int, n: int) -> Array:
-        """Draws of h, (n, dim), by emcee's differential evolution move; choice is one row (L,)."""
-        import emcee
-
+        The numbers are of a multivariate t near the mode. Its mean and covariance are adapted to
+        the weighted points until these are worth enough (adaptive importance sampling: Oh and
+        Berger, 1992).
+        """
         if not self.dim:
             return np.zeros((n, 0))
-        walkers = max(32, 2 * self.dim + 2)
-        start = self.mode(choice) + 0.3 * rng.standard_normal((walkers, self.dim))
-        start = np.clip(start, 1.0 - LARGEST, LARGEST - 1.0)
-        moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
-        sampler = emcee.EnsembleSampler(
-            walkers, self.dim, self.log_prob, args=[choice], moves=moves, vectorize=True
-        )
-        seed = np.random.RandomState(int(rng.integers(2**31)))
-        sampler.run_mcmc(
-            emcee.State(start, random_state=seed.get_state()), steps, skip_initial_state_check=True
-        )
-        chain = sampler.get_chain(discard=steps // 3, flat=True)
-        return np.asarray(chain[np.linspace(0, len(chain) - 1, n).astype(int)])
+        mean, root = self.gaussian(choice)
+        covariance = root @ root.T
+        for _ in range(ADAPTATIONS):
+            root = np.linalg.cholesky(covariance)
+            y = rng.standard_normal((POINTS, self.dim))
+            y /= np.sqrt(rng.chisquare(FREEDOM, (POINTS, 1)) / FREEDOM)
+            g = mean + SCALE * y @ root.T
+            log = 0.5 * (FREEDOM + self.dim) * np.log1p(np.sum(y**2, axis=1) / FREEDOM)
+            weight = special.softmax(self._log_numbers(g, choice) + log)
+            size = 1.0 / np.sum(weight**2)
+            if size >= ENOUGH:
+                break
+            before = 2.0 * self.dim  # points that what is known already counts for
+            centre = weight @ g
+            spread = (g - centre).T @ ((g - centre) * weight[:, None])
+            mean = (size * centre + before * mean) / (size + before)
+            covariance = (size * spread + before * covariance) / (size + before)
+        # systematic resampling
+        place = np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(n)) / n)
+        return self.of_numbers(g[np.minimum(place, POINTS - 1)])
 
     def set_apart(self, choice: Index) -> None:
         """Weights of quantities of tests that stand apart: contaminated normal scatter by EM.

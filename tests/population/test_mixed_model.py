@@ -200,12 +200,12 @@ def test_a_test_that_stands_apart_weighs_less_and_clean_ones_do_not(priors):
     assert flagged <= 0.01 * 10 * 30
 
 
-def test_emcee_finds_the_scatter_that_a_grid_finds(priors):
+def test_draws_find_the_scatter_that_a_grid_finds(priors):
     laid, y, precision, _ = clean(priors, 0)
     mixed = MixedModel(laid, y, precision)
     choice = choice_of(mixed)
     assert mixed.dim == 5  # three scatters, and two shapes of which one level says nothing
-    draws = mixed.sample(choice, np.random.default_rng(1), 1500, 8000)
+    draws = mixed.sample(choice, np.random.default_rng(1), 8000)
     axis = np.linspace(-5.0, 1.5, 400)
     middle = draws.mean(axis=0)
     for i in range(3):  # the three are independent here
