@@ -252,7 +252,7 @@ class Design:
         """
         own = self.level_covariance(self.cells, self.cells) + 1e-9 * np.eye(len(self.cells))
         across = self.level_covariance(cells, self.cells)
-        weights = np.linalg.solve(own, across.T).T
+        weights = np.asarray(np.linalg.solve(own, across.T).T)
         for i, cell in enumerate(cells):
             if cell in self.cells:
                 weights[i] = np.eye(len(self.cells))[self.cells.index(cell)]
@@ -274,14 +274,15 @@ class Design:
         found: list[Array] = []
         for shape in ("share", "exponent"):
             given = np.array([getattr(LAWS[law], shape) for law in LAW_NAMES], dtype=np.float64)
-            value = given[choice]  # NaN where it is inferred
+            value: Array = given[choice]  # NaN where it is inferred
             for column, name in enumerate(self.laws):
                 if (name, shape) in self.shapes:
                     q = h_shapes[:, self.shapes.index((name, shape))]
                     q = expit(q) if shape == "share" else q
                     value[:, column] = np.where(np.isnan(value[:, column]), q, value[:, column])
             found.append(value)
-        return found[0], found[1]
+        share, exponent = found
+        return share, exponent
 
     def offsets(self, share: Array, exponent: Array, actuation: Array) -> Array:
         """Laws (n, L) in prior units at actuations (m,), (n, m, d)."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -287,7 +288,7 @@ class ExactSampler:
             u = z[:, own]
             squares = np.einsum("nmc,cd,nmd->n", u, precision, u, optimize=True)
             total += -own.size * np.log(omega[:, e]) - 0.5 * squares / omega[:, e] ** 2
-        return total
+        return np.asarray(total)
 
     def _renumbered(self, s: State) -> State:
         """The state with the numbers e that belong to its h, z and x."""
@@ -317,14 +318,16 @@ class ExactSampler:
         self.rates.clear()
         walkers = len(self.choice) // CHAINS
         stride = max(1, self.state.x.size * limit // STORED)
-        h, z, x = [], [], []
+        h: list[Array] = []
+        z: list[Array] = []
+        x: list[Any] = []  # in single precision
         while True:
             for _ in range(BLOCK):
                 self.sweep()
                 h.append(self.state.h)
                 z.append(self.state.z)
                 if len(h) % stride == 1 or stride == 1:
-                    x.append(self.state.x.astype(np.float32))
+                    x.append(np.asarray(self.state.x, dtype=np.float32))
             found = self._convergence(np.array(h), np.array(z))
             report(len(h), found)
             if found.reached(r_hat, ess) or len(h) >= limit:

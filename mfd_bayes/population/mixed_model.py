@@ -110,7 +110,7 @@ class MixedModel:
         return np.asarray(total)
 
     def of_numbers(self, g: Array) -> Array:
-        """Values of h for numbers g (n, dim): draws of its prior for standard normal draws of these.
+        """Values of h for numbers g (n, dim): draws of its prior for standard normal numbers.
 
         Near such numbers the posterior is close to a Gaussian, which it is not near h.
         """
@@ -287,7 +287,7 @@ class MixedModel:
         mean, root = self.gaussian(choice)
         covariance = root @ root.T
         for _ in range(ADAPTATIONS):
-            root = np.linalg.cholesky(covariance)
+            root = np.asarray(np.linalg.cholesky(covariance))
             y = rng.standard_normal((POINTS, self.dim))
             y /= np.sqrt(rng.chisquare(FREEDOM, (POINTS, 1)) / FREEDOM)
             g = mean + SCALE * y @ root.T

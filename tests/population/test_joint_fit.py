@@ -47,7 +47,7 @@ class Made:
             blank = TestLikelihood(
                 Posterior(trace, priors, "iid", model, start="sample"), coordinates
             )
-            left = blank.left_over(blank.values(rows[-1][None]))[0]
+            left = blank.left_over(rows[-1][None])[0]
             force = np.asarray(trace.force) - left + NOISE * rng.standard_normal(TIME.size)
             record = Trace.from_arrays(TIME, motion, p, force)
             posterior = Posterior(record, priors, "iid", model, start="sample")
