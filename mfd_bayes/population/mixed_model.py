@@ -110,7 +110,7 @@ class MixedModel:
         return np.asarray(total)
 
     def of_numbers(self, g: Array) -> Array:
-        """Values of h for numbers g (n, dim): draws of its prior for standard normal draws of these.
+        """Rows of h (n, dim) of numbers g (n, dim): its prior is that they are standard normal.
 
         Near such numbers the posterior is close to a Gaussian, which it is not near h.
         """
@@ -285,9 +285,9 @@ class MixedModel:
         if not self.dim:
             return np.zeros((n, 0))
         mean, root = self.gaussian(choice)
-        covariance = root @ root.T
+        covariance: Array = root @ root.T
         for _ in range(ADAPTATIONS):
-            root = np.linalg.cholesky(covariance)
+            root = np.asarray(np.linalg.cholesky(covariance))
             y = rng.standard_normal((POINTS, self.dim))
             y /= np.sqrt(rng.chisquare(FREEDOM, (POINTS, 1)) / FREEDOM)
             g = mean + SCALE * y @ root.T
@@ -300,7 +300,7 @@ class MixedModel:
             centre = weight @ g
             spread = (g - centre).T @ ((g - centre) * weight[:, None])
             mean = (size * centre + before * mean) / (size + before)
-            covariance = (size * spread + before * covariance) / (size + before)
+            covariance = np.asarray((size * spread + before * covariance) / (size + before))
         # systematic resampling
         place = np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(n)) / n)
         return self.of_numbers(g[np.minimum(place, POINTS - 1)])

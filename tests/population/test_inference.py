@@ -61,7 +61,6 @@ LEVELS = (0.5, 0.5, 1.0, 1.0, 1.5, 1.5)
 def quickly(monkeypatch):
     """Fewer steps, which are enough here."""
     monkeypatch.setitem(inference.SWEEPS, "quick", 160)
-    monkeypatch.setitem(inference.STEPS, "quick", 120)
     monkeypatch.setattr(inference, "ALTERNATIVES", 60)
 
 
