@@ -285,7 +285,7 @@ class MixedModel:
         if not self.dim:
             return np.zeros((n, 0))
         mean, root = self.gaussian(choice)
-        covariance = root @ root.T
+        covariance: Array = root @ root.T
         for _ in range(ADAPTATIONS):
             root = np.asarray(np.linalg.cholesky(covariance))
             y = rng.standard_normal((POINTS, self.dim))
@@ -300,7 +300,7 @@ class MixedModel:
             centre = weight @ g
             spread = (g - centre).T @ ((g - centre) * weight[:, None])
             mean = (size * centre + before * mean) / (size + before)
-            covariance = (size * spread + before * covariance) / (size + before)
+            covariance = np.asarray((size * spread + before * covariance) / (size + before))
         # systematic resampling
         place = np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(n)) / n)
         return self.of_numbers(g[np.minimum(place, POINTS - 1)])
