@@ -125,6 +125,10 @@ class _Watch:
         paths = [os.fsdecode(a) for a in named if isinstance(a, str | bytes | os.PathLike)]
         if event == "os.mkdir" and Path(paths[0]).is_dir():  # it is there: nothing is made
             return True
+        if event in ("os.remove", "os.rmdir") and isinstance(args[1], int) and args[1] >= 0:
+            paths = [
+                f"{os.readlink(f'/proc/self/fd/{args[1]}')}/{paths[0]}"
+            ]  # beside an open folder
         return all(str(Path(p).absolute()).startswith(f"{self.home}/") for p in paths)
 
 
