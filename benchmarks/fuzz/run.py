@@ -126,9 +126,7 @@ class _Watch:
         if event == "os.mkdir" and Path(paths[0]).is_dir():  # it is there: nothing is made
             return True
         if event in ("os.remove", "os.rmdir") and isinstance(args[1], int) and args[1] >= 0:
-            paths = [
-                f"{os.readlink(f'/proc/self/fd/{args[1]}')}/{paths[0]}"
-            ]  # beside an open folder
+            paths = [str(Path(f"/proc/self/fd/{args[1]}").readlink() / paths[0])]
         return all(str(Path(p).absolute()).startswith(f"{self.home}/") for p in paths)
 
 
