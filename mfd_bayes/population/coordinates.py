@@ -96,8 +96,10 @@ class Coordinates:
         return {name: self.priors[name].value(own[:, k]) for k, name in enumerate(self.names)}
 
     def of(self, values: Mapping[str, Array]) -> Array:
-        """Coordinates x (n, D) of quantities by name, (n,) each."""
-        own = [self.priors[name].coordinate(np.atleast_1d(values[name])) for name in self.names]
+        """Coordinates x (n, D) of quantities by name, (n,) each; of a missing one, its median."""
+        n = max(np.size(value) for value in values.values())
+        known = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
+        own = [self.priors[name].coordinate(np.atleast_1d(known[name])) for name in self.names]
         return np.asarray((self._from_own(np.stack(own, axis=1)) - self.centre) / self.spread)
 
     def log_prior(self, x: Array, columns: NDArray[np.bool_]) -> Array:

@@ -30,6 +30,7 @@ from mfd_bayes.population.laws import (
     SENSITIVITY,
     default_laws,
     ratio,
+    shape_prior,
     shapes_of,
 )
 from mfd_bayes.population.settings import (
@@ -86,7 +87,7 @@ class Design:
     names : tuple of str
         The d quantities that tests share, the first of the coordinates.
     coordinates : Coordinates
-        Of these and of the start in the gap, where it is sampled.
+        Of these, and of what is each test's own: the start in the gap, shapes of laws.
     spread : (d,)
         Prior units of these.
     laws : mapping of str to str
@@ -251,7 +252,7 @@ class Design:
         """
         own = self.level_covariance(self.cells, self.cells) + 1e-9 * np.eye(len(self.cells))
         across = self.level_covariance(cells, self.cells)
-        weights = np.linalg.solve(own, across.T).T
+        weights = np.asarray(np.linalg.solve(own, across.T).T)
         for i, cell in enumerate(cells):
             if cell in self.cells:
                 weights[i] = np.eye(len(self.cells))[self.cells.index(cell)]
@@ -273,14 +274,15 @@ class Design:
         found: list[Array] = []
         for shape in ("share", "exponent"):
             given = np.array([getattr(LAWS[law], shape) for law in LAW_NAMES], dtype=np.float64)
-            value = given[choice]  # NaN where it is inferred
+            value: Array = given[choice]  # NaN where it is inferred
             for column, name in enumerate(self.laws):
                 if (name, shape) in self.shapes:
                     q = h_shapes[:, self.shapes.index((name, shape))]
                     q = expit(q) if shape == "share" else q
                     value[:, column] = np.where(np.isnan(value[:, column]), q, value[:, column])
             found.append(value)
-        return found[0], found[1]
+        share, exponent = found
+        return share, exponent
 
     def offsets(self, share: Array, exponent: Array, actuation: Array) -> Array:
         """Laws (n, L) in prior units at actuations (m,), (n, m, d)."""
@@ -335,7 +337,8 @@ def design_of(
     ----------
     priors : PriorFile
     names : sequence of str
-        Quantities of the tests.
+        Quantities of the tests; also the shapes, such as "exponent_Fc_fwd", that tests have to
+        themselves along a changing actuation.
     settings : sequence of Setting
         Of each test.
     laws : mapping of str to str, optional
@@ -351,7 +354,9 @@ def design_of(
         When a law's quantity can be negative, an actuation is negative, or all are zero.
     """
     quantities = known_quantities()
-    shared = tuple(n for n in names if n not in quantities or quantities[n].pooled)
+    own = {f"{shape}_{law}": shape for law in default_laws() for shape in ("share", "exponent")}
+    pooled = (n for n in names if n not in own)
+    shared = tuple(n for n in pooled if n not in quantities or quantities[n].pooled)
     chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in shared}
     for name in chosen:
         if priors.parameters[name].lower != 0.0 or np.isfinite(priors.parameters[name].upper):
@@ -363,8 +368,8 @@ def design_of(
     settings = with_zeros(settings)
     speeds = [s.covariates.get("velocity", 0.0) for s in settings]
     speed = geometric_mean([v for v in speeds if v > 0] or [1.0])
-    everything = (*shared, *(n for n in names if n == "start"))
-    known = {n: priors.parameters[n] for n in everything}
+    everything = (*shared, *(n for n in names if n == "start" or n in own))
+    known = {n: shape_prior(own[n]) if n in own else priors.parameters[n] for n in everything}
     coordinates = Coordinates(everything, known, USUAL_SPEED * speed)
     return Design(
         names=shared,

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Evaluate = Callable[[Iterable[tuple[int, "Array"]]], Iterator["Array"]]
 
-CHAINS, WALKERS = 4, 8
-"""Groups of independent chains, and the number of chains in each; R̂ is taken across groups."""
+CHAINS = 4
+"""Groups of independent chains; R̂ is taken across groups."""
+
+STORED = 2**26
+"""Most numbers of the tests' coordinates that are held; of more, only some sweeps are kept."""
 
 WARM_UP, BLOCK = 80, 40
 """Sweeps in which steps are tuned, in two halves, and sweeps between looks at the convergence."""
@@ -98,6 +102,8 @@ class Draws:
     sweeps : int
     accepted : (2,)
         Shares of accepted moves of tests and of the population.
+    walkers : int
+        Chains of each group.
     """
 
     h: Array
@@ -106,6 +112,7 @@ class Draws:
     convergence: Convergence
     sweeps: int
     accepted: tuple[float, float]
+    walkers: int
 
 
 class ExactSampler:
@@ -250,7 +257,10 @@ class ExactSampler:
         mixed, s, rng = self.mixed, self.state, self.rng
         h, d = s.h.copy(), len(mixed.design.names)
         without_law = s.x[..., :d] - mixed.fixed(s.z)
-        for i in range(mixed.dim):
+        names = mixed.design.names
+        shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
+        moving = np.flatnonzero([*[True] * (mixed.f + mixed.e), *shapes])
+        for i in moving.tolist():
             new = h.copy()
             new[:, i] += (
                 RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < mixed.f + mixed.e else 0.3)
@@ -278,7 +288,7 @@ class ExactSampler:
             u = z[:, own]
             squares = np.einsum("nmc,cd,nmd->n", u, precision, u, optimize=True)
             total += -own.size * np.log(omega[:, e]) - 0.5 * squares / omega[:, e] ** 2
-        return total
+        return np.asarray(total)
 
     def _renumbered(self, s: State) -> State:
         """The state with the numbers e that belong to its h, z and x."""
@@ -306,29 +316,37 @@ class ExactSampler:
             if step % (WARM_UP // 2) == 0:
                 self.learn(history[len(history) // 2 :])
         self.rates.clear()
-        h, z, x = [], [], []
+        walkers = len(self.choice) // CHAINS
+        stride = max(1, self.state.x.size * limit // STORED)
+        h: list[Array] = []
+        z: list[Array] = []
+        x: list[Any] = []  # in single precision
         while True:
             for _ in range(BLOCK):
                 self.sweep()
                 h.append(self.state.h)
                 z.append(self.state.z)
-                x.append(self.state.x.astype(np.float32))
+                if len(h) % stride == 1 or stride == 1:
+                    x.append(np.asarray(self.state.x, dtype=np.float32))
             found = self._convergence(np.array(h), np.array(z))
             report(len(h), found)
             if found.reached(r_hat, ess) or len(h) >= limit:
                 break
-        each = max(1, min(len(h), kept // WALKERS))
-        steps = np.linspace(0, len(h) - 1, each).astype(int)
+        steps = np.linspace(0, len(x) - 1, max(1, min(len(x), kept // walkers))).astype(int)
 
         def by_chain(history: list[Array]) -> Array:
             some = np.stack([history[t] for t in steps], axis=1).astype(np.float64)
             return some.reshape(CHAINS, -1, *some.shape[2:])
 
         tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
-        return Draws(by_chain(h), by_chain(z), by_chain(x), found, len(h), (tests, together))
+        h_kept, z_kept = by_chain(h[::stride]), by_chain(z[::stride])
+        rates = tests, together
+        return Draws(h_kept, z_kept, by_chain(x), found, len(h), rates, walkers)
 
     def _convergence(self, h: Array, z: Array) -> Convergence:
         """Of the coordinates of h and of the levels; (step, n, …) each."""
         levels = z[..., : len(self.mixed.design.names)]
         every = np.concatenate([h, levels], axis=2)
-        return measure(np.swapaxes(every.reshape(len(h), CHAINS, WALKERS, -1), 0, 1))
+        return measure(
+            np.swapaxes(every.reshape(len(h), CHAINS, every.shape[1] // CHAINS, -1), 0, 1)
+        )

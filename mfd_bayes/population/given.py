@@ -135,7 +135,8 @@ class Sums:
         first, second = self.first / sd[:, None], self.second / sd[:, None] ** 2
         squares = second / rest - level / rest**2 * first**2 / known
         log = np.log(known) + self.count * np.log(rest)
-        return -0.5 * (squares + log).sum(axis=1) - self.count.sum() * np.log(sd)
+        total = -0.5 * (squares + log).sum(axis=1) - self.count.sum() * np.log(sd)
+        return np.asarray(total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +301,7 @@ def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> Index:
     """Numbers of n draws by their log weights, by systematic resampling."""
     edges = np.cumsum(np.exp(log_weights - log_weights.max()))
     places = (rng.random() + np.arange(n)) / n * edges[-1]
-    return np.minimum(np.searchsorted(edges, places), len(edges) - 1)
+    return np.asarray(np.minimum(np.searchsorted(edges, places), len(edges) - 1))
 
 
 def predict_given(

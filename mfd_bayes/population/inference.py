@@ -20,7 +20,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
 from mfd_bayes.population.design import LEVELS, Design, design_of, usual_dependence
-from mfd_bayes.population.exact import CHAINS, WALKERS, Draws, ExactSampler
+from mfd_bayes.population.exact import CHAINS, Draws, ExactSampler
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
 from mfd_bayes.population.law_scores import (
     DependenceScore,
@@ -31,7 +31,7 @@ from mfd_bayes.population.law_scores import (
     extrapolation_weights,
     free_exponents,
 )
-from mfd_bayes.population.laws import COMPARE, LAW_NAMES, ratio
+from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import MixedModel, without
 from mfd_bayes.population.population import LawDraws, Population
 from mfd_bayes.population.settings import levels_of, setting_of
@@ -52,6 +52,12 @@ POOL = 4000
 
 SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
 """Largest number of sweeps of the exact sampler."""
+
+MANY = 60
+"""With more tests than this there are fewer chains: laws and variances are then known well."""
+
+WALKERS, FEW_WALKERS = 8, 2
+"""Chains of each group, and with many tests."""
 
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
@@ -157,23 +163,17 @@ def _inferred(
     fit = _fit(likelihoods, start, design, settings.jobs)
     y, precision = _reduced(fit, own, len(design.names))
     mixed = MixedModel(design, y, precision)
-    steady = _choices(design, {}, 1)[0]
-    if any(one.scales for one in likelihoods):
-        # tests whose actuation changes follow the laws that all tests tell, as a plug-in
-        likelihoods = _along_laws(likelihoods, design, mixed.mode(steady)[None], steady)
-        fit = _fit(likelihoods, fit.mean, design, settings.jobs)
-        y, precision = _reduced(fit, own, len(design.names))
-        mixed = MixedModel(design, y, precision)
     levels = np.median(fit.mean, axis=0)[: len(design.names)]
     gaussians = TestGaussians.given_common(design, y, precision, levels)
     scores = compare_laws(gaussians)
     weights = {name: _weights(design, name, scores) for name in design.laws}
-    choice = _choices(design, weights, CHAINS * WALKERS)
+    walkers = WALKERS if len(y) <= MANY else FEW_WALKERS
+    choice = _choices(design, weights, CHAINS * walkers)
     mixed.set_apart(choice[0])
     pool = _pools(mixed, choice, rng)
     draws = _sampled(ExactSampler(mixed, fit, own, choice, pool, rng), settings, effort, report)
     shapes = draws.h.shape[:2]
-    chosen = np.repeat(choice.reshape(CHAINS, WALKERS, -1), shapes[1] // WALKERS, axis=1)
+    chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shapes[1] // walkers, axis=1)
     population = _population(
         mixed, fit, draws, chosen, weights, gaussians, rng, priors, settings.actuation_unit
     )
@@ -196,14 +196,23 @@ def _likelihoods(
     dependence: dict[str, Sequence[str]] = dict(usual_dependence(slips, under))
     dependence |= {name: tuple(those) for name, those in settings.dependence.items() if those}
     design = design_of(priors, names, under, settings.laws, dependence)
-    likelihoods = []
-    for test in tests.values():
-        start = "mask" if test.posterior.first else "sample"
-        model, trace = test.posterior.model, test.trace
-        posterior = Posterior(trace, priors, "iid", model, start=start)
-        scales = _proportional(design, posterior)
-        likelihoods.append(TestLikelihood(posterior, design.coordinates, scales))
-    return design, likelihoods
+    changing = [swings(design, some.model, test.trace) for test in tests.values()]
+    if any(changing):
+        # a test need not follow the law that others tell: it has shapes to itself
+        shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
+        design = design_of(priors, [*names, *shapes], under, settings.laws, dependence)
+    found = []
+    for test, changes in zip(tests.values(), changing, strict=True):
+        start, trace = "mask" if test.posterior.first else "sample", test.trace
+        posterior = Posterior(trace, priors, "iid", some.model, start=start)
+        relative, laws = None, {}
+        if changes:
+            relative = np.asarray(trace.actuation) / trace.reference_actuation
+            followed = {n: n for n in design.laws if n in some.model.parameters}
+            followed |= {n: o for n, o in some.model.tied_laws.items() if o in followed}
+            laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
+        found.append(TestLikelihood(posterior, design.coordinates, relative, laws))
+    return design, found
 
 
 def swings(design: Design, model: Model, trace: Trace) -> bool:
@@ -213,36 +222,6 @@ def swings(design: Design, model: Model, trace: Trace) -> bool:
         return False
     laws = [design.laws.get(name, "proportional") for name in model.slip_forces]
     return any(law != "proportional" for law in laws)
-
-
-def _proportional(design: Design, posterior: Posterior) -> dict[str, Array]:
-    """Factors along a changing actuation of what follows it, in proportion so far; else none."""
-    trace, model = posterior.trace, posterior.model
-    if not swings(design, model, trace):
-        return {}
-    along = np.asarray(trace.actuation) / trace.reference_actuation
-    laws = [name for name in design.laws if name in model.parameters]
-    tied = [n for n, o in model.tied_laws.items() if o in laws and n in model.parameters]
-    return dict.fromkeys([*laws, *tied], along)
-
-
-def _along_laws(
-    likelihoods: Sequence[TestLikelihood], design: Design, h: Array, choice: Index
-) -> list[TestLikelihood]:
-    """The likelihoods with factors of the laws at h (1, dim)."""
-    begin = design.free.size + len(design.effects)
-    share, exponent = design.law_shapes(h[:, begin:], choice[None])
-    found = []
-    for one in likelihoods:
-        trace, tied = one.posterior.trace, one.posterior.model.tied_laws
-        scales = {}
-        for name in one.scales:
-            column = list(design.laws).index(tied.get(name, name))
-            p = np.array([*np.asarray(trace.actuation), trace.reference_actuation])
-            followed = ratio(p / design.reference, share[:, column], exponent[:, column])
-            scales[name] = followed[:-1] / max(float(followed[-1]), 1e-300)
-        found.append(replace(one, scales=scales) if scales else one)
-    return found
 
 
 def _start(design: Design, test: TestResult) -> Array:
@@ -365,7 +344,7 @@ def _population(
         begun=begun,
         priors=known,
         actuation_unit=actuation_unit,
-        walkers=WALKERS,
+        walkers=draws.walkers,
         convergence=draws.convergence,
     )
 
@@ -419,7 +398,7 @@ def _starts(likelihoods: Sequence[TestLikelihood], draws: Draws, population: Pop
         model, x = one.posterior.model, draws.x[:, :, j].reshape(-1, draws.x.shape[-1])
         values = one.values(x)
         middle = {name: np.array([np.median(v)]) for name, v in values.items()}
-        scales = {name: factor[None] for name, factor in one.scales.items()}
+        scales = one.scales(np.median(x, axis=0)[None])
         left.append(place_left(model, model.theta(middle), one.posterior.trace, scales or None))
         free.append(without_load(model, values) if even else None)
     known = [place for place in left if place is not None]

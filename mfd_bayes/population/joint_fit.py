@@ -28,6 +28,7 @@ from mfd_bayes.population.discrepancy import (
     slip_force_of,
     strokes_of,
 )
+from mfd_bayes.population.laws import ratio
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Iterable[tuple[int, "Array"]]], Iterator["Array"]]
@@ -55,8 +56,11 @@ class TestLikelihood:
         Of the test, with independent noise.
     coordinates : Coordinates
         Of the D quantities.
-    scales : mapping of str to (T,)
-        Factors along the record of what follows a changing actuation; empty where none does.
+    relative : (T,), or None
+        Actuation along the record over its mean, where it changes.
+    laws : mapping of str to (str, float, float)
+        What follows it then: the quantity whose law that is, and the law's share and exponent where
+        the test has none to itself.
     discrepancy, shape : (T,)
         δ along the record, kip, and g.
     information : float
@@ -65,7 +69,8 @@ class TestLikelihood:
 
     posterior: Posterior
     coordinates: Coordinates
-    scales: Mapping[str, Array] = field(default_factory=dict)
+    relative: Array | None = None
+    laws: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
     discrepancy: Array | float = 0.0
     shape: Array | float = 1.0
     information: float = 1.0
@@ -78,11 +83,24 @@ class TestLikelihood:
         order = [names.index(name) for name in self.posterior.names]
         return self.posterior.values(self.posterior.from_own(own[:, order]))
 
-    def left_over(self, values: Mapping[str, Array]) -> Array:
-        """Measured less computed force of quantities by name, (n, T), kip; δ is in it."""
-        n = len(values["offset"])
-        along = {k: np.broadcast_to(f, (n, f.size)) for k, f in self.scales.items()}
-        force = self.posterior.force(values, scales=along or None)
+    def scales(self, x: Array) -> dict[str, Array]:
+        """Factors along the record of what follows a changing actuation, (n, T) each."""
+        if self.relative is None:
+            return {}
+        own, found = self.coordinates.values(x), {}
+        for name, (law, *given) in self.laws.items():
+            share, exponent = (
+                own.get(f"{shape}_{law}", np.array([value]))
+                for shape, value in zip(("share", "exponent"), given, strict=True)
+            )
+            followed = ratio(self.relative, share[:, None], exponent[:, None])
+            found[name] = np.broadcast_to(followed, (len(x), self.relative.size))
+        return found
+
+    def left_over(self, x: Array) -> Array:
+        """Measured less computed force at x (n, D), (n, T), kip; δ is in it."""
+        values = self.values(x)
+        force = self.posterior.force(values, scales=self.scales(x) or None)
         measured = np.asarray(self.posterior.trace.force)
         left = measured - force - values["offset"][:, None]
         return np.asarray(left[:, self.posterior.first :])
@@ -90,16 +108,17 @@ class TestLikelihood:
     def linearised(self, x: Array) -> Array:
         """What is left over at x (1, D), and its slopes, (1 + D, T)."""
         step = STEP * np.eye(x.shape[1])
-        left = self.left_over(self.values(np.concatenate([x, x + step, x - step])))
+        left = self.left_over(np.concatenate([x, x + step, x - step]))
         up, down = np.split(left[1:], 2)
         return np.concatenate([left[:1], (up - down) / (2.0 * STEP)])
 
     def log_likelihood(self, x: Array) -> Array:
         """Magnitude-adjusted log likelihood at x (n, D), (n,); -inf where there is none."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            values = self.values(x)
-            left = (self.left_over(values) - self.discrepancy) / self.shape
-            sd = values["noise_sd"]
+            left = (self.left_over(x) - self.discrepancy) / self.shape
+            k = self.coordinates.names.index("noise_sd")
+            q = self.coordinates.centre[k] + self.coordinates.spread[k] * x[:, k]
+            sd = self.coordinates.priors["noise_sd"].value(q)
             squares = np.einsum("nt,nt->n", left, left)
             found = -self.information * (0.5 * squares / sd**2 + left.shape[1] * np.log(sd))
         return np.where(np.isfinite(found), found, -np.inf)

@@ -23,6 +23,7 @@ from mfd_bayes.population.settings import levels_of, varies
 from mfd_bayes.store.schema import Figure
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 POINTS = 1024
 """Points at which scatter and shapes are integrated."""
@@ -123,8 +124,8 @@ class TestGaussians:
 
     def densities(
         self, design: Design, folds: Sequence[Sequence[int]], law: str
-    ) -> tuple[Array, Array, Array]:
-        """Log densities of all tests and without each fold, (n, 1 + folds), h and its exponents."""
+    ) -> tuple[Array, Array, Index]:
+        """Log densities of all tests and without each fold, (n, 1 + folds), h and its laws."""
         k = self.design.names.index(design.names[0])
         informs = design.informs[:, 0]
         precision = np.where(informs, 1.0 / self.variance[:, k], 0.0)

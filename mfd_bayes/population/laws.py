@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_expit
 
+from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction import models
 
 Array = NDArray[np.float64]
@@ -99,6 +100,13 @@ def shapes_of(law: str) -> tuple[str, ...]:
     return ("share", "exponent") if law == COMPARE else LAWS[law].shapes
 
 
+def usual_shapes(law: str) -> tuple[float, float]:
+    """Share and exponent of a law; of free ones the medians of their priors."""
+    given = LAWS["residual_power" if law == COMPARE else law]
+    share = 0.5 if given.share is None else given.share
+    return share, EXPONENT[0] if given.exponent is None else given.exponent
+
+
 def ratio(relative: Array, share: Array, exponent: Array) -> Array:
     """v(p)/v(p0) at p/p0 = `relative`, all broadcast; 0 at p = 0 for a proportional law."""
     positive = relative > 0
@@ -113,6 +121,13 @@ def log_shape_prior(shape: str, q: Array) -> Array:
     if shape == "share":
         return np.asarray(log_expit(q) + log_expit(-q))
     return np.asarray(-0.5 * ((q - EXPONENT[0]) / EXPONENT[1]) ** 2)
+
+
+def shape_prior(shape: str) -> Prior:
+    """Prior of a share or an exponent of a law, as one test by itself may have it."""
+    if shape == "share":
+        return Prior("uniform", {"lower": 0.0, "upper": 1.0})
+    return Prior("normal", {"mean": EXPONENT[0], "sd": EXPONENT[1]})
 
 
 def law_unit(name: str, actuation_unit: str) -> str:

@@ -110,7 +110,7 @@ class MixedModel:
         return np.asarray(total)
 
     def of_numbers(self, g: Array) -> Array:
-        """Rows of h (n, dim) of numbers g (n, dim): its prior is that they are standard normal.
+        """Values of h for numbers g (n, dim): draws of its prior for standard normal numbers.
 
         Near such numbers the posterior is close to a Gaussian, which it is not near h.
         """

@@ -114,7 +114,7 @@ def _population(
         weights = facts["start_weights"]
         learned = None if weights is None else np.array(weights)
         starts = Starts(learned, float(facts["unloaded"]))
-    learned_residual = {k: np.array(v) for k, v in facts["discrepancy"].items()}
+    learned_residual: dict[str, Any] = {k: np.array(v) for k, v in facts["discrepancy"].items()}
     return Population(
         design=design,
         draws=draws,

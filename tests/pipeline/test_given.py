@@ -1,5 +1,6 @@
 """The command predict with --given, on the small synthetic campaign."""
 
+import re
 from io import StringIO
 from pathlib import Path
 
@@ -50,9 +51,10 @@ def test_the_part_is_marked_and_the_rest_narrower(ask, out, record, tmp_path):
     np.testing.assert_array_equal(narrow.given == 1, narrow.time_s <= 1.0)
     assert np.all(narrow.whole_upper_kip >= narrow.upper_kip)
     rest = narrow.time_s > 1.0
-    assert f"of the {rest.sum()} measured samples in motion that were not given" in " ".join(
-        found.stdout.split()
-    )
+    words = " ".join(found.stdout.split())
+    counted = re.search(r"of the (\d+) measured samples in motion that were not given", words)
+    assert counted is not None
+    assert 0.9 * rest.sum() <= int(counted[1]) <= rest.sum()
     trace = mb.read_record(record).trace()
     motion = mb.Trace.from_arrays(trace.time, trace.displacement, 1.2)
     before = mb.open_run(out).predict(motion, "observation")
@@ -137,9 +139,7 @@ def test_a_run_is_followed(out, record):
     later = mb.Trace.from_arrays(trace.time[60:], trace.displacement[60:])
     band = forecaster.band(later)
     assert band.draws.shape == (100, later.samples)
-    with pytest.raises(
-        mb.MfdError, match="the planned actuation must be a finite number"
-    ):
+    with pytest.raises(mb.MfdError, match="the planned actuation must be a finite number"):
         run.follow(-1.0)
     with pytest.raises(mb.MfdError, match="the planned velocity"):
         run.follow(1.0, velocity=0.0)

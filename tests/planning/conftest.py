@@ -1,7 +1,9 @@
 """Populations of given values, whose best next tests are known."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mfd_bayes.calibration.noises import find_noise
@@ -46,6 +48,9 @@ def make_situation(
         shape=(4, DRAWS // 4),
         residual=no_residual(noise_time=0.1),
     )
+    design = population.design  # no more is unknown of levels than is said here
+    design = replace(design, scatter_sd=np.zeros_like(design.scatter_sd))
+    population = replace(population, design=design)
     tests = tuple(Candidate(p, 0.5, 1.0) for p in levels)
     return Situation(population, ThreeStage(), find_noise("ou"), tests, tuple(made))
 

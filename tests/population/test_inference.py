@@ -64,13 +64,13 @@ def quickly(monkeypatch):
     monkeypatch.setattr(inference, "ALTERNATIVES", 60)
 
 
-def infer(priors, name, actuations, seed=3, laws=LAW, sessions=None):
+def infer(priors, name, actuations, seed=3, laws=LAW, scatter=SCATTER):
     rng = np.random.default_rng(seed)
     tests = {
-        f"t{i}": made_test(priors, name, p, rng, SCATTER * rng.standard_normal())
+        f"t{i}": made_test(priors, name, p, rng, scatter * rng.standard_normal())
         for i, p in enumerate(actuations)
     }
-    settings = InferenceSettings(laws, "ksi", "quick", (1, 2), sessions=sessions or {})
+    settings = InferenceSettings(laws, "ksi", "quick", (1, 2))
     return tests, infer_population(tests, priors, settings)
 
 
@@ -111,7 +111,7 @@ def test_the_same_seed_gives_the_same_population_however_many_processes(priors):
 @pytest.mark.usefixtures("quickly")
 def test_a_calibrated_test_may_change_its_actuation(priors):
     changing = np.where(TIME < 2.5, 0.6, 1.4)
-    tests, found = infer(priors, "lugre", (*LEVELS[1:5], changing))
+    tests, found = infer(priors, "lugre", (*LEVELS[1:5], changing), scatter=0.01)
     j = 4
     level = changing.mean()
     drawn = found.values(j)["Fc_fwd"]

@@ -47,8 +47,8 @@ class Made:
             blank = TestLikelihood(
                 Posterior(trace, priors, "iid", model, start="sample"), coordinates
             )
-            force = -blank.left_over(rows[-1][None])[0] + np.asarray(trace.force)
-            force += 0.0 + NOISE * rng.standard_normal(TIME.size)
+            left = blank.left_over(rows[-1][None])[0]
+            force = np.asarray(trace.force) - left + NOISE * rng.standard_normal(TIME.size)
             record = Trace.from_arrays(TIME, motion, p, force)
             posterior = Posterior(record, priors, "iid", model, start="sample")
             self.likelihoods.append(TestLikelihood(posterior, coordinates))

@@ -156,7 +156,7 @@ def test_the_density_of_the_gap_has_mass_one():
     shared = Coordinates(("d2", "d3"), {"d2": prior, "d3": prior}, SPEED)
 
     def density(ratio, width):
-        return np.exp(shared.log_prior(np.array([[width, ratio]])).sum())
+        return np.exp(shared.log_prior(np.array([[width, ratio]]), np.full(2, True))[0])
 
     mass, _ = integrate.dblquad(density, -6, 6, -6, 6, epsabs=1e-4)
     assert mass == pytest.approx(1.0, abs=1e-3)

@@ -36,7 +36,5 @@ def test_a_session_that_no_test_has_is_told(tmp_path):
 
 @pytest.mark.parametrize("actuation", [None, "1 ksi", -1.0, float("nan")])
 def test_a_test_is_followed_at_an_actuation_that_is_a_number(actuation):
-    with pytest.raises(
-        FitError, match="the planned actuation must be a finite number"
-    ):
+    with pytest.raises(FitError, match="the planned actuation must be a finite number"):
         open_run(DATA).follow(actuation)

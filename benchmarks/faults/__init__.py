@@ -1,0 +1,1 @@
+"""Which random faults in the whole package the fast tests notice."""

@@ -1,0 +1,1 @@
+"""Numbers that a rebuilding must not change unnoticed."""
