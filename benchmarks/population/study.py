@@ -109,12 +109,12 @@ def full_study(seed: int) -> Study:
     return Study(narrow_priors(), motion, EFFORTS["standard"], joint, draws=63, seed=seed)
 
 
-def small_study(seed: int) -> Study:
+def small_study(seed: int, noise_time: float = 0.2) -> Study:
     """Eight parameters and two cycles in 96 samples: a test takes a second."""
     time = np.arange(96) / 16.0
     motion = Trace.from_arrays(time, 0.5 * np.sin(2 * np.pi * 0.3 * time))
     sampled = ("sigma0", "Fc_fwd", "Fc_bwd", "k3", "d2", "start", "offset", "noise_sd")
-    priors = narrow_priors((*sampled, "noise_time"), noise_time=0.2)
+    priors = narrow_priors((*sampled, "noise_time"), noise_time=noise_time)
     single = replace(EFFORTS["quick"], ess=150, limit=1600, ensembles=2)
     joint = replace(EFFORTS["quick"], ess=190)
     return Study(priors, motion, single, joint, draws=63, seed=seed)

@@ -219,6 +219,17 @@ def test_draws_find_the_scatter_that_a_grid_finds(priors):
         assert np.log(mixed.scale[i]) - mean > 0.4 * sd  # the control: it is not the prior
 
 
+def test_draws_given_tests_that_tell_next_to_nothing_are_of_the_prior(priors):
+    laid = design(priors)
+    mixed = MixedModel(laid, *random_likelihoods(np.random.default_rng(1), 6, 4, sd=100.0))
+    v = mixed.f + mixed.e
+    for seed in range(3):
+        h = mixed.sample(choice_of(mixed), np.random.default_rng(seed), n=4000)
+        uniform = special.erf(np.exp(h[:, :v]) / mixed.scale / np.sqrt(2.0))
+        np.testing.assert_allclose(uniform.mean(axis=0), 0.5, atol=0.04)
+        np.testing.assert_allclose(uniform.std(axis=0), np.sqrt(1.0 / 12.0), atol=0.03)
+
+
 def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
     rng = np.random.default_rng(2)
     laid = design(priors, names=("Fc_fwd", "offset"), laws={"Fc_fwd": "power"})
