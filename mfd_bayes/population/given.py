@@ -182,7 +182,8 @@ class KnownTest:
 
     def drawn(self, p: Particles, part: Trace) -> Drawn:
         """Tests of the particles under a part of the motion; δ is at its mean."""
-        knots = np.broadcast_to(self.population.residual.mean, (len(p.index), 2 * 16))
+        mean = self.population.residual.mean
+        knots = np.broadcast_to(mean, (len(p.index), mean.size))
         found = self.predictor.drawn(part, self.setting, p.index, p.numbers, knots, self.grid)
         if self.trace is None or self.trace is part:
             return found
