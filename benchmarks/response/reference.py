@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
+from mfd_bayes.friction.gap import Gap, blend, gap_of, turned
 
 Array = NDArray[np.float64]
 RTOL = 1e-9
@@ -104,14 +104,14 @@ def _bristles(o: Oscillator, row: Array, change: Any = None, rest: float = 0.0) 
 def three_stage(o: Oscillator, row: Array, start: float) -> tuple[float, float]:
     """Largest travel and force of the three stages: from one turn of the motion to the next."""
     names = ("k2", "k3", "d2", "d3", "gamma1", "gamma2")
-    gaps = Gaps.of({name: row[[7 + i]] for i, name in enumerate(names)})
+    c = gap_of({name: row[[7 + i]] for i, name in enumerate(names)})
     own = row[[0, 1, 2, 3, 4, 5, 6, 13]]
     direction = -1.0 if o.ground[np.flatnonzero(o.ground)[0]] > 0 else 1.0
-    places = Places.begun(gaps, np.zeros(1), np.array([direction]), np.array([start]))
-    rest = float(blended(gaps, places, np.zeros(1), np.zeros(1))[0])
+    gap = Gap.begun(c, np.zeros(1), np.array([direction]), np.array([start]))
+    rest = float(_blend(c, gap)(np.zeros(1), np.zeros(1))[0])
     t, y, top = 0.0, np.zeros(3), [0.0, 0.0]
     while t < o.end - 1e-12:
-        flow, force = _bristles(o, own, _blend(gaps, places), rest)
+        flow, force = _bristles(o, own, _blend(c, gap), rest)
 
         def turn(t: float, y: Array, way: float = direction) -> float:
             return float(way * y[1])
@@ -122,17 +122,15 @@ def three_stage(o: Oscillator, row: Array, start: float) -> tuple[float, float]:
         t, y = float(found.t[-1]), found.y[:, -1]
         slip = np.array([own[0] * y[2]])  # at rest: no rate, no viscous force
         direction = -direction
-        places = turned(gaps, places, y[:1], np.array([direction]), slip)
+        gap = turned(c, gap, y[:1], slip, np.array([direction]))
         y = np.array([y[0], 1e-9 * direction, y[2]])
     return top[0], top[1]
 
 
-def _blend(gaps: Gaps, places: Places) -> Any:
+def _blend(c: dict[str, Any], gap: Gap) -> Any:
     def change(x: Array, slip: Array) -> Array:
         x, slip = np.atleast_1d(x), np.atleast_1d(slip)
-        many = Places(*(np.broadcast_to(c, x.shape) for c in places))
-        wide = Gaps(*(np.broadcast_to(c, x.shape) for c in vars(gaps).values()))
-        return blended(wide, many, x, slip)
+        return blend(c, gap.side, x - gap.origin, gap.carry, slip)
 
     return change
 

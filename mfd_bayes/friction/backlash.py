@@ -100,8 +100,8 @@ FEWER = 0.8
 sets in at once: what the others do may then change."""
 
 FAR_OFF = 1e13
-"""Error, over its limit and on average over the vectors, from which on Newton's method may have gone
-beyond what friction can hold: it is cut.
+"""Error, over its limit and on average over the vectors, from which on Newton's method may have
+gone beyond what friction can hold: it is cut.
 """
 
 
@@ -142,12 +142,12 @@ class Damper:
         """1/length over which slip sets in, n G′/F_c at G = F_c, on each side, (2, n), 1/in."""
         slip = self.kinetic * np.array([[1.0], [-1.0]])
         slope = self.spring.evaluate(self.spring.deflection(slip, close=1e-4))[1]
-        return self.columns["n"] * slope / self.kinetic
+        return np.asarray(self.columns["n"] * slope / self.kinetic)
 
     @cached_property
     def rate(self) -> Array:
         """The larger of both sides' `onset`, (n,), 1/in."""
-        return self.onset.max(axis=0)
+        return np.asarray(self.onset.max(axis=0))
 
     @cached_property
     def late(self) -> Array:
@@ -190,8 +190,9 @@ class Damper:
         length = 1.0 / self.rate[None]
         if shares:
             ahead, back = (np.maximum(shares.get(name, 1.0), FLOOR) for name in ACTUATED)
-            force *= np.where(backward, back, ahead)
-            length = force / (c["n"] * (np.maximum(c["k_fwd"], c["k_bwd"]) + c["k_0"]))
+            share = np.where(backward, back, ahead)
+            force *= share
+            length = np.minimum(share, 1.0) * length
         return np.log(force), self.spring.about(force, sign, 0.2 * length), length
 
     @cached_property
@@ -296,8 +297,13 @@ class Steps:
 
     def some(self, rows: Index) -> Steps:
         """Some of them."""
-        columns = (self.way, self.sign, self.level, self.bound, self.length, self.slip)
-        return Steps(*(c if c is None or len(c) == 1 else c[rows] for c in columns))
+
+        def of(column: Array) -> Array:
+            return column if len(column) == 1 else column[rows]
+
+        slip = None if self.slip is None else of(self.slip)
+        motion = of(self.way), of(self.sign)
+        return Steps(*motion, of(self.level), of(self.bound), of(self.length), slip)
 
     def breaks(self, rows: Index) -> tuple[Index, Index]:
         """Which of them turn or do not follow the one before them, by their numbers `rows`.
@@ -570,7 +576,7 @@ class BacklashLuGre(SteppedModel):
         time, x, nearest, samples = through_vertices(trace)
         factors = {name: factor.take(nearest, axis=0) for name, factor in factors.items()}
         first, moves = damper.begin(start), np.diff(x)
-        sign, since = _strokes(moves)
+        sign, since = strokes_of(moves)
         force, last = np.empty((trace.samples, damper.size)), np.empty(damper.size)
         force[0] = damper.spring.evaluate(first)[0]
         for rows, cuts in _courses(damper, np.abs(moves)[:, None], since[:, None]):
@@ -711,7 +717,7 @@ class BacklashLuGre(SteppedModel):
         return np.asarray(state.memory["spring"] + state.constants["sigma2"] * state.velocity)
 
 
-def _strokes(moves: Array) -> tuple[Array, Array]:
+def strokes_of(moves: Array) -> tuple[Array, Array]:
     """Direction of each step of a motion, and way since the last turn at its beginning, in.
 
     A step of length zero has the direction of the one before it; the first ones go forward.
@@ -762,17 +768,16 @@ def follow(
     sign, rate = motion
     force, z = np.empty((cuts.ends.size, damper.size)), first
     lost = np.zeros(damper.size, dtype=bool)
-    constant = () if factors else damper.slip(sign, rate, {})
+    constant = damper.slip(sign, rate, {})
     size = max(PIECE // max(damper.size, 1), 1)
     for begin in range(0, cuts.origin.size, size):
         end = min(begin + size, cuts.origin.size)
-        origin, way, share = (a[begin:end] for a in (cuts.origin, cuts.way, cuts.share))
+        origin, way, share = cuts.origin[begin:end], cuts.way[begin:end], cuts.share[begin:end]
         if factors:
             now = {k: f[origin] + share * (f[origin + 1] - f[origin]) for k, f in factors.items()}
             level, bound, length = damper.slip(sign[origin], rate[origin], now)
         else:
-            level, bound = (a.take(origin, axis=0) for a in constant[:2])
-            length = constant[2]
+            level, bound, length = *(a.take(origin, axis=0) for a in constant[:2]), constant[2]
         part, z = advance(damper, Steps(way, sign[origin], level, bound, length), z)
         lost |= np.isnan(z)
         z = np.where(lost, 0.0, z)

@@ -77,9 +77,7 @@ class State:
         (rows,) = (self.velocity * velocity < 0).nonzero()
         if rows.size:
             ends = self.displacement[rows], displacement[rows]
-            share, vertex, regular = vertex_of_turn(
-                dt, *ends, self.velocity[rows], velocity[rows]
-            )
+            share, vertex, regular = vertex_of_turn(dt, *ends, self.velocity[rows], velocity[rows])
             if not regular.all():
                 rows, share, vertex = rows[regular], share[regular], vertex[regular]
         if rows.size:
@@ -186,7 +184,8 @@ class SteppedModel(Model):
         memory = {"start": check_start(start, n)}
         if direction is not None:
             way = np.asarray(direction)
-            if way.dtype.kind not in "iuf" or not np.all(np.abs(way) == 1):
+            one = way.dtype.kind in "iuf" and way.shape in ((), (n,))
+            if not (one and np.all(np.abs(way) == 1)):
                 raise FitError(f"direction must be 1 or -1, got {direction}")
             memory["direction"] = np.broadcast_to(way.astype(np.float64), (n,))
         reference = reference_actuation
@@ -289,3 +288,53 @@ def bank_of(
     if not isinstance(model, SteppedModel):
         raise FitError(f"the model {model.name} has no step in time, which a building needs")
     return model.step(model.start(theta, start, direction=direction), 0.0, 0.0, 0.0)[1]
+
+
+class _ElastoPlastic(SteppedModel):
+    """Springs of stiffness k that slip at ±F_y: dF = k dx while |F| < F_y."""
+
+    name = "elastoplastic"
+    quantities = ()
+
+    def advance(
+        self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
+    ) -> Columns:
+        """Force of each spring after a way."""
+        c = state.constants
+        force = state.memory["spring"] + c["stiffness"] * (displacement - state.displacement)
+        return {"spring": np.minimum(np.maximum(force, -c["strength"]), c["strength"])}
+
+    def total(self, state: State) -> Array:
+        """Force beside that of the linear structure, (n,), kip."""
+        elastic = state.constants["elastic"] * state.displacement
+        return np.asarray(state.memory["spring"] - elastic)
+
+
+class PlasticBank(State):
+    """Elastic, perfectly plastic forces: storeys that yield, and friction that is almost rigid."""
+
+    @classmethod
+    def at_rest(cls, stiffness: Array, strength: Array, elastic: Array | None = None) -> Self:
+        """Springs without force at displacement 0.
+
+        Parameters
+        ----------
+        stiffness, strength : (n,), kip/in, kip
+        elastic : (n,), kip/in, optional
+            Stiffness whose elastic force is subtracted: that of a storey which the linear structure
+            has already, so that the force here is 0 until it yields.
+        """
+        zero = np.zeros(stiffness.size)
+        constants = {"stiffness": stiffness, "strength": strength}
+        constants["elastic"] = zero if elastic is None else elastic
+        return cls(_ElastoPlastic(), constants, {"spring": zero}, zero, zero, {})
+
+    @property
+    def stiffness(self) -> Array:
+        """Stiffness of each spring, (n,), kip/in."""
+        return np.asarray(self.constants["stiffness"])
+
+    @property
+    def spring(self) -> Array:
+        """Force of each spring, (n,), kip."""
+        return self.memory["spring"]

@@ -65,7 +65,7 @@ class Part(NamedTuple):
     @property
     def cells(self) -> int:
         """Number of cells."""
-        return self.knots.shape[1] - 1
+        return int(self.knots.shape[1]) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,8 @@ class Curve:
         leave = np.hstack([part.slopes[:, 1:] for part in parts]) / rise
         keys = _key(np.hstack([low, parts[-1].knots[:, -1:]]), np.arange(len(low))[:, None]).ravel()
         tables = (low, rise, entry, entry + leave - 2.0)
-        return cls(parts, end, *(table.T.ravel() for table in tables), keys)
+        low, rise, entry, bend = (table.T.ravel() for table in tables)
+        return cls(parts, end, low, rise, entry, bend, keys)
 
     @property
     def cells(self) -> int:
@@ -248,21 +249,19 @@ def strength_of(
     """F_y of a step between two samples, with the sign of its direction, (n,), kip."""
     shares = (0.5 * (before.get(name, 1.0) + after.get(name, 1.0)) for name in ACTUATED)
     ahead, back = (c[k] * np.maximum(s, FLOOR) for k, s in zip(ACTUATED, shares, strict=True))
-    return np.where(forward, ahead, -back)
+    return np.asarray(np.where(forward, ahead, -back))
 
 
 def advanced(c: Mapping[str, Any], row: Rows, strength: Array, z: Array, way: Array) -> Array:
     """Force z, (…, n), kip, after distances `way` in the direction of `strength`'s sign."""
     curve: Curve = c["curve"]
     xi = curve.move(curve.place(z / strength, row), c["k"] / np.abs(strength) * way, row)
-    w = curve.value(xi, row)
-    w *= strength
-    return w
+    return curve.value(xi, row) * strength
 
 
 def total_force(c: Mapping[str, Any], z: Array, x: Array, v: Array) -> Array:
     """F = α k x + (1 − α) z + c v, kip."""
-    force = (1.0 - c["alpha"]) * z
+    force: Array = (1.0 - c["alpha"]) * z
     force += c["alpha"] * c["k"] * x
     force += c["c"] * v
     return force

@@ -140,7 +140,7 @@ def blend(
 
 def dragged(c: Constants, edge: Array, at: Array) -> Array:
     """Edge of the gap after a turn: motion beyond either end drags the gap along."""
-    return np.minimum(np.maximum(edge, at - c["width"]), at)
+    return np.asarray(np.minimum(np.maximum(edge, at - c["width"]), at))
 
 
 def left_over(

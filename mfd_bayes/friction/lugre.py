@@ -67,17 +67,15 @@ def steady_of(
     return np.asarray(steady)
 
 
-def of_direction(
-    backward: NDArray[np.bool_], pair: Array, work: Array | None = None
-) -> Array:
+def of_direction(backward: NDArray[np.bool_], pair: Array, work: Array | None = None) -> Array:
     """What belongs to the direction of each motion, of what is forward and backward."""
     if backward.ndim == pair.ndim and backward.shape[1] == 1:  # as np.where, in a fifth of the time
-        return pair.take(backward[:, 0], axis=0, out=work, mode="clip")
+        return np.asarray(pair.take(backward[:, 0], axis=0, out=work, mode="clip"))
     return np.where(backward, pair[1], pair[0])
 
 
 def decay_of(way: Array, steady: Array, out: Array | None = None) -> Array:
-    """a = exp(−σ0 |Δx|/g): share of their distance to `steady` that the bristles keep."""
+    """A = exp(−σ0 |Δx|/g): share of their distance to `steady` that the bristles keep."""
     decay = np.divide(-way, steady, out=out)
     return np.asarray(np.exp(decay, out=decay))
 
@@ -230,8 +228,9 @@ class PaperModel(SteppedModel):
     ) -> Columns:
         """Bristles after a straight way; directions of those that turned before it."""
         c, memory = state.constants, state.memory
+        now: Mapping[str, Any] = c
         way = displacement - state.displacement
-        now, varying = c, bool(scales or state.scales)
+        varying = bool(scales or state.scales)
         if varying:
             before, now = _at(c, state.scales), _at(c, scales)
             names = {*scales, *state.scales}
@@ -245,7 +244,9 @@ class PaperModel(SteppedModel):
         if varying:
             damping *= limit_of(now, z, steady)
         slip = slip_force(now, damping, z, velocity)
-        direction = np.where(way * memory["direction"] < 0.0, -memory["direction"], memory["direction"])
+        direction = np.where(
+            way * memory["direction"] < 0.0, -memory["direction"], memory["direction"]
+        )
         moved = memory["moved"] | (way != 0.0)
         return memory | {"z": z, "slip": slip, "direction": direction, "moved": moved}
 

@@ -106,7 +106,7 @@ class ThreeStage(PaperModel):
         last = trace.path.displacement[-1]
         width, edge = c["width"], dragged(c, gap.edge[-1], last)
         place = np.divide(last - edge, width, out=np.full(edge.shape, 0.5), where=width > 0)
-        return np.clip(place, 0.0, 1.0)
+        return np.asarray(np.clip(place, 0.0, 1.0))
 
     def start_at(
         self,

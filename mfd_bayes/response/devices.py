@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.banks import Bank, PlasticBank, bank_of
+from mfd_bayes.friction.banks import PlasticBank, State, bank_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.response.leftover import Leftover, LeftoverState
 
@@ -74,7 +74,7 @@ class Dampers:
         """The dampers, about to move in the directions of the signs of `way`, (m,)."""
         return replace(self, direction=np.where(way < 0, -1.0, 1.0))
 
-    def bank(self) -> Bank:
+    def bank(self) -> State:
         """The dampers at rest, as a bank of n m."""
         if self.model is None:
             slip = self.slip.ravel()
@@ -105,7 +105,7 @@ class Devices:
     """All devices of n buildings at their last samples: m dampers, then s yielding storeys."""
 
     dampers: Dampers
-    bank: Bank
+    bank: State
     storeys: PlasticBank | None
     leftover: LeftoverState | None = None
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.banks.bank import with_state
 from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis
 
 Array = NDArray[np.float64]
@@ -77,8 +76,11 @@ class LeftoverState:
 
     def replaced(self, rows: NDArray[np.intp], part: LeftoverState) -> LeftoverState:
         """The same with that of some buildings replaced."""
-        names = ("place", "direction", "turn", "stroke", "held", "force")
-        return with_state(self, names, rows, part)
+        new = {}
+        for name in ("place", "direction", "turn", "stroke", "held", "force"):
+            new[name] = getattr(self, name).copy()
+            new[name][rows] = getattr(part, name)
+        return replace(self, **new)
 
     def step(self, place: Array) -> LeftoverState:
         """State at the next displacements, (n, m), in."""
