@@ -95,6 +95,9 @@ CLOSE_BLUNT = 2e-7
 """The same where n < 2, and Newton's method is slower.
 """
 
+NEAR = 1e10
+"""Error, over its limit, below which Newton's method converges fast everywhere."""
+
 FEWER = 0.8
 """Newton goes on with the unsolved steps alone when they are fewer than this share, but where slip
 sets in at once: what the others do may then change."""
@@ -366,11 +369,11 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
         if not moving.size:
             break
         hard = (np.square(step) * error > 1.0).any(axis=0)
-        if done == PATIENCE and hard.sum() < 0.5 * n.size:
-            (rows,) = hard.nonzero()
+        if done == PATIENCE and 0 < hard.sum() < 0.5 * n.size:
+            rows = np.flatnonzero(hard)
             force[:, rows], z[-1, rows] = advance(damper.of(rows), steps.of(rows), first[rows])
             break
-        if steps.slip is None and moving.size < FEWER * kept.size:
+        if steps.slip is None and moved.max() < NEAR and moving.size < FEWER * kept.size:
             kept = kept[moving]
             part = steps.some(kept)
             breaks, apart = part.breaks(kept)
