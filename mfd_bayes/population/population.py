@@ -53,11 +53,6 @@ class Numbers:
     leveled: int
     grid: int
 
-    @classmethod
-    def size(cls, quantities: int, leveled: int, grid: int) -> int:
-        """Numbers m of a test."""
-        return 3 * quantities + leveled * grid + 2
-
     def _block(self, i: int) -> Array:
         return self.flat[:, i * self.quantities : (i + 1) * self.quantities]
 
@@ -346,10 +341,14 @@ class Population:
                     found.append((e, k, own))
         return found
 
+    def numbers_of(self, flat: Array, grid: int) -> Numbers:
+        """Numbers (n, m) of tests with a grid of so many actuations."""
+        return Numbers(flat, len(self.design.names), len(self._leveled), grid)
+
     def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
         """Numbers of n tests with a grid of so many actuations."""
-        sizes = len(self.design.names), len(self._leveled), grid
-        return Numbers(rng.standard_normal((n, Numbers.size(*sizes))), *sizes)
+        size = 3 * len(self.design.names) + len(self._leveled) * grid + 2
+        return self.numbers_of(rng.standard_normal((n, size)), grid)
 
     def active(self, setting: Setting, grid: Array) -> Index:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
@@ -522,6 +521,10 @@ class Population:
                 along = along * np.exp((effects[name] - effects[name][:, [at]]) @ lines)
             found[name] = along
         return found | {n: found[o] for n, o in model.tied_laws.items() if o in found}
+
+    def grid_of(self, trace: Trace) -> Array:
+        """The same for the actuation of a trace."""
+        return self.grid(trace.reference_actuation, trace.actuation if trace.varying else None)
 
     def grid(self, level: float, history: ArrayLike | None) -> Array:
         """Actuations at which deviations are drawn for a level and a history, increasing, (G,)."""
