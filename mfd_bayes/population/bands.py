@@ -450,7 +450,7 @@ class Predictor:
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _shares(self, trace: Trace, drawn: Drawn) -> dict[str, float]:
-        """Share of each source in the mean variance: each varies by itself, others at their mean."""
+        """Share of each source in the mean variance: one varies, the others are at their means."""
         few, parts, design = slice(SHARE_DRAWS), drawn.parts, self.population.design
 
         def mean(values: Array) -> Array:

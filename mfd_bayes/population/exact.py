@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence, measure
 from mfd_bayes.population.joint_fit import JointFit
-from mfd_bayes.population.mixed_model import LARGEST, MixedModel
+from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -173,8 +173,12 @@ class ExactSampler:
         """What the population says of the tests' coordinates, (n, J, D); 0 for their own."""
         d = len(self.mixed.design.names)
         base = np.zeros((len(h), *self.own.shape))
-        base[..., :d] = self.mixed.offsets(h, self.choice) + self.mixed.fixed(z)
+        base[..., :d] = self.mixed.offsets(h, self.choice) + self._linear(z)
         return np.where(self.own, 0.0, base)
+
+    def _linear(self, z: Array) -> Array:
+        """Levels, slopes and effects of the tests, (n, J, d)."""
+        return self.mixed.design.linear(z, self.mixed.rows)
 
     def _local_sd(self, h: Array) -> Array:
         """Prior sd of the local coordinates around the base, (n, J, L)."""
@@ -188,21 +192,16 @@ class ExactSampler:
         p = self.fit.precision[:, local]
         inner = p[:, :, local] + self._local_sd(h)[..., None] ** -2.0 * np.eye(local.size)
         pull = np.einsum("jla,nja->njl", p, self.fit.mean - base)
-        mean = np.asarray(np.linalg.solve(inner, pull[..., None])[..., 0])
-        return base, mean, np.asarray(np.linalg.cholesky(inner))
+        return base, forward(inner, pull), np.asarray(np.linalg.cholesky(inner))
 
     def _at(self, h: Array, e_z: Array, e: Array) -> State:
         """State of these numbers; the forces of all tests are computed."""
         gaussian = self.mixed.marginal(h, self.choice)[1]
-        turned = np.linalg.solve(np.swapaxes(gaussian.factor, 1, 2), e_z[..., None])[..., 0]
-        return self._of(h, gaussian.mean + turned, e_z, e)
+        return self._of(h, gaussian.mean + backward(gaussian.factor, e_z), e_z, e)
 
     def _of(self, h: Array, z: Array, e_z: Array, e: Array) -> State:
-        base, mean, factor = self._conditional(h, z)
-        x = base
-        x[..., self.local] += (
-            mean + np.linalg.solve(np.swapaxes(factor, -1, -2), e[..., None])[..., 0]
-        )
+        x, mean, factor = self._conditional(h, z)
+        x[..., self.local] += mean + backward(factor, e)
         return State(h, z, e_z, e, x, self._excess(x))
 
     def _excess(self, x: Array) -> Array:
@@ -263,7 +262,7 @@ class ExactSampler:
         """Random-walk Metropolis of each coordinate of h with z and x as they are."""
         mixed, s, rng = self.mixed, self.state, self.rng
         h, d = s.h.copy(), len(mixed.design.names)
-        without_law = s.x[..., :d] - mixed.fixed(s.z)
+        without_law = s.x[..., :d] - self._linear(s.z)
         names = mixed.design.names
         shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
         moving = np.flatnonzero([*[True] * (mixed.f + mixed.e), *shapes])
@@ -288,10 +287,8 @@ class ExactSampler:
         total = mixed.log_prior(h) + terms.sum(axis=(1, 2))
         total += np.where(np.all(np.abs(h) < LARGEST, axis=1), 0.0, -np.inf)
         omega = mixed.omega(h)
-        for e, effect in enumerate(mixed.design.effects):
-            own = np.flatnonzero(mixed.design.effect == e).reshape(len(effect.members), -1)
-            level = effect.name == "level"
-            precision = mixed.level_precision if level else np.eye(own.shape[1])
+        for e, precision in enumerate(mixed.effect_precision):
+            own = mixed.design.columns(e)
             u = z[:, own]
             squares = np.einsum("nmc,cd,nmd->n", u, precision, u, optimize=True)
             total += -own.size * np.log(omega[:, e]) - 0.5 * squares / omega[:, e] ** 2

@@ -592,7 +592,8 @@ class Forecaster:
             session = self._test.setting.session
             effects = population.level_effects(index, session, grid, numbers.level)
             scales = population.scales(model, actuation, index, self._level, (grid, effects))
-        before, force = np.diff(trace.time, prepend=trace.time[0]), np.empty((len(index), rows.size))
+        before = np.diff(trace.time, prepend=trace.time[0])
+        force = np.empty((len(index), rows.size))
         for i, at in enumerate(rows.tolist()):
             sample = (float(a[at]) for a in (trace.displacement, trace.velocity, before))
             given = {name: factors[:, i] for name, factors in scales.items()} or None
@@ -603,9 +604,11 @@ class Forecaster:
         """Smoothed log weights of the particles, (n,), and Pareto k."""
         return smoothed(self._log_prior + self._log_likelihood())
 
-    def _log_likelihood(self) -> Array | float:
-        share = self._residual.stroke_share
-        return self._sums.log_likelihood(self._values["noise_sd"], share) if self._sums is not None else 0.0
+    def _log_likelihood(self) -> Array:
+        """Log likelihood of the force so far, (n,)."""
+        if self._sums is None:
+            return np.zeros(len(self._log_prior))
+        return self._sums.log_likelihood(self._values["noise_sd"], self._residual.stroke_share)
 
     def refresh(self) -> None:
         """Take in all samples so far anew, in some seconds; nothing before the first motion."""
@@ -618,7 +621,7 @@ class Forecaster:
         )
         self._begin(p.of(systematic(weights, n, self._rng)))
         self._advance(AHEAD)
-        self._log_prior = np.asarray(-self._log_likelihood())
+        self._log_prior = -self._log_likelihood()
 
     def band(self, trace: Trace) -> Band:
         """Band of the force in the motion that follows, given all samples so far.

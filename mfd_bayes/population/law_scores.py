@@ -9,11 +9,12 @@ sampling with a fixed seed: the scores are always the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
+from scipy.stats import qmc
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.population.design import LEVELS, TESTS, Design
@@ -122,32 +123,61 @@ class TestGaussians:
         variance[:, free] = np.diagonal(np.linalg.inv(inner), axis1=1, axis2=2)
         return cls(design, mean, variance)
 
-    def densities(
-        self, design: Design, folds: Sequence[Sequence[int]], law: str
-    ) -> tuple[Array, Array, Index]:
-        """Log densities of all tests and without each fold, (n, 1 + folds), h and its laws."""
+    def alone(
+        self, name: str, law: str, follows: Sequence[str] | None = None, *, leveled: bool = False
+    ) -> Design:
+        """Design of one quantity by itself, under a law and with covariates."""
+        k = [self.design.names.index(name)]
+        follows = self.design.dependence.get(name, ()) if follows is None else follows
+        return replace(
+            self.design,
+            names=(name,),
+            spread=self.design.spread[k],
+            laws={name: law},
+            dependence={name: tuple(follows)} if follows else {},
+            scatter_sd=self.design.scatter_sd[k],
+            common=np.zeros(1, dtype=bool),
+            leveled=leveled,
+        )
+
+    def densities(self, design: Design, folds: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+        """Log densities of all tests and without each fold, (n, 1 + folds), and h (n, dim)."""
         k = self.design.names.index(design.names[0])
         informs = design.informs[:, 0]
         precision = np.where(informs, 1.0 / self.variance[:, k], 0.0)
         mixed = MixedModel(design, self.mean[:, [k]], precision[:, None, None])
-        choice = np.full((POINTS, len(design.laws)), LAW_NAMES.index(law))
-        h, weight = mixed.near_and_far(choice[0], POINTS)
-        every = range(len(self.mean))
-        kept = [list(every), *([j for j in every if j not in set(fold)] for fold in folds)]
+        choice = np.full(len(design.laws), LAW_NAMES.index(design.laws[design.names[0]]))
+        h, weight = _points(mixed, choice)
+        every = set(range(len(self.mean)))
+        kept = [sorted(every - set(fold)) for fold in ((), *folds)]
         found = np.stack([weight + mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)
         # where the law has no value the quantity has the prior of a test by itself, N(0, 1)
         total = 1.0 + self.variance[:, k]
         alone = -0.5 * (self.mean[:, k] ** 2 / total + np.log(total / self.variance[:, k]))
         alone[informs] = 0.0
-        return found + np.array([alone[tests].sum() for tests in kept]), h, choice
+        return found + np.array([alone[tests].sum() for tests in kept]), h
 
-    def scores(
-        self, design: Design, folds: Sequence[Sequence[int]], law: str
-    ) -> tuple[Array, float]:
+    def scores(self, design: Design, folds: Sequence[Sequence[int]]) -> tuple[Array, float]:
         """Log predictive density of each fold given the others, (folds,), and Pareto k."""
-        log = self.densities(design, folds, law)[0]
+        log = self.densities(design, folds)[0]
         sums = special.logsumexp(log, axis=0)
         return sums[0] - sums[1:], max(psis(column)[1] for column in log.T)
+
+
+def _points(mixed: MixedModel, choice: Index) -> tuple[Array, Array]:
+    """Points of h, (n, dim), and log weights that make them stand for the prior, (n,).
+
+    Half of them are of the prior, and half of Laplace's Gaussian, half as wide again.
+    """
+    mode, root = mixed.laplace(choice)
+    root, dim = 1.5 * root, mixed.dim
+    u = np.clip(qmc.Sobol(max(dim, 1), seed=0).random(POINTS)[:, :dim], 1e-9, 1.0 - 1e-9)
+    g = special.ndtri(u)
+    g[POINTS // 2 :] = mode + g[POINTS // 2 :] @ root.T
+    numbers = np.linalg.solve(root, (g - mode).T)
+    log = -0.5 * np.sum(numbers**2, axis=0) - np.linalg.slogdet(root)[1]
+    prior = -0.5 * np.sum(g**2, axis=1)
+    return mixed.of_numbers(g), prior - np.logaddexp(prior, log) + np.log(2.0)
 
 
 def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
@@ -163,7 +193,7 @@ def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
     found = []
     allowed = [law in design.considered(COMPARE) for law in LAWS]
     for name in design.laws:
-        pairs = [tests.scores(design.restricted(name, law), folds, law) for law in LAWS]
+        pairs = [tests.scores(tests.alone(name, law), folds) for law in LAWS]
         terms, k = np.array([t for t, _ in pairs]), np.array([k for _, k in pairs])
         trusted = np.array(allowed) & ~(k > LARGEST_K)
         weights = np.zeros(len(LAWS))
@@ -190,7 +220,7 @@ def extrapolation_weights(tests: TestGaussians, names: Sequence[str], laws: Sequ
     above = [j for j, s in enumerate(design.settings) if s.actuation > 0]
     ends = [[above[j] for j in levels[end]] for end in (0, -1)]
     terms = [
-        np.concatenate([tests.scores(design.restricted(name, law), ends, law)[0] for name in names])
+        np.concatenate([tests.scores(tests.alone(name, law), ends)[0] for name in names])
         for law in laws
     ]
     return stack(np.array(terms).T, prior=1.0)
@@ -212,7 +242,7 @@ def compare_dependence(tests: TestGaussians) -> tuple[DependenceScore, ...]:
     for name, law in design.laws.items():
         law = "power" if law == COMPARE else law
         terms = {
-            c: tests.scores(design.restricted(name, law, [c] if c else []), folds, law)[0]
+            c: tests.scores(tests.alone(name, law, [c] if c else []), folds)[0]
             for c in ("", *varied)
         }
         for c, values in terms.items():
@@ -235,10 +265,8 @@ def free_exponents(tests: TestGaussians) -> dict[str, tuple[float, float, float]
         return {}
     found = {}
     for name in (n for n, law in design.laws.items() if law == "proportional"):
-        restricted = design.restricted(name, "power", leveled=True)
-        log, h, choice = tests.densities(restricted, [], "power")
-        shapes = h[:, h.shape[1] - len(restricted.shapes) :]
-        exponent = restricted.law_shapes(shapes, choice)[1][:, 0]
+        log, h = tests.densities(tests.alone(name, "power", leveled=True), [])
+        exponent = h[:, -1]
         order = np.argsort(exponent)
         mass = np.cumsum(special.softmax(log[:, 0])[order])
         low, middle, high = np.interp([0.025, 0.5, 0.975], mass, exponent[order])

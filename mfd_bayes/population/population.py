@@ -337,8 +337,7 @@ class Population:
         for e, effect in enumerate(design.effects):
             if effect.name == "level":
                 for k in effect.members:
-                    own = np.flatnonzero((design.effect == e) & (design.quantity == k))
-                    found.append((e, k, own))
+                    found.append((e, k, design.columns(e)[effect.members.index(k)]))
         return found
 
     def numbers_of(self, flat: Array, grid: int) -> Numbers:

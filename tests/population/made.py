@@ -118,7 +118,7 @@ def make_population(
         parts = []
         for law, w in alternatives.items():
             row = [law if n != "sigma0" else laws_of[i] for i, n in enumerate(design.laws)]
-            under = design.under(dict(zip(design.laws, row, strict=True)))
+            under = replace(design, laws=dict(zip(design.laws, row, strict=True)))
             chosen = np.tile([LAW_NAMES.index(one) for one in row], (shape[1], 1))
             free = np.ones((shape[1], len(under.shapes)))
             free[:, [s == "share" for _, s in under.shapes]] = 0.0
