@@ -142,7 +142,7 @@ def _write_population(
         design=design,
         draws=LawDraws(**{name: values.reshape(2, 6, -1) for name, values in draws.items()}),
         choice=choice.reshape(2, 6, -1),
-        weights={name: {law: 1.0} for name, law in design.laws.items()},
+        law_weights={name: {law: 1.0} for name, law in design.laws.items()},
         alternatives=LawDraws(**draws),
         alternative_weight=np.full(12, 1.0 / 12.0),
         residual=Residual(TravelBasis(1.0, 2.0), *learned, 1.0, 0.3, 0.2, 0.01, 0.01),

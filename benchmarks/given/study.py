@@ -135,7 +135,7 @@ def make_population(
         design=design,
         draws=LawDraws(h, z, share, exponent),
         choice=choice.reshape(*shape, -1),
-        weights={name: {law: 1.0} for name, law in design.laws.items()},
+        law_weights={name: {law: 1.0} for name, law in design.laws.items()},
         alternatives=LawDraws(h[0, :0], z[0, :0], share[0, :0], exponent[0, :0]),
         alternative_weight=np.zeros(0),
         residual=make_residual(),

@@ -221,7 +221,7 @@ def _inferred(
         design=design,
         draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
         choice=chosen,
-        weights=weights,
+        law_weights=weights,
         alternatives=alternatives,
         alternative_weight=alternative_weight,
         residual=fit.residual,

@@ -132,7 +132,7 @@ def make_population(
         design=design,
         draws=LawDraws(np.broadcast_to(h, (*shape, h.size)).copy(), z, *drawn),
         choice=choice,
-        weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
+        law_weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
         alternatives=other,
         alternative_weight=np.array(weight),
         residual=residual or no_residual(),
