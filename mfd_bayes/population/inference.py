@@ -164,14 +164,14 @@ def _inferred(
     # Gaussians of the tests near the joint mode; what a test has to itself is integrated out
     medians = [test.intervals or intervals_of(test.stored.values()) for test in tests.values()]
     start = [coordinates.of({k: np.array([v[0]]) for k, v in each.items()}) for each in medians]
-    own = np.ones((len(likelihoods), len(coordinates.names)), dtype=bool)
-    own[:, :d] = ~design.informs
+    unpooled = np.ones((len(likelihoods), len(coordinates.names)), dtype=bool)
+    unpooled[:, :d] = ~design.informs
     common = np.zeros(len(coordinates.names), dtype=bool)
     common[:d] = design.common
     with several_processes([one.linearised for one in likelihoods], settings.jobs) as evaluate:
         begin = np.clip(np.concatenate(start), -6.0, 6.0)
         fit = fit_jointly(likelihoods, begin, common, evaluate)
-    pairs = [without(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
+    pairs = [without(*each) for each in zip(fit.mean, fit.precision, unpooled, strict=True)]
     y, precision = (np.array(part) for part in zip(*pairs, strict=True))
     mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
 
@@ -197,7 +197,7 @@ def _inferred(
 
     with several_processes([one.log_likelihood for one in fit.tests], settings.jobs) as evaluate:
         pool = [pools[k] for k in kind.ravel()]
-        sampler = ExactSampler(mixed, fit, own, choice, pool, rng, evaluate)
+        sampler = ExactSampler(mixed, fit, unpooled, choice, pool, rng, evaluate)
         draws = sampler.run(effort.r_hat, effort.ess, limit, effort.kept // 4, tell)
 
     # the population
@@ -212,9 +212,7 @@ def _inferred(
         known.setdefault("start", priors.parameters["start"])
     starts, begun = Starts.of(known.get("start")), None
     if "start" in coordinates.names:
-        k = coordinates.names.index("start")
-        q = coordinates.centre[k] + coordinates.spread[k] * draws.x[..., k]
-        begun = known["start"].value(q.reshape(-1)).reshape(q.shape)
+        begun = coordinates.value("start", draws.x)
         if starts.fixed is None:
             starts = _starts(starts, likelihoods, draws.x, begun, known["start"])
     population = Population(

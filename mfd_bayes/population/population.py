@@ -394,9 +394,7 @@ class Population:
         scattered = np.zeros_like(mean)
         if scatter:
             sd, free = np.exp(draws.h[index]), design.free
-            scattered[:, free] = (
-                sd[:, : free.size] / design.spread[free] * numbers.scatter[:, free]
-            )
+            scattered[:, free] = sd[:, : free.size] / design.spread[free] * numbers.scatter[:, free]
             if setting.session not in design.sessions:
                 for e, effect in enumerate(design.effects, free.size):
                     for k in effect.members if effect.name == "session" else ():
