@@ -147,7 +147,6 @@ def _write_population(
         alternative_weight=np.full(12, 1.0 / 12.0),
         residual=Residual(TravelBasis(1.0, 2.0), *learned, 1.0, 0.3, 0.2, 0.01, 0.01),
         starts=Starts(),
-        begun=None,
         priors=priors.parameters,
         actuation_unit="ksi",
         walkers=6,

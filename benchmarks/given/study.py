@@ -140,7 +140,6 @@ def make_population(
         alternative_weight=np.zeros(0),
         residual=make_residual(),
         starts=Starts(None, UNLOADED[model]),
-        begun=None,
         priors={name: priors.parameters[name] for name in (*medians, "start", "gamma1")},
         actuation_unit="ksi",
         walkers=10,

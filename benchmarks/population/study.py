@@ -275,7 +275,7 @@ def fit_campaign(campaign: Campaign, priors: PriorFile, draws: Sequence[Draws]) 
     pairs = [without(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
     y, precision = (np.array(part) for part in zip(*pairs, strict=True))
     mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
-    mixed.set_apart(_choice(design, 1)[0])
+    mixed.find_outliers(_choice(design, 1)[0])
     return Joint(fit, mixed, own)
 
 
@@ -284,8 +284,7 @@ def draw_jointly(study: Study, joint: Joint, wider: float = 1.0) -> JointDraws:
     mixed, rng = joint.mixed, np.random.default_rng([study.seed, 2])
     if wider != 1.0:
         design = replace(mixed.design, scatter_sd=wider * mixed.design.scatter_sd)
-        weight, mixed = mixed.weight, MixedModel(design, mixed.y, mixed.p)
-        mixed.weight = weight
+        mixed = MixedModel(design, mixed.y, mixed.p, mixed.weight)
     choice, effort = _choice(mixed.design, CHAINS * WALKERS), study.joint
     pool = [mixed.sample(choice[0], rng, 8000)] * len(choice)
     sampler = ExactSampler(mixed, joint.fit, joint.own, choice, pool, rng)

@@ -28,14 +28,9 @@ from mfd_bayes.units import percent
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-DRAWS = 500
-"""Draws of a band where no other number is asked for."""
-
-FEWEST = 10
-"""Fewest draws of a band."""
-
-SHARE_DRAWS = 300
-"""Most draws by which the shares of a band's variance are computed."""
+DRAWS = 500  # draws of a band where no other number is asked for
+FEWEST = 10  # fewest draws of a band
+SHARE_DRAWS = 300  # most draws by which the shares of a band's variance are computed
 
 
 @dataclass(frozen=True)
@@ -464,7 +459,7 @@ class Predictor:
             None if drawn.noise is None else np.zeros_like(drawn.noise[few]),
         )
         variances = {}
-        for name, (part, chosen, _) in SOURCES.items():
+        for name, (part, _, chosen) in SOURCES.items():
             if drawn.noise is None and name in OF_MEASUREMENTS:
                 continue
             if part == "start":
@@ -491,68 +486,63 @@ _REPEATS = (
     "bedding-in), or declare sessions. The kind this_test does not contain it."
 )
 
-_SCATTER: dict[str, tuple[str, ...]] = {
+_SCATTER = {
     "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd"),
     "backward slip force": ("Fc_bwd", "static_excess_bwd", "Fy_bwd"),
     "gap": ("d2", "d3", "gap"),
     "sigma0": ("sigma0",),
     "stiffness beyond the gap": ("k_fwd", "k_bwd"),
+    "the offset": ("offset",),
 }
-"""Quantities whose scatter has a line of its own, as that of the offset has."""
-
-_GROUPED = {"offset", *(name for group in _SCATTER.values() for name in group)}
+_GROUP = {quantity: name for name, group in _SCATTER.items() for quantity in group}
 
 
 class Source(NamedTuple):
-    """A source of a band's width: a part of `Drawn`, of chosen quantities, and what to do."""
+    """A source of a band's width: a part of `Drawn`, what a user could do, which quantities."""
 
     part: str
-    chosen: Callable[[Design, str], bool]
     advice: str
+    chosen: Callable[[Design, str], bool] = lambda design, quantity: True
 
 
+def _scatter(name: str, advice: str = _REPEATS) -> Source:
+    """Scatter of a group of quantities."""
+
+    def chosen(_: Design, n: str) -> bool:
+        return _GROUP.get(n, "" if n.startswith("noise_") else "other quantities") == name
+
+    return Source("scatter", advice, chosen)
+
+
+# what makes a band wide, and what could be done about it
 SOURCES = {
-    **{
-        f"test-to-test scatter of {name}": Source("scatter", lambda _, n, g=group: n in g, _REPEATS)
-        for name, group in _SCATTER.items()
-    },
-    "test-to-test scatter of the offset": Source(
-        "scatter",
-        lambda _, n: n == "offset",
+    **{f"test-to-test scatter of {name}": _scatter(name) for name in _SCATTER},
+    "test-to-test scatter of the offset": _scatter(
+        "the offset",
         "Zero the load cell before each test, or ask for the kind new_test, which leaves it out.",
     ),
-    "test-to-test scatter of other quantities": Source(
-        "scatter", lambda _, n: n not in _GROUPED and not n.startswith("noise_"), _REPEATS
-    ),
+    "test-to-test scatter of other quantities": _scatter("other quantities"),
     "law, level and session effects": Source(
         "mean",
-        lambda design, n: n in design.laws,
         "Calibrate a test at or near this actuation, with such a stroke, in this session.",
+        lambda design, n: n in design.laws,
     ),
     "parameters": Source(
         "mean",
-        lambda design, n: n not in design.laws and n != "offset",
         "Calibrate more tests, with larger strokes or several speeds.",
+        lambda design, n: n not in design.laws and n != "offset",
     ),
     "start in the gap": Source(
         "start",
-        lambda *_: True,
         "Begin the motion with a stroke that crosses the whole gap: that makes the start known.",
     ),
     "discrepancy of the model": Source(
-        "knots",
-        lambda *_: True,
-        "Calibrate more tests with full strokes: it repeats in every cycle.",
+        "knots", "Calibrate more tests with full strokes: it repeats in every cycle."
     ),
     "noise": Source(
-        "noise",
-        lambda *_: True,
-        "It is the record's, not the damper's: the kind new_test leaves it out.",
+        "noise", "It is the record's, not the damper's: the kind new_test leaves it out."
     ),
 }
-
-OF_MEASUREMENTS = ("test-to-test scatter of the offset", "noise")
-"""Sources that the force of the damper does not have."""
-
 ADVICE = {name: source.advice for name, source in SOURCES.items()}
-"""What a user could do about each source of a band's width."""
+# sources that the force of the damper does not have
+OF_MEASUREMENTS = ("test-to-test scatter of the offset", "noise")

@@ -20,8 +20,7 @@ from mfd_bayes.calibration.priors import Prior
 
 Array = NDArray[np.float64]
 
-DRAWS = 4000
-"""Prior draws by which the centre and the spread of the coordinates are found."""
+DRAWS = 4000  # prior draws by which the centre and the spread of the coordinates are found
 
 
 @dataclass(frozen=True)

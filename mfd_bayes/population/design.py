@@ -47,24 +47,17 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Cell = tuple[str, float]
 
+# correlation length of a level's effect along the logarithm of the actuation
 ALIKE = float(np.log(2.0))
-"""Correlation length of a level's effect along the logarithm of the actuation."""
-
+# scale of the sd of a level's effect, over that of scatter: real levels lie farther from a law
+# than repeats from each other
 WIDER = 2.0
-"""Scale of the sd of a level's effect, over that of scatter: real levels lie farther from a law
-than repeats from each other."""
-
+# least and largest sd of a level's effect, over that at the reference actuation
 BOUNDS = (0.5, 2.0)
-"""Least and largest sd of a level's effect, over that at the reference actuation."""
-
-LEVELS = 3
-"""Fewest levels at which a deviation from a law can be told from the law."""
-
-TESTS = 4
-"""Fewest tests in which a dependence on a covariate is looked for."""
-
+LEVELS = 3  # fewest levels at which a deviation from a law can be told from the law
+TESTS = 4  # fewest tests in which a dependence on a covariate is looked for
+# Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared
 USUAL_SPEED = 2.0 / np.pi
-"""Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared."""
 
 
 class Effect(NamedTuple):
@@ -172,7 +165,7 @@ class Design:
         )
 
     @cached_property
-    def _columns(self) -> Array:
+    def _columns(self) -> Index:
         """Quantity and effect (-1 for none) of each linear coefficient, (2, Z)."""
         found = [(k, -1) for k in range(len(self.names))]
         found += [(self.names.index(n), -1) for n, those in self.dependence.items() for _ in those]
@@ -184,7 +177,7 @@ class Design:
     @property
     def quantity(self) -> Index:
         """Quantity of each linear coefficient, (Z,)."""
-        return self._columns[0]
+        return np.asarray(self._columns[0])
 
     def columns(self, effect: int) -> Index:
         """Numbers of the coefficients of an effect: (its quantities, cells or sessions)."""
@@ -254,11 +247,8 @@ class Design:
         rest[tested], rest[:, tested] = 0.0, 0.0
         return weights, 0.5 * (rest + rest.T)
 
-    def row(self, setting: Setting, level: Array | None = None) -> Array:
-        """Weights of the linear coefficients z under a setting, (Z,).
-
-        Those of level effects, `level` (cells,), are those expected given the tested levels.
-        """
+    def row(self, setting: Setting, *, level_effects: bool = True) -> Array:
+        """Weights of the linear coefficients z under a setting, (Z,), of a tested level or none."""
         parts: list[Array] = [np.ones(len(self.names))]
         for name, those in self.dependence.items():
             for c in those:
@@ -266,8 +256,8 @@ class Design:
                 within = np.clip(setting.covariates[c], min(among), max(among))
                 slope = np.log(within / self.covariates[c]) / self.spread[self.names.index(name)]
                 parts.append(np.array([slope]))
-        if level is None:
-            level = self.krige([self.cell_of(setting)])[0][0]
+        cell = self.cell_of(setting) if level_effects else None
+        level = np.array([float(cell == one) for one in self.cells])
         session = np.array([float(setting.session == s) for s in self.sessions])
         for effect in self.effects:
             weights = level if effect.name == "level" else session

@@ -30,30 +30,18 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Evaluate = Callable[[Iterable[tuple[int, "Array"]]], Iterator["Array"]]
 
-CHAINS = 4
-"""Groups of independent chains; R̂ is taken across groups."""
-
+CHAINS = 4  # groups of independent chains; R̂ is taken across groups
+# most numbers of the tests' coordinates that are held; of more, only some sweeps are kept
 STORED = 2**26
-"""Most numbers of the tests' coordinates that are held; of more, only some sweeps are kept."""
-
+# sweeps in which steps are tuned, in two halves, and sweeps between looks at the convergence
 WARM_UP, BLOCK = 80, 40
-"""Sweeps in which steps are tuned, in two halves, and sweeps between looks at the convergence."""
-
+# weight of the covariance that is learned, against that of the approximation, and its factor: a
+# wide one, since chains stay long where the reference has thinner tails than the posterior
 TRUST, WIDER = 0.8, 1.5
-"""Weight of the covariance that is learned, against that of the approximation, and its factor: a
-wide one, since chains stay long where the reference has thinner tails than the posterior."""
-
-ACCEPT = 0.3
-"""Share of moves of the tests that is to be accepted."""
-
-ACCEPT_Z = (0.2, 0.5)
-"""The same of z, with another h and with its own."""
-
-EVERY = 3
-"""Sweeps between random walks of h, which moves in every sweep with the levels too."""
-
-RANDOM_WALK = 0.6
-"""Sd of the random walk of the coordinates of h."""
+ACCEPT = 0.3  # share of moves of the tests that is to be accepted
+ACCEPT_Z = (0.2, 0.5)  # the same of z, with another h and with its own
+EVERY = 3  # sweeps between random walks of h, which moves in every sweep with the levels too
+RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
 class State(NamedTuple):

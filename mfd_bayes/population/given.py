@@ -31,32 +31,17 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-PARTICLES = 1500
-"""Draws of the population that take in a given part."""
-
-LEAST_EFFECTIVE = 0.3
-"""Share of effective draws below which they are resampled and moved."""
-
-MOVES = 5
-"""Metropolis steps after each resampling."""
-
-FEWEST = 100
-"""Effective draws below which a band is said not to be reliable."""
-
-QUIET = 0.25
-"""Share of the slip force below which a device is taken to be in its gap."""
-
-SAMPLES = 3
-"""Fewest samples of a given part, at the rate of the calibrated tests."""
-
-ALLOWED = ("new_test", "observation")
-"""Kinds of bands of which a given part says something."""
-
+PARTICLES = 1500  # draws of the population that take in a given part
+LEAST_EFFECTIVE = 0.3  # share of effective draws below which they are resampled and moved
+MOVES = 5  # Metropolis steps after each resampling
+FEWEST = 100  # effective draws below which a band is said not to be reliable
+QUIET = 0.25  # share of the slip force below which a device is taken to be in its gap
+SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
+ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
+# samples at rest before the first of a test that is followed, so that any record has three
 AHEAD = 2
-"""Samples at rest before the first of a test that is followed, so that any record has three."""
-
+# actuations over the planned one between which deviations from the laws are drawn
 EITHER_WAY = (0.25, 4.0)
-"""Actuations over the planned one between which deviations from the laws are drawn."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +99,11 @@ class Conditioned:
 class Sums(NamedTuple):
     """Sums of standardised residuals over the S strokes: all that the likelihood needs.
 
-    `count` (S,) are independent samples; `first` and `second` (n, S) are the sums of the residuals
+    `samples` (S,) are numbers of independent samples; `first` and `second` (n, S) are the sums of the residuals
     and of their squares, each times the count of its sample.
     """
 
-    count: Array
+    samples: Array
     first: Array
     second: Array
 
@@ -130,30 +115,30 @@ class Sums(NamedTuple):
 
     def plus(self, other: Sums) -> Sums:
         """Of the samples of both; the other may have more strokes."""
-        more = other.count.size - self.count.size
+        more = other.samples.size - self.samples.size
         mine = [np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)]) for a in self]
         return Sums(*(a + b for a, b in zip(mine, other, strict=True)))
 
     def log_likelihood(self, sd: Array, share: float) -> Array:
         """Log likelihood for noise of sd (n,) with a random intercept of each stroke, (n,)."""
         rest, level = 1.0 - share**2, share**2
-        known = 1.0 + level * self.count / rest
+        known = 1.0 + level * self.samples / rest
         first, second = self.first / sd[:, None], self.second / sd[:, None] ** 2
         squares = second / rest - level / rest**2 * first**2 / known
-        log = np.log(known) + self.count * np.log(rest)
-        total = -0.5 * (squares + log).sum(axis=1) - self.count.sum() * np.log(sd)
+        log = np.log(known) + self.samples * np.log(rest)
+        total = -0.5 * (squares + log).sum(axis=1) - self.samples.sum() * np.log(sd)
         return np.asarray(total)
 
 
 class Particles(NamedTuple):
     """Draws of one test: which draw of the population (n,), and standard normal numbers (n, m)."""
 
-    index: Index
+    draw: Index
     flat: Array
 
     def of(self, chosen: Index) -> Particles:
         """Some of them."""
-        return Particles(self.index[chosen], self.flat[chosen])
+        return Particles(self.draw[chosen], self.flat[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +170,10 @@ class PartialTest:
         """Tests of the particles under a part of the motion; δ is at its mean."""
         population = self.predictor.population
         mean = population.residual.mean
-        knots = np.broadcast_to(mean, (len(p.index), mean.size))
+        knots = np.broadcast_to(mean, (len(p.draw), mean.size))
         numbers = population.numbers_of(p.flat, self.grid.size)
         return self.predictor.drawn(
-            part, self.setting, p.index, numbers, knots, self.grid, motion=self.motion
+            part, self.setting, p.draw, numbers, knots, self.grid, motion=self.motion
         )
 
     def sums(
@@ -242,9 +227,12 @@ class PartialTest:
         self, part: Trace, counted: Mask, n: int, rng: np.random.Generator
     ) -> tuple[Particles, Array, Conditioned]:
         """Particles given the counted samples of a part, with their log weights (n,)."""
+        population, level = self.predictor.population, self.setting.actuation
+        active = population.active(self.setting, self.grid)
         p = self.draw(n, rng)
         log, taken = self.log_likelihood(p, part, counted), np.zeros(n)
-        done, stages, accepted = -1, 0, 1.0  # last block that the particles are drawn with
+        # the last block that the particles are drawn with
+        done, stages, accepted = -1, 0, np.ones(n, dtype=bool)
         while done < log.shape[1] - 1:
             weights = log[:, done + 1 :] - taken[:, None]
             low = np.flatnonzero(effective_draws(weights) < LEAST_EFFECTIVE * n)
@@ -254,41 +242,31 @@ class PartialTest:
             done += last + 1
             p = p.of(systematic(weights[:, last], n, rng))
             log = self.log_likelihood(p, part, counted)
-            for step in range(MOVES):
-                p, log, accepted = self._moved(p, log, part, counted, done, step, rng)
+            for step in range(MOVES):  # a random walk, with other draws of the population in turn
+                index = population.draw_index(n, level, rng) if step % 2 else p.draw
+                scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
+                spread = np.cov(p.flat[:, active].T) + 1e-9 * np.eye(active.size)
+                walk = rng.standard_normal((n, active.size)) @ np.linalg.cholesky(spread).T
+                flat = p.flat.copy()
+                flat[:, active] += scale * walk
+                new = self.log_likelihood(Particles(index, flat), part, counted)
+                prior = 0.5 * np.sum(p.flat[:, active] ** 2 - flat[:, active] ** 2, axis=1)
+                accepted = np.log(rng.random(n)) < new[:, done] - log[:, done] + prior
+                rows = accepted[:, None]
+                p = Particles(np.where(accepted, index, p.draw), np.where(rows, flat, p.flat))
+                log = np.where(rows, new, log)
             taken, stages = log[:, done].copy(), stages + 1
         smooth, k = smoothed(log[:, -1] - taken)
-        window = float(part.time[counted][0]), float(part.time[counted][-1])
-        method = "sampling" if stages else "weights"
-        effective = float(effective_draws(smooth[:, None])[0])
-        samples = int(counted.sum())
-        return p, smooth, Conditioned(window, samples, k, method, effective, stages, accepted)
-
-    def _moved(
-        self,
-        p: Particles,
-        log: Array,
-        part: Trace,
-        counted: Mask,
-        done: int,
-        step: int,
-        rng: np.random.Generator,
-    ) -> tuple[Particles, Array, float]:
-        """A Metropolis step given the first blocks: a random walk, or other population draws."""
-        population, flat, index = self.predictor.population, p.flat.copy(), p.index
-        active = population.active(self.setting, self.grid)
-        if step % 2:
-            index = population.draw_index(len(index), self.setting.actuation, rng)
-        scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
-        spread = np.cov(flat[:, active].T) + 1e-9 * np.eye(active.size)
-        walk = rng.standard_normal((len(flat), active.size)) @ np.linalg.cholesky(spread).T
-        flat[:, active] += scale * walk
-        found = self.log_likelihood(Particles(index, flat), part, counted)
-        prior = 0.5 * np.sum(p.flat[:, active] ** 2 - flat[:, active] ** 2, axis=1)
-        accepted = np.log(rng.random(len(flat))) < found[:, done] - log[:, done] + prior
-        each = accepted[:, None]
-        p = Particles(np.where(accepted, index, p.index), np.where(each, flat, p.flat))
-        return p, np.where(each, found, log), float(accepted.mean())
+        conditioned = Conditioned(
+            window=(float(part.time[counted][0]), float(part.time[counted][-1])),
+            samples=int(counted.sum()),
+            pareto_k=k,
+            method="sampling" if stages else "weights",
+            effective=float(effective_draws(smooth[:, None])[0]),
+            stages=stages,
+            accepted=float(accepted.mean()),
+        )
+        return p, smooth, conditioned
 
 
 def smoothed(log_weights: Array) -> tuple[Array, float]:
@@ -360,13 +338,13 @@ def predict_given(
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)
-    p, log_weights, told = test.condition(part, counted, max(PARTICLES, n), rng)
-    told = replace(told, window=checked_window(window, "given", FitError))
+    p, log_weights, conditioned = test.condition(part, counted, max(PARTICLES, n), rng)
+    conditioned = replace(conditioned, window=checked_window(window, "given", FitError))
     drawn = test.drawn(p.of(systematic(log_weights, n, rng)), trace)
     drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
-    source = f"population laws with scatter, and {told.sentence}"
+    source = f"population laws with scatter, and {conditioned.sentence}"
     band = predictor.finish(trace, forecast, drawn, rng, source)
-    return replace(band, given=told, remarks=(*band.remarks, *told.remarks))
+    return replace(band, given=conditioned, remarks=(*band.remarks, *conditioned.remarks))
 
 
 def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[Trace, Mask]:
@@ -561,7 +539,7 @@ class Forecaster:
     def _begin(self, p: Particles) -> None:
         """Particles before the first sample, of even weights."""
         still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
-        self._particles, self._log_prior = p, np.zeros(len(p.index))
+        self._particles, self._log_prior = p, np.zeros(len(p.draw))
         self._values = self._predictor.values(self._test.drawn(p, still))
         self._state: Any = None
         self._sums: Sums | None = None
@@ -576,7 +554,7 @@ class Forecaster:
 
     def _stepped(self, trace: Trace, rows: Index, state: Any) -> tuple[Array, Any]:
         """Forces at samples of a trace (n, m), kip, and the state after them."""
-        model, index = self._model, self._particles.index
+        model, index = self._model, self._particles.draw
         if state is None:
             state = model.start(
                 model.theta(self._values),
@@ -677,13 +655,13 @@ class Forecaster:
             force = force + values["offset"][:, None] + noise[:, last]
         effective = float(effective_draws(log_weights[:, None])[0])
         window, samples = (self._first, self._last), self._rows.shape[1] - AHEAD
-        told = Conditioned(window, samples, k, "weights", effective)
+        given = Conditioned(window, samples, k, "weights", effective)
         if (past := self._conditioned) is not None:
-            told = replace(told, method="sampling", stages=past.stages, accepted=past.accepted)
-        source = f"population laws with scatter, and {told.sentence}"
+            given = replace(given, method="sampling", stages=past.stages, accepted=past.accepted)
+        source = f"population laws with scatter, and {given.sentence}"
         shown = self._predictor.shown(values)
         band = Band.of(joined.time[last], force, forecast, source, shown)
-        return self.complete(replace(band, given=told, remarks=told.remarks), joined)
+        return self.complete(replace(band, given=given, remarks=given.remarks), joined)
 
 
 def _trace(rows: Array) -> Trace:

@@ -42,24 +42,15 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# sd of an actuation, over its mean, below which slip forces are taken in proportion to it
 STEADY = 0.02
-"""Sd of an actuation, over its mean, below which slip forces are taken in proportion to it."""
-
-ALTERNATIVES = 400
-"""Draws under all laws together, for actuations beyond the tested levels."""
-
-POOL = 4000
-"""Draws of the variance parameters."""
-
+ALTERNATIVES = 400  # draws under all laws together, for actuations beyond the tested levels
+POOL = 4000  # draws of the variance parameters
+# largest number of sweeps of the exact sampler
 SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
-"""Largest number of sweeps of the exact sampler."""
-
+# with more tests than this there are fewer chains: laws and variances are then known well
 MANY = 60
-"""With more tests than this there are fewer chains: laws and variances are then known well."""
-
-WALKERS, FEW_WALKERS = 8, 2
-"""Chains of each group, and with many tests."""
-
+WALKERS, FEW_WALKERS = 8, 2  # chains of each group, and with many tests
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
 
@@ -210,11 +201,9 @@ def _inferred(
     known = dict(posterior.priors)
     if posterior.model.has_gap and "start" in priors.parameters:
         known.setdefault("start", priors.parameters["start"])
-    starts, begun = Starts.of(known.get("start")), None
-    if "start" in coordinates.names:
-        begun = coordinates.value("start", draws.x)
-        if starts.fixed is None:
-            starts = _starts(starts, likelihoods, draws.x, begun, known["start"])
+    starts = Starts.of(known.get("start"))
+    if "start" in coordinates.names and starts.fixed is None:
+        starts = _starts(starts, likelihoods, draws.x, known["start"])
     population = Population(
         design=design,
         draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
@@ -224,7 +213,6 @@ def _inferred(
         alternative_weight=alternative_weight,
         residual=fit.residual,
         starts=starts,
-        begun=begun,
         priors=known,
         actuation_unit=settings.actuation_unit,
         walkers=walkers,
@@ -326,7 +314,7 @@ def _alternatives(
 
 
 def _starts(
-    starts: Starts, likelihoods: Sequence[TestLikelihood], x: Array, begun: Array, prior: Prior
+    starts: Starts, likelihoods: Sequence[TestLikelihood], x: Array, prior: Prior
 ) -> Starts:
     """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
     left, free = [], []
@@ -340,4 +328,5 @@ def _starts(
         free.append(without_load(model, values) if even else None)
     known = [place for place in left if place is not None]
     places = np.array(known) if len(known) == len(left) else None
-    return starts.learned(begun.reshape(-1, begun.shape[-1]), places, free)
+    begun = likelihoods[0].coordinates.value("start", x)
+    return starts.learned(begun.reshape(-1, len(likelihoods)), places, free)

@@ -33,17 +33,11 @@ from mfd_bayes.population.laws import ratio
 Array = NDArray[np.float64]
 Evaluate = Callable[[Iterable[tuple[int, "Array"]]], Iterator["Array"]]
 
-STEP = 1e-3
-"""Step of the central differences, in prior units."""
-
-EVEN = 30.0
-"""Samples near a knot that an even shape of the noise is worth."""
-
-FARTHEST = 8.0
-"""Largest coordinate of a fit, in prior units."""
-
+STEP = 1e-3  # step of the central differences, in prior units
+EVEN = 30.0  # samples near a knot that an even shape of the noise is worth
+FARTHEST = 8.0  # largest coordinate of a fit, in prior units
+# relative change of the objective below which a step counts as settled; three in a row end
 SETTLED = 1e-3
-"""Relative change of the objective below which a step counts as settled; three in a row end."""
 
 
 @dataclass(frozen=True, eq=False)

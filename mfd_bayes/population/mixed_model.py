@@ -22,24 +22,15 @@ from mfd_bayes.population.laws import EXPONENT, log_shape_prior
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-LARGEST = 12.0
-"""Largest size of a coordinate of h."""
-
+LARGEST = 12.0  # largest size of a coordinate of h
+# probability that a quantity of a test stands apart from the others, and its scatter over theirs
 ODD, WIDER = 0.01, 10.0
-"""Probability that a quantity of a test stands apart from the others, and its scatter over
-theirs."""
-
+# points of an importance sample of h, the effective number that is enough, and most rounds
 POINTS, ENOUGH, ADAPTATIONS = 3000, 1000, 6
-"""Points of an importance sample of h, the effective number that is enough, and most rounds."""
-
+# degrees of freedom of the points, and their scale over that of the density that they are for
 FREEDOM, SCALE = 7, 1.1
-"""Degrees of freedom of the points, and their scale over that of the density that they are for."""
-
-FARTHEST = 7.0
-"""Largest standard normal number of the mode of h."""
-
-ROUNDS = 4
-"""Largest number of rounds of expectation-maximisation of what stands apart."""
+FARTHEST = 7.0  # largest standard normal number of the mode of h
+ROUNDS = 4  # largest number of rounds of expectation-maximisation of what stands apart
 
 
 class Coefficients(NamedTuple):
@@ -206,7 +197,7 @@ class MixedModel:
         bounds = [(-FARTHEST, FARTHEST)] * self.dim
         if not self.dim:
             return start
-        return optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x  # type: ignore[no-any-return]
+        return optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
 
     def laplace(self, choice: Index) -> tuple[Array, Array]:
         """Laplace's Gaussian of the numbers: mode (dim,), and a root of the covariance."""

@@ -23,18 +23,13 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and
+# of speed or frequency, outside the tests
 STROKE, RATE = 0.2, 0.1
-"""Sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and of
-speed or frequency, outside the tests."""
-
+# factor of stroke within which a motion repeats a calibrated test, and so may begin as it did
 LIKE = 1.1
-"""Factor of stroke within which a motion repeats a calibrated test, and so may begin as it did."""
-
-LIKE_STROKES = 0.25
-"""Difference in the share of full strokes up to which motions are of one kind."""
-
-OCTAVE = 0.25
-"""Octaves between the actuations at which deviations along a history are drawn."""
+LIKE_STROKES = 0.25  # difference in the share of full strokes up to which motions are of one kind
+OCTAVE = 0.25  # octaves between the actuations at which deviations along a history are drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +119,6 @@ class Population:
     residual : Residual
         Discrepancy and noise that the tests have in common.
     starts : Starts
-    begun : (chain, draw, J), or None
-        Places in the gap at which the calibrated tests began.
     priors : mapping of str to Prior
     actuation_unit : str
     walkers : int
@@ -142,7 +135,6 @@ class Population:
     alternative_weight: Array
     residual: Residual
     starts: Starts
-    begun: Array | None
     priors: Mapping[str, Prior]
     actuation_unit: str
     walkers: int
@@ -384,7 +376,7 @@ class Population:
             without it, this is the mean property of the device.
         """
         design, draws, at = self.design, self._all, np.array([setting.actuation])
-        row = design.row(setting, level=np.zeros(len(design.cells)))[None]
+        row = design.row(setting, level_effects=False)[None]
         mean = design.offsets(draws.share[index], draws.exponent[index], at)[:, 0]
         mean += design.linear(draws.z[index], row)[:, 0]
         for name, value in effects.items():

@@ -15,12 +15,9 @@ from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
 
+# the law with its level's effect; plus test-to-test scatter; plus a record's offset and noise
 NESTED = ("device", "new_test", "observation")
-"""The law with its level's effect; plus test-to-test scatter; plus a record's offset and noise."""
-
-THIS_TEST = "this_test"
-"""One calibrated test by itself: what is known of its own parameters."""
-
+THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
 KINDS = (*NESTED, THIS_TEST)
 
 KIND_NAMES: Mapping[str, str] = MappingProxyType(
@@ -33,14 +30,10 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
 )
 """What each kind of band is about, in the words of design; the same everywhere."""
 
-SAME_LEVEL = 0.01
-"""Tests whose actuation differs by less than this share are at one level."""
-
+SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
+# actuation below this share of the largest is zero: what a gauge shows with nothing applied
 ZERO = 1e-3
-"""Actuation below this share of the largest is zero: what a gauge shows with nothing applied."""
-
-FULL = 0.8
-"""A stroke of at least this share of the largest one is a full stroke."""
+FULL = 0.8  # A stroke of at least this share of the largest one is a full stroke
 
 
 @dataclass(frozen=True)

@@ -23,25 +23,17 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
+# equally probable shapes a of the Beta densities: from anywhere (1) to one place
 SHAPES = np.geomspace(1.0, 100.0, 41)
-"""Equally probable shapes a of the Beta densities: from anywhere (1) to one place."""
-
+# probability that a repeat begins without load or anywhere, and not as the tests did
 ELSEWHERE = 0.2
-"""Probability that a repeat begins without load or anywhere, and not as the tests did."""
-
+# probability, before the tests of a run, that tests begin without load and not anywhere. All
+# records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
+# force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here,
+# so that none of the three is counted twice.
 BEFORE = 0.75
-"""Probability, before the tests of a run, that tests begin without load and not anywhere.
-
-All records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
-force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here, so
-that none of the three is counted twice.
-"""
-
-MOST = 0.95
-"""Largest probability that tests begin without load."""
-
-SLOW = 1e3
-"""Time between two displacements of a motion without speed, s."""
+MOST = 0.95  # largest probability that tests begin without load
+SLOW = 1e3  # time between two displacements of a motion without speed, s
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +85,7 @@ class Starts:
         factors = 0.0
         for place, (lower, upper) in zip(begun.T, ends, strict=True):
             inside = (place >= lower) & (place <= upper)
-            width = np.clip(upper, 0.0, 1.0) - np.clip(lower, 0.0, 1.0)
-            factors += np.log((inside.mean() + 1e-3) / (width.mean() + 1e-3))
+            factors += np.log((inside.mean() + 1e-3) / ((upper - lower).mean() + 1e-3))
         chance = min(float(expit(logit(BEFORE) + factors)), MOST)
         return Starts(softmax(log), chance, self.fixed)
 
@@ -130,7 +121,7 @@ class Starts:
             a, b = _exponents(SHAPES[shape], modes[mode])
             found = np.where(which >= share, betaincinv(a, b, u), u)
         if without_load is not None:
-            lower, upper = (np.clip(end, 0.0, 1.0) for end in without_load)
+            lower, upper = without_load
             found = np.where(which < share * self.unloaded, lower + (upper - lower) * u, found)
         return np.asarray(np.clip(found, 1e-9, 1.0 - 1e-9))
 

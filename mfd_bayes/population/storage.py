@@ -24,9 +24,7 @@ from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
 Array = NDArray[np.float64]
 
-FORMAT = "mixed model 1"
-"""Kind of stored population; others are not read."""
-
+FORMAT = "mixed model 1"  # kind of stored population; others are not read
 _RESIDUAL = ("mean", "covariance", "log_shape")
 _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
 
@@ -47,8 +45,6 @@ def save_population(path: Path, population: Population) -> None:
         **{f"draws_{k}": v for k, v in vars(population.draws).items()},
         "law": population.choice.astype(np.float64),
     }
-    if population.begun is not None:
-        arrays["starts"] = population.begun
     facts = {
         "format": FORMAT,
         "names": [*design.names, *design.coordinates.names[len(design.names) :]],
@@ -104,10 +100,9 @@ def _population(
         raise ValueError("its draws do not fit its design")
     if not all(np.all(np.isfinite(value)) for value in values.values()):
         raise ValueError("it holds numbers that are not finite")
-    starts, begun = Starts.of(priors.parameters.get("start")), values.get("starts")
-    if begun is not None and starts.fixed is None:
-        weights = facts["start_weights"]
-        starts = Starts(None if weights is None else np.array(weights), float(facts["unloaded"]))
+    starts = Starts.of(priors.parameters.get("start"))
+    if facts["start_weights"] is not None and starts.fixed is None:
+        starts = Starts(np.array(facts["start_weights"]), float(facts["unloaded"]))
     discrepancy: dict[str, Any] = {k: np.array(v) for k, v in facts["discrepancy"].items()}
     return Population(
         design=design,
@@ -118,7 +113,6 @@ def _population(
         alternative_weight=np.array(facts["alternative_weight"]),
         residual=Residual(TravelBasis(**facts["basis"]), **discrepancy, **facts["residual"]),
         starts=starts,
-        begun=begun,
         priors=priors.parameters,
         actuation_unit=facts["actuation_unit"],
         walkers=int(facts["walkers"]),

@@ -137,7 +137,6 @@ def make_population(
         alternative_weight=np.array(weight),
         residual=residual or no_residual(),
         starts=starts or Starts(),
-        begun=None,
         priors={name: priors.parameters[name] for name in known},
         actuation_unit="ksi",
         walkers=10,

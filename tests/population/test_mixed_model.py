@@ -245,8 +245,15 @@ def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
     assert [[laid.settings[j].actuation for j in f] for f in folds] == [
         [p] * 2 for p in (0.5, 1, 2)
     ]
-    alone = tests.alone("Fc_fwd", "power")
-    log, h = tests.densities(alone, folds)
+    log, h = tests.densities("Fc_fwd", "power", folds)
+    alone = replace(
+        laid,
+        names=("Fc_fwd",),
+        spread=laid.spread[:1],
+        scatter_sd=laid.scatter_sd[:1],
+        common=laid.common[:1],
+        leveled=False,
+    )
     one = MixedModel(alone, tests.mean[:, [0]], 1.0 / tests.variance[:, [0], None])
     every = set(range(len(SETTINGS)))
     for i in (3, 500, 900):
