@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,8 +100,8 @@ class Conditioned:
 class Sums(NamedTuple):
     """Sums of standardised residuals over the S strokes: all that the likelihood needs.
 
-    `samples` (S,) are numbers of independent samples; `first` and `second` (n, S) are the sums of the residuals
-    and of their squares, each times the count of its sample.
+    `samples` (S,) are numbers of independent samples; `first` and `second` (n, S) are the sums of
+    the residuals and of their squares, each times the count of its sample.
     """
 
     samples: Array
@@ -108,10 +109,10 @@ class Sums(NamedTuple):
     second: Array
 
     @classmethod
-    def of(cls, left: Array, count: Array, strokes: Index, size: int) -> Sums:
+    def of(cls, residuals: Array, count: Array, strokes: Index, size: int) -> Sums:
         """Of residuals (n, T) with counts (T,) in strokes (T,) of `size` strokes."""
         home = (strokes[:, None] == np.arange(size)) * count[:, None]
-        return cls(home.sum(axis=0), left @ home, left**2 @ home)
+        return cls(home.sum(axis=0), residuals @ home, residuals**2 @ home)
 
     def plus(self, other: Sums) -> Sums:
         """Of the samples of both; the other may have more strokes."""
@@ -122,10 +123,10 @@ class Sums(NamedTuple):
     def log_likelihood(self, sd: Array, share: float) -> Array:
         """Log likelihood for noise of sd (n,) with a random intercept of each stroke, (n,)."""
         rest, level = 1.0 - share**2, share**2
-        known = 1.0 + level * self.samples / rest
+        factor = 1.0 + level * self.samples / rest
         first, second = self.first / sd[:, None], self.second / sd[:, None] ** 2
-        squares = second / rest - level / rest**2 * first**2 / known
-        log = np.log(known) + self.samples * np.log(rest)
+        squares = second / rest - level / rest**2 * first**2 / factor
+        log = np.log(factor) + self.samples * np.log(rest)
         total = -0.5 * (squares + log).sum(axis=1) - self.samples.sum() * np.log(sd)
         return np.asarray(total)
 
@@ -201,27 +202,26 @@ class PartialTest:
         unknown = ~np.any(functions, axis=1) & quiet
         shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
         discrepancy = np.outer(slip / residual.slip_force, functions[rows] @ residual.mean)
-        left = np.asarray(trace.force)[rows] - force - discrepancy - values["offset"][:, None]
-        left = left / shape[rows]
-        left = np.where(np.isfinite(left), left, 1e6)
+        residuals = np.asarray(trace.force)[rows] - force - discrepancy - values["offset"][:, None]
+        residuals = residuals / shape[rows]
+        residuals = np.where(np.isfinite(residuals), residuals, 1e6)
         count = np.where(counted, residual.counts(trace), 0.0)
         count[np.argmax(counted)] = 1.0
         blocks = np.array_split(np.arange(rows.size), int(np.clip(count[rows].sum(), 1, 40)))
         size = int(strokes[-1]) + 1
-        return [Sums.of(left[:, b], count[rows[b]], strokes[rows[b]], size) for b in blocks]
+        return [Sums.of(residuals[:, b], count[rows[b]], strokes[rows[b]], size) for b in blocks]
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
         """Log likelihood of the counted samples so far, at the end of each block, (n, blocks)."""
         drawn, rows = self.drawn(p, part), np.flatnonzero(counted)
-        values = self.predictor.values(drawn)
+        values, share = (
+            self.predictor.values(drawn),
+            self.predictor.population.residual.stroke_share,
+        )
         force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
-        blocks, total, found = self.sums(part, force, values, counted, rows), None, []
-        for block in blocks:
-            total = block if total is None else total.plus(block)
-            share = self.predictor.population.residual.stroke_share
-            found.append(total.log_likelihood(values["noise_sd"], share))
-        return np.stack(found, axis=1)
+        so_far = accumulate(self.sums(part, force, values, counted, rows), Sums.plus)
+        return np.stack([s.log_likelihood(values["noise_sd"], share) for s in so_far], axis=1)
 
     def condition(
         self, part: Trace, counted: Mask, n: int, rng: np.random.Generator
@@ -542,7 +542,8 @@ class Forecaster:
         self._particles, self._log_prior = p, np.zeros(len(p.draw))
         self._values = self._predictor.values(self._test.drawn(p, still))
         self._state: Any = None
-        self._sums: Sums | None = None
+        none = np.empty((len(p.draw), 0))
+        self._sums = Sums(none[0], none, none)
 
     def _advance(self, begin: int) -> None:
         """Step the particles along the means from `begin` on, and add up what their force says."""
@@ -550,7 +551,7 @@ class Forecaster:
         rows, counted = np.arange(begin, trace.samples), np.arange(trace.samples) >= AHEAD
         force, self._state = self._stepped(trace, rows, self._state)
         for sums in self._test.sums(trace, force, self._values, counted, rows):
-            self._sums = sums if self._sums is None else self._sums.plus(sums)
+            self._sums = self._sums.plus(sums)
 
     def _stepped(self, trace: Trace, rows: Index, state: Any) -> tuple[Array, Any]:
         """Forces at samples of a trace (n, m), kip, and the state after them."""
@@ -584,8 +585,6 @@ class Forecaster:
 
     def _log_likelihood(self) -> Array:
         """Log likelihood of the force so far, (n,)."""
-        if self._sums is None:
-            return np.zeros(len(self._log_prior))
         return self._sums.log_likelihood(self._values["noise_sd"], self._residual.stroke_share)
 
     def refresh(self) -> None:
