@@ -27,7 +27,7 @@ from mfd_bayes.population.exact import Draws as JointDraws
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 
@@ -272,7 +272,7 @@ def fit_campaign(campaign: Campaign, priors: PriorFile, draws: Sequence[Draws]) 
     common = np.zeros(start.shape[1], dtype=bool)
     common[:d] = design.common
     fit = fit_jointly(likelihoods, np.clip(start, -6.0, 6.0), common)
-    pairs = [without(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
+    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
     y, precision = (np.array(part) for part in zip(*pairs, strict=True))
     mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
     mixed.find_outliers(_choice(design, 1)[0])

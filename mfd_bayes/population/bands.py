@@ -17,7 +17,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.discrepancy import slip_force_of
-from mfd_bayes.population.population import Numbers, Parts, Population
+from mfd_bayes.population.population import Particles, Parts, Population
 from mfd_bayes.population.settings import KIND_NAMES, KINDS, Setting, setting_of
 from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.numbers import MOST_DRAWS, real_number, whole_number
@@ -331,12 +331,10 @@ class Predictor:
         They begin where the test before ended, if there is one.
         """
         population, setting = self.population, setting_of(trace, forecast.session)
-        index = population.draw_index(forecast.draws, setting.actuation, rng)
-        grid = population.grid_of(trace)
-        numbers = population.draw_numbers(len(index), grid.size, rng)
-        knots = population.residual.draw_knots(rng, len(index))
-        scatter = forecast.kind != "device"
-        drawn = self.drawn(trace, setting, index, numbers, knots, grid, scatter=scatter, x=x)
+        grid, n = population.grid_of(trace), forecast.draws
+        p = population.draw_tests(n, setting.actuation, grid, rng)
+        drawn = self.drawn(trace, setting, p, grid, scatter=forecast.kind != "device", x=x)
+        drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
         if forecast.before is None or not self.model.has_gap:
             return drawn
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -349,23 +347,22 @@ class Predictor:
         self,
         trace: Trace,
         setting: Setting,
-        index: Index,
-        numbers: Numbers,
-        knots: Array,
+        p: Particles,
         grid: Array,
         *,
         scatter: bool = True,
         x: Array | None = None,
         motion: Trace | None = None,
     ) -> Drawn:
-        """Tests of these draws of the population and numbers, with deviations on a grid (G,).
+        """Tests under a motion, with deviations on a grid of actuations; δ is at its mean.
 
         Parameters
         ----------
-        trace, setting
-            The motion and its conditions.
-        index, numbers, knots, grid
-            n draws of the population, of normal numbers and of δ; actuations (G,).
+        trace : Trace
+        setting : Setting
+        p : Particles
+            The tests, n of them.
+        grid : (G,)
         scatter : bool
             Whether tests differ from each other.
         x : (n, d), optional
@@ -373,7 +370,7 @@ class Predictor:
         motion : Trace, optional
             The whole motion, of which `trace` is a part.
         """
-        population, level = self.population, setting.actuation
+        population, level, (index, numbers) = self.population, setting.actuation, p
         effects = population.level_effects(index, setting.session, grid, numbers.level)
         at = int(np.argmin(np.abs(grid - level)))
         here = {name: value[:, at] for name, value in effects.items()}
@@ -386,7 +383,8 @@ class Predictor:
         if trace.varying:
             history = np.asarray(trace.actuation)
             scales = population.scales(self.model, history, index, level, (grid, effects))
-        return Drawn(parts, unshared, scales, knots)
+        mean = population.residual.mean
+        return Drawn(parts, unshared, scales, np.broadcast_to(mean, (len(index), mean.size)))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def finish(

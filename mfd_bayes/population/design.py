@@ -39,7 +39,6 @@ from mfd_bayes.population.settings import (
     geometric_mean,
     levels_of,
     same_level,
-    varies,
     with_zeros,
 )
 
@@ -366,15 +365,3 @@ def design_of(
         common=np.array([priors.scatter[home[n]].sparse for n in shared]),
         reference=geometric_mean([s.actuation for s in settings if s.actuation > 0]),
     )
-
-
-def usual_dependence(
-    slip_forces: Sequence[str], settings: Sequence[Setting]
-) -> dict[str, tuple[str, ...]]:
-    """Covariates that slip forces follow by default: the stroke, if it varies.
-
-    No friction model here knows of the stroke, and all of them know of the speed.
-    """
-    if len(settings) < TESTS or not varies(settings, "amplitude"):
-        return {}
-    return dict.fromkeys(slip_forces, ("amplitude",))

@@ -22,6 +22,7 @@ from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
+from mfd_bayes.population.population import Particles
 from mfd_bayes.population.settings import ZERO, Setting, setting_of
 from mfd_bayes.records.clock import checked_window
 from mfd_bayes.records.motion import HYSTERESIS
@@ -131,17 +132,6 @@ class Sums(NamedTuple):
         return np.asarray(total)
 
 
-class Particles(NamedTuple):
-    """Draws of one test: which draw of the population (n,), and standard normal numbers (n, m)."""
-
-    draw: Index
-    flat: Array
-
-    def of(self, chosen: Index) -> Particles:
-        """Some of them."""
-        return Particles(self.draw[chosen], self.flat[chosen])
-
-
 @dataclass(frozen=True, eq=False)
 class PartialTest:
     """A test of which a part is known.
@@ -163,19 +153,12 @@ class PartialTest:
 
     def draw(self, n: int, rng: np.random.Generator) -> Particles:
         """Particles of which nothing is known."""
-        population = self.predictor.population
-        index = population.draw_index(n, self.setting.actuation, rng)
-        return Particles(index, population.draw_numbers(n, self.grid.size, rng).flat)
+        level = self.setting.actuation
+        return self.predictor.population.draw_tests(n, level, self.grid, rng)
 
     def drawn(self, p: Particles, part: Trace) -> Drawn:
-        """Tests of the particles under a part of the motion; δ is at its mean."""
-        population = self.predictor.population
-        mean = population.residual.mean
-        knots = np.broadcast_to(mean, (len(p.draw), mean.size))
-        numbers = population.numbers_of(p.flat, self.grid.size)
-        return self.predictor.drawn(
-            part, self.setting, p.draw, numbers, knots, self.grid, motion=self.motion
-        )
+        """Tests of the particles under a part of the motion."""
+        return self.predictor.drawn(part, self.setting, p, self.grid, motion=self.motion)
 
     def sums(
         self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
@@ -245,15 +228,17 @@ class PartialTest:
             for step in range(MOVES):  # a random walk, with other draws of the population in turn
                 index = population.draw_index(n, level, rng) if step % 2 else p.draw
                 scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
-                spread = np.cov(p.flat[:, active].T) + 1e-9 * np.eye(active.size)
+                old, flat = p.numbers.flat, p.numbers.flat.copy()
+                spread = np.cov(old[:, active].T) + 1e-9 * np.eye(active.size)
                 walk = rng.standard_normal((n, active.size)) @ np.linalg.cholesky(spread).T
-                flat = p.flat.copy()
                 flat[:, active] += scale * walk
-                new = self.log_likelihood(Particles(index, flat), part, counted)
-                prior = 0.5 * np.sum(p.flat[:, active] ** 2 - flat[:, active] ** 2, axis=1)
+                proposed = Particles(index, replace(p.numbers, flat=flat))
+                new = self.log_likelihood(proposed, part, counted)
+                prior = 0.5 * np.sum(old[:, active] ** 2 - flat[:, active] ** 2, axis=1)
                 accepted = np.log(rng.random(n)) < new[:, done] - log[:, done] + prior
                 rows = accepted[:, None]
-                p = Particles(np.where(accepted, index, p.draw), np.where(rows, flat, p.flat))
+                numbers = replace(p.numbers, flat=np.where(rows, flat, old))
+                p = Particles(np.where(accepted, index, p.draw), numbers)
                 log = np.where(rows, new, log)
             taken, stages = log[:, done].copy(), stages + 1
         smooth, k = smoothed(log[:, -1] - taken)
@@ -567,8 +552,7 @@ class Forecaster:
         scales = {}
         if np.any(np.abs(actuation - self._level) > 1e-9 * self._level) and self._level > 0:
             population, grid = self._predictor.population, self._test.grid
-            numbers = population.numbers_of(self._particles.flat, grid.size)
-            session = self._test.setting.session
+            session, numbers = self._test.setting.session, self._particles.numbers
             effects = population.level_effects(index, session, grid, numbers.level)
             scales = population.scales(model, actuation, index, self._level, (grid, effects))
         before = np.diff(trace.time, prepend=trace.time[0])

@@ -20,7 +20,7 @@ from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
-from mfd_bayes.population.design import LEVELS, Design, design_of, usual_dependence
+from mfd_bayes.population.design import LEVELS, TESTS, Design, design_of
 from mfd_bayes.population.exact import CHAINS, ExactSampler
 from mfd_bayes.population.joint_fit import TestLikelihood, fit_jointly
 from mfd_bayes.population.law_scores import (
@@ -33,9 +33,9 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
 )
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
-from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import levels_of, setting_of
+from mfd_bayes.population.settings import levels_of, setting_of, varies
 from mfd_bayes.population.starts import Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace
 
@@ -162,7 +162,7 @@ def _inferred(
     with several_processes([one.linearised for one in likelihoods], settings.jobs) as evaluate:
         begin = np.clip(np.concatenate(start), -6.0, 6.0)
         fit = fit_jointly(likelihoods, begin, common, evaluate)
-    pairs = [without(*each) for each in zip(fit.mean, fit.precision, unpooled, strict=True)]
+    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, unpooled, strict=True)]
     y, precision = (np.array(part) for part in zip(*pairs, strict=True))
     mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
 
@@ -234,8 +234,10 @@ def _likelihoods(
     noise = set(some.noise.parameters) - {"noise_sd"}
     names = [name for name in some.names if name not in noise]
     slips = [name for name in model.slip_forces if name in names]
-    dependence: dict[str, Sequence[str]] = dict(usual_dependence(slips, under))
-    dependence |= {name: tuple(those) for name, those in settings.dependence.items() if those}
+    # slip forces follow the stroke, if it varies: no friction model here knows of it
+    stroke = len(under) >= TESTS and varies(under, "amplitude")
+    dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
+    dependence |= {name: those for name, those in settings.dependence.items() if those}
     design = design_of(priors, names, under, settings.laws, dependence)
     changing = [swings(design, model, test.trace) for test in tests.values()]
     if any(changing):
@@ -322,9 +324,8 @@ def _starts(
     for j, one in enumerate(likelihoods):
         model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
         values = one.values(own)
-        middle = {name: np.array([np.median(v)]) for name, v in values.items()}
         scales = one.scales(np.median(own, axis=0)[None])
-        left.append(place_left(model, model.theta(middle), one.posterior.trace, scales or None))
+        left.append(place_left(model, values, one.posterior.trace, scales or None))
         free.append(without_load(model, values) if even else None)
     known = [place for place in left if place is not None]
     places = np.array(known) if len(known) == len(left) else None

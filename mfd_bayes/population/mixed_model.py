@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 LARGEST = 12.0  # largest size of a coordinate of h
-# probability that a quantity of a test stands apart from the others, and its scatter over theirs
-ODD, WIDER = 0.01, 10.0
+# probability that a quantity of a test is an outlier, and the scatter of outliers over others'
+OUTLIER, WIDER = 0.01, 10.0
 # points of an importance sample of h, the effective number that is enough, and most rounds
 POINTS, ENOUGH, ADAPTATIONS = 3000, 1000, 6
 # degrees of freedom of the points, and their scale over that of the density that they are for
 FREEDOM, SCALE = 7, 1.1
 FARTHEST = 7.0  # largest standard normal number of the mode of h
-ROUNDS = 4  # largest number of rounds of expectation-maximisation of what stands apart
+ROUNDS = 4  # largest number of rounds of expectation-maximisation of outliers
 
 
 class Coefficients(NamedTuple):
@@ -134,9 +134,9 @@ class MixedModel:
         total = -np.log(omega) @ np.array([design.columns(e).size for e in range(self.e)])
         plain = np.arange(design.z_sd.size)
         a[:, plain, plain] = design.z_sd**-2.0
-        for e, precision in enumerate(self.effect_precision):
+        for e, block in enumerate(self.effect_precision):
             for own in design.columns(e):
-                a[:, own[:, None], own] = omega[:, e, None, None] ** -2.0 * precision
+                a[:, own[:, None], own] = omega[:, e, None, None] ** -2.0 * block
         for cell in self.cells:
             js = np.array([j for j in cell if tests is None or j in tests], dtype=np.intp)
             if not js.size:
@@ -146,14 +146,14 @@ class MixedModel:
             # precision of A z + law without the deviations
             p, inner = self.p[js], self._inner(js, tau)
             across = np.broadcast_to(p[:, self.free], (n, *p[:, self.free].shape))
-            known = p - p[:, :, self.free] @ np.linalg.solve(inner, across)
+            precision = p - p[:, :, self.free] @ np.linalg.solve(inner, across)
             log = -0.5 * np.linalg.slogdet(inner)[1].sum(axis=1) - js.size * np.log(tau).sum(axis=1)
             left = self.y[js] - offsets[:, js]
-            pulled = np.einsum("njab,njb->nja", known, left)
+            pulled = np.einsum("njab,njb->nja", precision, left)
             log += 0.5 * np.log(self.weight[js]).sum()
             total += log - 0.5 * np.einsum("nja,nja->n", left, pulled)
             b[:, active] += np.einsum("jm,njm->nm", row, pulled[:, :, q])
-            grams = known[:, :, q[:, None], q]
+            grams = precision[:, :, q[:, None], q]
             at = np.ix_(np.arange(n), active, active)
             a[at] += np.einsum("jml,njml->nml", row[:, :, None] * row[:, None], grams)
         factor = np.asarray(np.linalg.cholesky(a))
@@ -257,8 +257,8 @@ class MixedModel:
             inside = self.weight * squares
             others = inside.sum(axis=0) - inside + 0.25 * self.scale[: self.f] ** 2
             ratio = squares / (others / len(squares))
-            odds = ODD / WIDER * np.exp(np.minimum(0.5 * ratio * (1.0 - WIDER**-2), 700.0))
-            weight = np.where(odds / (odds + 1.0 - ODD) > 0.5, WIDER**-2, 1.0)
+            odds = OUTLIER / WIDER * np.exp(np.minimum(0.5 * ratio * (1.0 - WIDER**-2), 700.0))
+            weight = np.where(odds / (odds + 1.0 - OUTLIER) > 0.5, WIDER**-2, 1.0)
             if np.array_equal(weight, self.weight):
                 return
             self.weight = weight
@@ -274,17 +274,15 @@ def backward(factor: Array, u: Array) -> Array:
     return forward(np.swapaxes(factor, -1, -2), u)
 
 
-def without(y: Array, precision: Array, own: NDArray[np.bool_]) -> tuple[Array, Array]:
+def marginalised(y: Array, precision: Array, out: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Gaussian likelihood (D,), (D, D) with some coordinates integrated over N(0, 1).
 
     Their precision is then zero.
     """
-    kept, rest = np.flatnonzero(~own), np.flatnonzero(own)
-    pull = precision @ y
-    gain = np.linalg.solve(
-        precision[np.ix_(rest, rest)] + np.eye(rest.size), precision[np.ix_(rest, kept)]
-    ).T
-    reduced = precision[np.ix_(kept, kept)] - gain @ precision[np.ix_(rest, kept)]
+    kept, rest = np.flatnonzero(~out), np.flatnonzero(out)
+    across, pull = precision[np.ix_(rest, kept)], precision @ y
+    gain = np.linalg.solve(precision[np.ix_(rest, rest)] + np.eye(rest.size), across).T
+    reduced = precision[np.ix_(kept, kept)] - gain @ across
     found, mean = np.zeros_like(precision), np.zeros_like(y)
     found[np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
     mean[kept] = np.linalg.solve(reduced, pull[kept] - gain @ pull[rest])

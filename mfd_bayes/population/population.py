@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,6 +67,17 @@ class Numbers:
     def start(self) -> Array:
         """Of the place in the gap, (n, 2)."""
         return self.flat[:, -2:]
+
+
+class Particles(NamedTuple):
+    """New tests: which draws of the population (n,), and their standard normal numbers."""
+
+    draw: Index
+    numbers: Numbers
+
+    def of(self, chosen: Index) -> Particles:
+        """Some of them."""
+        return Particles(self.draw[chosen], replace(self.numbers, flat=self.numbers.flat[chosen]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,14 +323,15 @@ class Population:
             for k, own in zip(effect.members, design.columns(e), strict=True)
         ]
 
-    def numbers_of(self, flat: Array, grid: int) -> Numbers:
-        """Numbers (n, m) of tests with a grid of so many actuations."""
-        return Numbers(flat, len(self.design.names), len(self._leveled), grid)
-
     def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
         """Numbers of n tests with a grid of so many actuations."""
-        size = 3 * len(self.design.names) + len(self._leveled) * grid + 2
-        return self.numbers_of(rng.standard_normal((n, size)), grid)
+        d, leveled = len(self.design.names), len(self._leveled)
+        return Numbers(rng.standard_normal((n, 3 * d + leveled * grid + 2)), d, leveled, grid)
+
+    def draw_tests(self, n: int, level: float, grid: Array, rng: np.random.Generator) -> Particles:
+        """New tests at a level, with deviations on a grid of actuations (G,)."""
+        index = self.draw_index(n, level, rng)
+        return Particles(index, self.draw_numbers(n, grid.size, rng))
 
     def active(self, setting: Setting, grid: Array) -> Index:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
@@ -445,8 +458,7 @@ class Population:
         values = found | self.values(x)
         repeat, left = setting is not None and self.repeats(setting), None
         if repeat and trace is not None and self.starts.weights is not None:
-            middle = {name: np.array([np.median(v)]) for name, v in values.items()}
-            left = place_left(model, model.theta(middle), trace)
+            left = place_left(model, values, trace)
         start = self.starts.place(numbers, left, without_load(model, values), repeat=repeat)
         return found | {"start": start}
 

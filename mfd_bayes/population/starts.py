@@ -199,16 +199,20 @@ class Ending:
 
 
 def place_left(
-    model: Model, theta: Array, trace: Trace, scales: Mapping[str, Array] | None = None
+    model: Model,
+    values: Mapping[str, Array],
+    trace: Trace,
+    scales: Mapping[str, Array] | None = None,
 ) -> float | None:
-    """Place, as a `start` of it, at which a motion leaves a device with theta (1, p).
+    """Place, as a `start` of it, at which a motion leaves a device of typical quantities.
 
-    The device goes straight back to the first displacement. None for a model without a gap, or one
-    that does not say where a motion ends.
+    The medians of these, (n,) each by name, are taken. The device goes straight back to the first
+    displacement. None for a model without a gap, or one that does not say where a motion ends.
     """
     own = type(model).end
     if not model.has_gap or getattr(own, "__wrapped__", own) is Model.end:
         return None
+    theta = model.theta({name: np.array([np.median(value)]) for name, value in values.items()})
     ended = Ending("", theta, model.end(theta, trace, scales=scales))
     ended = ended.moved(model, trace.displacement[[-1, 0]])
     return float(np.clip(model.start_at(ended.place, trace)[0], 0.0, 1.0))

@@ -9,7 +9,7 @@ from scipy import linalg, special, stats
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.law_scores import TestGaussians, compare_laws, extrapolation_weights
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.settings import Setting, levels_of
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
@@ -306,12 +306,12 @@ def test_a_law_without_an_intercept_learns_nothing_from_a_test_at_zero(priors):
     np.testing.assert_array_equal(laid.informs[0], [False, True, True])
     assert np.all(laid.informs[1:])
     y, precision = random_likelihoods(np.random.default_rng(6), 3, 3)
-    reduced = [without(y[j], precision[j], ~laid.informs[j]) for j in range(3)]
+    reduced = [marginalised(y[j], precision[j], ~laid.informs[j]) for j in range(3)]
     other = y.copy()
     other[0] += precision[0] @ np.zeros(3) + np.array([5.0, 0.0, 0.0])
 
     def levels(values):
-        pairs = [without(values[j], precision[j], ~laid.informs[j]) for j in range(3)]
+        pairs = [marginalised(values[j], precision[j], ~laid.informs[j]) for j in range(3)]
         mixed = MixedModel(laid, *(np.array(part) for part in zip(*pairs, strict=True)))
         h = some_h(mixed, 1)
         return mixed.marginal(h, choice_of(mixed)[None])[1].mean[0]
@@ -329,7 +329,7 @@ def test_what_is_a_tests_own_is_integrated_over_its_prior():
     rng = np.random.default_rng(7)
     (y,), (precision,) = random_likelihoods(rng, 1, 3)
     own = np.array([False, True, False])
-    mean, reduced = without(y, precision, own)
+    mean, reduced = marginalised(y, precision, own)
     # by the joint normal: covariance of the likelihood's mean, its own coordinate known by N(0, 1)
     covariance = np.linalg.inv(precision + np.diag(own.astype(float)))
     kept = np.ix_(~own, ~own)
