@@ -78,7 +78,7 @@ class Coordinates:
             q[:, d3] = own[:, d3] - own[:, d2]
         return q
 
-    def own(self, x: Array) -> Array:
+    def of_priors(self, x: Array) -> Array:
         """Coordinates of the priors, (n, D), of x (n, D)."""
         q = self.centre + self.spread * x
         own, d2, d3 = q.copy(), self._column("d2"), self._column("d3")
@@ -91,8 +91,8 @@ class Coordinates:
 
     def values(self, x: Array) -> dict[str, Array]:
         """Quantities at x (n, D), by name, (n,) each, internal units."""
-        own = self.own(x)
-        return {name: self.priors[name].value(own[:, k]) for k, name in enumerate(self.names)}
+        q = self.of_priors(x)
+        return {name: self.priors[name].value(q[:, k]) for k, name in enumerate(self.names)}
 
     def value(self, name: str, x: Array) -> Array:
         """A quantity whose coordinate is its prior's, such as the noise, at x (..., D), (...)."""
@@ -102,13 +102,13 @@ class Coordinates:
     def of(self, values: Mapping[str, Array]) -> Array:
         """Coordinates x (n, D) of quantities by name, (n,) each; of a missing one, its median."""
         n = max(np.size(value) for value in values.values())
-        known = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
-        own = [self.priors[name].coordinate(np.atleast_1d(known[name])) for name in self.names]
-        return np.asarray((self._compared(np.stack(own, axis=1)) - self.centre) / self.spread)
+        filled = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
+        q = [self.priors[name].coordinate(np.atleast_1d(filled[name])) for name in self.names]
+        return np.asarray((self._compared(np.stack(q, axis=1)) - self.centre) / self.spread)
 
     def log_prior(self, x: Array, columns: NDArray[np.bool_]) -> Array:
         """Log density of some coordinates of x (n, D) under their priors, in prior units, (n,)."""
-        own, total = self.own(x), np.zeros(len(x))
+        q, total = self.of_priors(x), np.zeros(len(x))
         for k in np.flatnonzero(columns):
-            total += self.priors[self.names[k]].log_density(own[:, k]) + np.log(self.spread[k])
+            total += self.priors[self.names[k]].log_density(q[:, k]) + np.log(self.spread[k])
         return total

@@ -119,8 +119,8 @@ class Design:
     def covariates(self) -> dict[str, float]:
         """Geometric mean of each covariate over the tests."""
         used = {c for those in self.dependence.values() for c in those} | {"amplitude", "velocity"}
-        known = {c: [s.covariates.get(c, 0.0) for s in self.settings] for c in sorted(used)}
-        return {c: geometric_mean(v) for c, v in known.items() if min(v) > 0}
+        values = {c: [s.covariates.get(c, 0.0) for s in self.settings] for c in sorted(used)}
+        return {c: geometric_mean(v) for c, v in values.items() if min(v) > 0}
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
@@ -336,8 +336,8 @@ def design_of(
         When a law's quantity can be negative, an actuation is negative, or all are zero.
     """
     quantities = known_quantities()
-    own = {f"{shape}_{law}": shape for law in default_laws() for shape in ("share", "exponent")}
-    pooled = (n for n in names if n not in own)
+    shapes = {f"{shape}_{law}": shape for law in default_laws() for shape in ("share", "exponent")}
+    pooled = (n for n in names if n not in shapes)
     shared = tuple(n for n in pooled if n not in quantities or quantities[n].pooled)
     chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in shared}
     for name in chosen:
@@ -350,9 +350,9 @@ def design_of(
     settings = with_zeros(settings)
     speeds = [s.covariates.get("velocity", 0.0) for s in settings]
     speed = geometric_mean([v for v in speeds if v > 0] or [1.0])
-    everything = (*shared, *(n for n in names if n == "start" or n in own))
-    known = {n: shape_prior(own[n]) if n in own else priors.parameters[n] for n in everything}
-    coordinates = Coordinates(everything, known, USUAL_SPEED * speed)
+    everything = (*shared, *(n for n in names if n == "start" or n in shapes))
+    each = {n: shape_prior(shapes[n]) if n in shapes else priors.parameters[n] for n in everything}
+    coordinates = Coordinates(everything, each, USUAL_SPEED * speed)
     return Design(
         names=shared,
         coordinates=coordinates,

@@ -198,12 +198,12 @@ def _inferred(
     share, exponent = (part.reshape(chosen.shape) for part in drawn)
     alternatives, alternative_weight = _alternatives(mixed, weights, gaussians, rng)
     posterior = likelihoods[0].posterior
-    known = dict(posterior.priors)
+    prior_of = dict(posterior.priors)
     if posterior.model.has_gap and "start" in priors.parameters:
-        known.setdefault("start", priors.parameters["start"])
-    starts = Starts.of(known.get("start"))
+        prior_of.setdefault("start", priors.parameters["start"])
+    starts = Starts.of(prior_of.get("start"))
     if "start" in coordinates.names and starts.fixed is None:
-        starts = _starts(starts, likelihoods, draws.x, known["start"])
+        starts = _starts(starts, likelihoods, draws.x, prior_of["start"])
     population = Population(
         design=design,
         draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
@@ -213,7 +213,7 @@ def _inferred(
         alternative_weight=alternative_weight,
         residual=fit.residual,
         starts=starts,
-        priors=known,
+        priors=prior_of,
         actuation_unit=settings.actuation_unit,
         walkers=walkers,
         convergence=draws.convergence,
@@ -327,7 +327,7 @@ def _starts(
         scales = one.scales(np.median(own, axis=0)[None])
         left.append(place_left(model, values, one.posterior.trace, scales or None))
         free.append(without_load(model, values) if even else None)
-    known = [place for place in left if place is not None]
-    places = np.array(known) if len(known) == len(left) else None
+    there = [place for place in left if place is not None]
+    places = np.array(there) if len(there) == len(left) else None
     begun = likelihoods[0].coordinates.value("start", x)
     return starts.learned(begun.reshape(-1, len(likelihoods)), places, free)

@@ -73,18 +73,18 @@ class TestLikelihood:
 
     def values(self, x: Array) -> dict[str, Array]:
         """All quantities of the test at x (n, D), by name, (n,) each."""
-        names, own = self.coordinates.names, self.coordinates.own(x)
+        names, q = self.coordinates.names, self.coordinates.of_priors(x)
         order = [names.index(name) for name in self.posterior.names]
-        return self.posterior.values(self.posterior.from_own(own[:, order]))
+        return self.posterior.values(self.posterior.from_own(q[:, order]))
 
     def scales(self, x: Array) -> dict[str, Array]:
         """Factors along the record of what follows a changing actuation, (n, T) each."""
         if self.relative is None:
             return {}
-        own, found = self.coordinates.values(x), {}
+        values, found = self.coordinates.values(x), {}
         for name, (law, *given) in self.laws.items():
             share, exponent = (
-                own.get(f"{shape}_{law}", np.array([value]))
+                values.get(f"{shape}_{law}", np.array([value]))
                 for shape, value in zip(("share", "exponent"), given, strict=True)
             )
             followed = ratio(self.relative, share[:, None], exponent[:, None])
@@ -160,8 +160,8 @@ def fit_jointly(
     fit.information, fit.discrepancy = residual.information, [f @ fit.knots for f in fit.scaled]
     fit.iterate(20, learn=False)
     mean, precision = zip(*map(fit.gaussian, range(len(tests))), strict=True)
-    known = zip(tests, fit.discrepancy, fit.shapes(), strict=True)
-    found = [replace(t, discrepancy=d, shape=g, information=fit.information) for t, d, g in known]
+    parts = zip(tests, fit.discrepancy, fit.shapes(), strict=True)
+    found = [replace(t, discrepancy=d, shape=g, information=fit.information) for t, d, g in parts]
     return JointFit(tuple(found), np.array(mean), np.array(precision), residual)
 
 

@@ -430,10 +430,10 @@ class Population:
     def repeats(self, setting: Setting) -> bool:
         """Whether a motion repeats those of the tests: of their kind and of their stroke."""
         here = setting.covariates
-        for known in (one.covariates for one in self.design.settings):
-            if {"amplitude", "full_strokes"} <= known.keys() & here.keys():
-                stroke = abs(np.log(here["amplitude"] / known["amplitude"])) <= np.log(LIKE)
-                if stroke and abs(here["full_strokes"] - known["full_strokes"]) <= LIKE_STROKES:
+        for tested in (one.covariates for one in self.design.settings):
+            if {"amplitude", "full_strokes"} <= tested.keys() & here.keys():
+                stroke = abs(np.log(here["amplitude"] / tested["amplitude"])) <= np.log(LIKE)
+                if stroke and abs(here["full_strokes"] - tested["full_strokes"]) <= LIKE_STROKES:
                     return True
         return False
 

@@ -166,10 +166,10 @@ def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, fl
         stroke, speed = (np.log(s.covariates.get(n) or np.nan) for n in ("amplitude", "velocity"))
         return np.array([stroke, speed, speed - stroke])
 
-    known = np.array([logs(s) for s in tested])
-    known = known[np.all(np.isfinite(known), axis=1)]
+    tests = np.array([logs(s) for s in tested])
+    tests = tests[np.all(np.isfinite(tests), axis=1)]
     here = logs(setting)
-    if not len(known) or not np.all(np.isfinite(here)):
+    if not len(tests) or not np.all(np.isfinite(here)):
         return 0.0, 0.0
-    outside = np.maximum(np.maximum(here - known.max(axis=0), known.min(axis=0) - here), 0.0)
+    outside = np.maximum(np.maximum(here - tests.max(axis=0), tests.min(axis=0) - here), 0.0)
     return float(outside[0]), float(outside[1:].max())
