@@ -354,21 +354,10 @@ class Predictor:
         x: Array | None = None,
         motion: Trace | None = None,
     ) -> Drawn:
-        """Tests under a motion, with deviations on a grid of actuations; δ is at its mean.
+        """Tests under a motion, with deviations on a grid of actuations (G,); δ is at its mean.
 
-        Parameters
-        ----------
-        trace : Trace
-        setting : Setting
-        p : Particles
-            The tests, n of them.
-        grid : (G,)
-        scatter : bool
-            Whether tests differ from each other.
-        x : (n, d), optional
-            Coordinates that are known.
-        motion : Trace, optional
-            The whole motion, of which `trace` is a part.
+        `x` (n, d) are their coordinates where these are given, and `motion` is the whole motion
+        where `trace` is a part of it.
         """
         population, level, (index, numbers) = self.population, setting.actuation, p
         effects = population.level_effects(index, setting.session, grid, numbers.level)

@@ -45,16 +45,10 @@ RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
 class State(NamedTuple):
-    """All chains, n of them.
+    """All chains, n of them: h (n, dim), z (n, Z), and the tests' coordinates x (n, J, D).
 
-    Attributes
-    ----------
-    h, z : (n, dim), (n, Z)
-    e_z, e : (n, Z), (n, J, L)
-        Standard normal numbers of z, and of the tests' local coordinates.
-    x : (n, J, D)
-    excess : (n, J)
-        Exact less approximate log density of each test.
+    `e_z` (n, Z) and `e` (n, J, L) are standard normal numbers of z, and of the local coordinates;
+    `excess` (n, J) is the exact less the approximate log density of each test.
     """
 
     h: Array

@@ -134,16 +134,9 @@ class Sums(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PartialTest:
-    """A test of which a part is known.
+    """A test of which a part is given, with deviations from the laws on a grid of actuations (G,).
 
-    Attributes
-    ----------
-    predictor : Predictor
-    setting : Setting
-    grid : (G,)
-        Actuations at which deviations from the laws are drawn.
-    motion : Trace or None
-        Of the whole test, which says where it begins; None where it is not known yet.
+    `motion` is that of the whole test, which says where it begins; None where it is not known yet.
     """
 
     predictor: Predictor
@@ -163,19 +156,10 @@ class PartialTest:
     def sums(
         self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
     ) -> list[Sums]:
-        """What some samples of a trace say, in blocks of about one independent sample each.
+        """What the measured force says at samples `rows` (m,), in blocks of one independent sample.
 
-        Parameters
-        ----------
-        trace : Trace
-            With the measured force.
-        force : (n, m), kip
-            The model's force at the samples, of particles with these quantities.
-        values : dict of str to (n,)
-        counted : (T,) bool
-            Samples of the trace that count; the first of them counts as one independent sample.
-        rows : (m,) int
-            Numbers of the samples, all of which count.
+        `force` (n, m) is the model's there, kip, of particles with these quantities (n,). Of all
+        counted samples (T,) the first one counts as an independent sample.
         """
         residual, strokes = self.predictor.population.residual, strokes_of(trace)
         slip, functions = slip_force_of(self.predictor.model, values), residual.basis(trace)

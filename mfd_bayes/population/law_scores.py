@@ -128,20 +128,8 @@ class TestGaussians:
     ) -> tuple[Array, Array]:
         """Log densities of a quantity's tests, all and without each fold, under a law by itself.
 
-        Parameters
-        ----------
-        name, law : str
-        folds : sequence of sequence of int
-            Numbers of the tests that are left out together.
-        follows : sequence of str, optional
-            Covariates instead of those of the design.
-        leveled : bool
-            Whether levels may deviate from the law.
-
-        Returns
-        -------
-        log, h : (n, 1 + folds), (n, dim)
-            At points of h; log weights that make these stand for the prior are in it.
+        They are (n, 1 + folds), with log weights that make their points h (n, dim) stand for the
+        prior. `follows` are covariates instead of those of the design.
         """
         k = [self.design.names.index(name)]
         follows = self.design.dependence.get(name, ()) if follows is None else follows

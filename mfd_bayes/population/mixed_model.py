@@ -71,10 +71,8 @@ class MixedModel:
         self.weight = np.ones((len(y), self.f)) if weight is None else weight
         self.rows = np.stack([design.row(s) for s in design.settings])
         self.actuation = np.array([s.actuation for s in design.settings])
-        cells: dict[tuple[str, float], list[int]] = {}
-        for j, setting in enumerate(design.settings):
-            cells.setdefault(design.cell_of(setting), []).append(j)
-        self.cells = list(cells.values())
+        home = [design.cell_of(s) for s in design.settings]
+        self.cells = [[j for j, one in enumerate(home) if one == cell] for cell in design.cells]
         covariance = design.level_covariance(design.cells, design.cells)
         level = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
         session = np.eye(len(design.sessions))
