@@ -16,19 +16,19 @@ With Gaussian likelihoods every move of the first two kinds is accepted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence, measure
+from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Evaluate = Callable[[Iterable[tuple[int, "Array"]]], Iterator["Array"]]
 
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
 # most numbers of the tests' coordinates that are held; of more, only some sweeps are kept
@@ -117,13 +117,11 @@ class ExactSampler:
         choice: Index,
         pool: Sequence[Array],
         rng: np.random.Generator,
-        evaluate: Evaluate | None = None,
+        evaluate: Evaluate[Array, Array] | None = None,
     ) -> None:
         self.mixed, self.fit, self.unpooled, self.rng = mixed, fit, unpooled, rng
         self.choice, self.pool, self.d = choice, pool, len(mixed.design.names)
-        self.evaluate = evaluate or (
-            lambda pairs: (fit.tests[j].log_likelihood(x) for j, x in pairs)
-        )
+        self.evaluate = evaluate or in_turn([test.log_likelihood for test in fit.tests])
         local = np.any(unpooled, axis=0)
         local[mixed.free] = True
         self.local = np.flatnonzero(local)

@@ -11,13 +11,14 @@ are taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.discrepancy import (
     Residual,
@@ -31,7 +32,6 @@ from mfd_bayes.population.discrepancy import (
 from mfd_bayes.population.laws import ratio
 
 Array = NDArray[np.float64]
-Evaluate = Callable[[Iterable[tuple[int, "Array"]]], Iterator["Array"]]
 
 STEP = 1e-3  # step of the central differences, in prior units
 EVEN = 30.0  # samples near a knot that an even shape of the noise is worth
@@ -139,7 +139,7 @@ def fit_jointly(
     tests: Sequence[TestLikelihood],
     start: Array,
     common: NDArray[np.bool_],
-    evaluate: Evaluate | None = None,
+    evaluate: Evaluate[Array, Array] | None = None,
 ) -> JointFit:
     """Fit of all tests together.
 
@@ -173,10 +173,10 @@ class _Fit:
         tests: Sequence[TestLikelihood],
         start: Array,
         common: NDArray[np.bool_],
-        evaluate: Evaluate | None,
+        evaluate: Evaluate[Array, Array] | None,
     ) -> None:
         self.tests, self.x = tests, start.copy()
-        self.evaluate = evaluate or (lambda pairs: (tests[j].linearised(x) for j, x in pairs))
+        self.evaluate = evaluate or in_turn([test.linearised for test in tests])
         self.k_sd = tests[0].coordinates.names.index("noise_sd")
         free = ~common
         free[self.k_sd] = False
