@@ -15,13 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from mfd_bayes.response.devices import Dampers
+from mfd_bayes.response.settling import Accuracy, settle
 
 from benchmarks.response import opensees
 from benchmarks.response.speed import six_storeys
 from mfd_bayes.friction.bouc_wen import BoucWen
-from mfd_bayes.response.devices import Dampers
 from mfd_bayes.response.ground import read_ground
-from mfd_bayes.response.settling import Accuracy, settle
 
 PARTS = 20
 
