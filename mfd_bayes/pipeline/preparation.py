@@ -18,7 +18,7 @@ from mfd_bayes.campaign.draft import (
 from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
-from mfd_bayes.pipeline.findings import findings_together, tested_of
+from mfd_bayes.pipeline.findings import findings_together, harmonic_of
 from mfd_bayes.pipeline.outputs import Output, check_outputs, is_picture, write_picture
 from mfd_bayes.records.inspection import Inspection, inspect_record
 from mfd_bayes.records.loops import find_loops
@@ -165,7 +165,7 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     priors = load_priors(campaign.priors, campaign.folder)
     for test, record in zip(campaign.tests, records, strict=True):
         found.append(_followed(inspect_record(test.id, record, priors.gap), test.after))
-        if (one := tested_of(test, record, found[-1].trace)) is not None:
+        if (one := harmonic_of(test, record, found[-1].trace)) is not None:
             tested.append(one)
     together = findings_together(tested, priors, campaign.model)
     return [
