@@ -17,8 +17,7 @@ from mfd_bayes.pipeline.response_files import MARKER, write_response
 from mfd_bayes.reporting.response_page import ResponseView
 from mfd_bayes.reporting.sweep_words import sweep_sentence
 from mfd_bayes.response.building import Building, example_building, read_building
-from mfd_bayes.response.ground import Ground, example_ground
-from mfd_bayes.response.measures import parse_acceleration
+from mfd_bayes.response.ground import Ground, example_ground, parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
 from mfd_bayes.response.variance_shares import Shares, variance_shares

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from mfd_bayes.errors import BuildingError, UnitError
-from mfd_bayes.response.measures import parse_acceleration
+from mfd_bayes.response.ground import parse_acceleration
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import GRAVITY, parse_actuation, parse_quantity
 
