@@ -62,7 +62,7 @@ def main(draws: int, jobs: int, record: Path, python: str | None = None) -> None
     print(f"processor {spent:.0f} s, so {spent / 2:.0f} s on two cores; clock {clock:.0f} s")
     print(f"all of it: without dampers and with plain friction too; load {os.getloadavg()[1]:.1f}")
     steps, count = np.unique(found.steps.round(6), return_counts=True)
-    print(f"last step, s: draws  {dict(zip(steps.tolist(), count.tolist(), strict=True))}")
+    print(f"shortest step, s: draws  {dict(zip(steps.tolist(), count.tolist(), strict=True))}")
     print(f"not settled within 1 %: {int(found.unsettled.sum())}; ran away: {found.unstable.sum()}")
     print(f"largest energy not accounted for: {found.imbalance.max():.1e} of the input")
     if python is not None:

@@ -203,18 +203,6 @@ class Dampers:
         theta = self.theta.reshape(-1, self.theta.shape[2])
         return bank_of(self.model, theta, self.start.ravel(), np.tile(way, self.draws))
 
-    def scales_at(self, time: float) -> dict[str, Array] | None:
-        """Factors of what follows the actuation at a time, (n m,) each."""
-        if self.times is None:
-            return None
-        place = float(np.interp(time, self.times, np.arange(self.times.size)))
-        left = min(int(place), self.times.size - 2)
-        share = place - left
-        return {
-            name: ((1.0 - share) * s[..., left] + share * s[..., left + 1]).ravel()
-            for name, s in self.scales.items()
-        }
-
 
 def no_dampers(draws: int = 1) -> Dampers:
     """Of a building without any."""

@@ -13,8 +13,8 @@ from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.time_integration import HALVINGS, integrate
 
-BEND = 3.0
-"""Share of the slip force by which a force may bend within a step at first, over the tolerance."""
+BEND = 2.0
+"""Largest bend of the forces at first (see `integrate`), over the tolerance."""
 
 LARGEST_BEND = 0.1
 

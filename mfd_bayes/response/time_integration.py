@@ -10,7 +10,7 @@ bend: where they do so too much, the step is halved, for each draw by itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,16 +59,18 @@ class Devices:
 
     Attributes
     ----------
-    dampers : Dampers
     states : tuple of (state, slice)
         States of n devices for each column of the slice: of the dampers, of what their model leaves
         over, and of storeys.
     force : (n, m + s), kip
+    times, scales : (T,), mapping of (n, m, T)
+        See `Dampers`.
     """
 
-    dampers: Dampers
     states: tuple[tuple[Any, slice], ...]
     force: Array
+    times: Array | None
+    scales: Mapping[str, Array]
 
     @classmethod
     def at_rest(cls, building: Building, dampers: Dampers, way: Array) -> Devices:
@@ -83,38 +85,46 @@ class Devices:
             )
             yielding = PlasticBank.at_rest(stiffness, strength, elastic=stiffness)
             states.append((yielding, slice(m, m + int(strong.sum()))))
-        return cls._of(dampers, states)
+        none = np.zeros((n, m + int(strong.sum())))
+        return cls((), none, dampers.times, dampers.scales)._with(states)
 
-    @classmethod
-    def _of(cls, dampers: Dampers, states: Sequence[tuple[Any, slice]]) -> Devices:
-        force = np.zeros((dampers.draws, states[-1][1].stop))
+    def _with(self, states: Sequence[tuple[Any, slice]]) -> Devices:
+        force = np.zeros(self.force.shape)
         for state, columns in states:
-            force[:, columns] += state.force.reshape(dampers.draws, -1)
-        return cls(dampers, tuple(states), force)
+            force[:, columns] += state.force.reshape(len(force), -1)
+        return Devices(tuple(states), force, self.times, self.scales)
 
     def step(self, travel: Array, velocity: Array, size: float, time: float) -> Devices:
         """Devices after a step to `time`, from travels and velocities (n, m + s)."""
-        scales, states = self.dampers.scales_at(time), []
+        scales, states = None, []
+        if self.times is not None:
+            place = float(np.interp(time, self.times, np.arange(self.times.size)))
+            left = min(int(place), self.times.size - 2)
+            share = place - left
+            scales = {
+                name: ((1.0 - share) * s[..., left] + share * s[..., left + 1]).ravel()
+                for name, s in self.scales.items()
+            }
         for state, columns in self.states:
             x, v = travel[:, columns].ravel(), velocity[:, columns].ravel()
             states.append((state.step(x, v, size, scales) if x.size else state, columns))
             scales = None  # the dampers come first
-        return self._of(self.dampers, states)
+        return self._with(states)
 
     def chosen(self, rows: Rows) -> Devices:
         """The devices of some buildings."""
         some = [(state.chosen(_flat(rows, columns)), columns) for state, columns in self.states]
-        return Devices(self.dampers.chosen(rows), tuple(some), self.force[rows])
+        scales = {name: column[rows] for name, column in self.scales.items()}
+        return Devices(tuple(some), self.force[rows], self.times, scales)
 
     def replaced(self, rows: Rows, part: Devices) -> Devices:
         """The devices with the state of those of some buildings replaced."""
         pairs = zip(self.states, part.states, strict=True)
-        return self._of(
-            self.dampers,
+        return self._with(
             [
                 (old.replaced(_flat(rows, columns), new), columns)
                 for (old, columns), (new, _) in pairs
-            ],
+            ]
         )
 
 
@@ -263,7 +273,8 @@ def equilibrium(
             if not far.any():
                 break
             new = np.where(far & ~((low < new) & (new < high)), 0.5 * (low + high), new)
-        force = np.where(np.isfinite(new), new, force)
+        # a building in equilibrium stays as it is, whatever others do
+        force = np.where(np.isfinite(new) & far.any(axis=1, keepdims=True), new, force)
     answered = np.abs(off) <= tolerance
     return after, np.where(answered, after.force, force), slope, np.asarray(~far.any(axis=1))
 
@@ -350,7 +361,7 @@ class _Draws:
         bump = _solved(slope, forced[m:, half : half + m].T, bump)
         curve = np.concatenate([last, bump], axis=1)
         end = free[:, : 2 * n] + curve @ forced[:, : 2 * n]
-        bent = np.max(np.abs(bump) / scale, axis=1, initial=0.0) / self.bend
+        bent = np.max(np.abs(bump) / scale, axis=1, initial=0.0) * size / (LONGEST * self.bend)
         sound = (np.abs(end).max(axis=1) < RUNAWAY) & np.isfinite(last).all(axis=1)
         good = closed & (bent <= 1.0) & sound
         if level == self.halvings:
@@ -401,8 +412,8 @@ def integrate(
     dampers : Dampers
         Of n draws.
     bend : float
-        A step is halved where a device's force in its middle is off the mean of those at its ends
-        by more than this share of the slip force.
+        A step is halved where a device's force in its middle, off the mean of those at its ends,
+        gives a larger impulse than this share of the slip force in the longest step.
     halvings : int
         Most halvings of a step.
     kept : int

@@ -138,9 +138,9 @@ def test_draws_do_not_meet_each_other(draws):
     together = integrate(building, ground, dampers, FINE, kept=draws)
     alone = integrate(building, ground, dampers.chosen(rows), FINE, kept=3)
     assert np.unique(together.steps).size > 1
-    assert np.allclose(together.drift[rows], alone.drift, rtol=1e-3)
-    assert np.allclose(together.histories[0][rows], alone.histories[0], atol=1e-3)
-    assert np.allclose(together.forces[0][rows], alone.forces[0], atol=5e-3)
+    assert np.allclose(together.drift[rows], alone.drift, rtol=1e-6)
+    assert np.allclose(together.histories[0][rows], alone.histories[0], atol=1e-5)
+    assert np.allclose(together.forces[0][rows], alone.forces[0], atol=1e-4)
 
 
 def test_steps_are_short_where_forces_bend_and_only_there():
