@@ -19,7 +19,7 @@ from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.result import Response, joined
+from mfd_bayes.response.result import Response, combined
 from mfd_bayes.response.step_refinement import Accuracy, settle
 from mfd_bayes.store.files import write_bytes
 
@@ -109,35 +109,27 @@ class Analysis:
         observe : callable, optional
             Called with every step.
         """
-        dampers, accuracy = self.dampers, self.accuracy
-        size = max(10, ROWS // max(dampers.count, 1))
-        starts = range(0, dampers.draws, size)
-        slip = np.median(dampers.slip, axis=0) if dampers.count else np.zeros(0)
+        dampers, size = self.dampers, max(10, ROWS // max(self.dampers.count, 1))
+        rows = np.split(np.arange(dampers.draws), np.arange(size, dampers.draws, size))
+        plain = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
         # the longest work first, so that no process waits for another at the end
+        kinds = [(f"part {k}", self.building, dampers.chosen(r)) for k, r in enumerate(rows, 1)]
+        kinds += [("without dampers", self.building.bare(), no_dampers())]
+        kinds += [("with plain friction", self.building, plain)]
         blocks = [
-            Block(
-                f"ground motion {g}, {ground.name}, part {p}", self.building, ground, some, accuracy
-            )
-            for g, ground in enumerate(self.grounds, start=1)
-            for p, begin in enumerate(starts, start=1)
-            for some in [dampers.chosen(np.arange(begin, min(begin + size, dampers.draws)))]
+            Block(f"ground motion {g}, {ground.name}, {name}", built, ground, some, self.accuracy)
+            for name, built, some in kinds
+            for g, ground in enumerate(self.grounds, 1)
         ]
-        for words, building, others in (
-            ("without dampers", self.building.bare(), no_dampers()),
-            ("with plain friction", self.building, plain_friction(slip)),
-        ):
-            for g, ground in enumerate(self.grounds, start=1):
-                name = f"ground motion {g}, {ground.name}, {words}"
-                blocks.append(Block(name, building, ground, others, accuracy))
-        found = _solved(blocks, min(Workplace(jobs).processes, len(blocks)), observe)
-        count, parts = len(self.grounds), len(starts)
-        drawn = [joined(found[g * parts : (g + 1) * parts], dampers) for g in range(count)]
-        whole, bare, plain = (
-            several[0].with_grounds(several[1:])
-            for several in (drawn, found[-2 * count : -count], found[-count:])
-        )
-        references = {"bare": bare, "plain": plain}
-        return replace(whole, references=references, tolerance=accuracy.tolerance)
+        found = iter(_solved(blocks, min(Workplace(jobs).processes, len(blocks)), observe))
+        each = [[next(found) for _ in self.grounds] for _ in kinds]
+        *drawn, bare, friction = each
+        references = {
+            name: combined([[one] for one in row], row[0].dampers)
+            for name, row in (("bare", bare), ("plain", friction))
+        }
+        whole = combined(list(zip(*drawn, strict=True)), dampers)
+        return replace(whole, references=references, tolerance=self.accuracy.tolerance)
 
 
 def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None]) -> list[Response]:

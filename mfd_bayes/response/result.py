@@ -153,15 +153,6 @@ class Response:
         found = {name: getattr(self, name)[:, 0] for name in PER_DRAW}
         return found | {name: getattr(self, name)[0] for name in PER_GROUND}
 
-    def with_grounds(self, others: Sequence[Response]) -> Response:
-        """The response to its ground motion and to those of other responses of the same draws."""
-        every = (self, *others)
-        found: dict[str, Any] = {
-            name: np.concatenate([getattr(one, name) for one in every], axis=1) for name in PER_DRAW
-        }
-        found |= {name: sum((getattr(one, name) for one in every), ()) for name in PER_GROUND}
-        return replace(self, grounds=sum((one.grounds for one in every), ()), **found)
-
     @property
     def bare(self) -> Response:
         """Of the building without dampers, one draw."""
@@ -298,13 +289,20 @@ class Response:
         return np.asarray(measures[name].max(axis=-1))
 
 
-def joined(parts: Sequence[Response], dampers: Dampers) -> Response:
-    """Response of the draws of several responses, one after another; `dampers` are all of them."""
+def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
+    """Response of all dampers to all ground motions, from parts.
+
+    For each ground motion there is one part after another of the draws, with the response to it.
+    """
     found: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in parts]) for name in PER_DRAW
+        name: np.concatenate(
+            [np.concatenate([getattr(part, name) for part in one]) for one in parts], axis=1
+        )
+        for name in PER_DRAW
     }
-    found |= {
-        name: tuple(map(np.concatenate, zip(*(getattr(one, name) for one in parts), strict=True)))
-        for name in PER_GROUND
-    }
-    return replace(parts[0], dampers=dampers, **found)
+    for name in PER_GROUND:
+        found[name] = tuple(
+            np.concatenate([getattr(part, name)[0] for part in one]) for one in parts
+        )
+    grounds = tuple(one[0].grounds[0] for one in parts)
+    return replace(parts[0][0], grounds=grounds, dampers=dampers, **found)
