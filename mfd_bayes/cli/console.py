@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.store.cards import counted
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
@@ -94,8 +95,8 @@ def warnings_of(plan: Plan) -> list[Finding]:
 
 def print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
-    samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
-    say(f"{plan.campaign.path} is fine: would calibrate {samples}")
+    tests = [f"{task.id} ({counted(task.trace.samples, 'sample')})" for task in plan.tasks]
+    say(f"{plan.campaign.path} is fine: would calibrate {', '.join(tests)}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
     follow = [f"{name} after {other}" for name, other in plan.manifest.settings.order.items()]
     if follow:

@@ -34,7 +34,7 @@ def faults_of(record: Record, trace: Trace, gap: float | None) -> tuple[Fault, .
     return (*contradictions(record, without_spikes(trace)), *find_faults(trace, gap))
 
 
-def harmonic_of(test: Test, record: Record, trace: Trace) -> Tested | None:
+def tested_of(test: Test, record: Record, trace: Trace) -> Tested | None:
     """A test as it is compared with the others; None without a force."""
     if trace.force is None:
         return None

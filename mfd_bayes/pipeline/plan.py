@@ -22,7 +22,7 @@ from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
-from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, harmonic_of
+from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.settings import setting_of
@@ -131,7 +131,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         inputs[_inside(campaign, test)] = record.sha256
         whole = record.trace()
         faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
-        tested += [found] if (found := harmonic_of(test, record, whole)) else []
+        tested += [found] if (found := tested_of(test, record, whole)) else []
     checks_noise = settings.checks_noise(options.effort)
     tasks = tuple(
         _task(campaign, priors, test, traces[test.id], options, checks_noise=checks_noise)

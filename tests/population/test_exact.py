@@ -106,7 +106,7 @@ def test_with_gaussian_likelihoods_every_move_is_accepted_and_draws_are_the_clos
     means, _ = moments_of(sampler, 800, learn=False)
     for tests, together in sampler.rates:
         assert np.all(tests == 1.0)
-        assert together == 1.0
+        assert np.all(together == 1.0)
     # closed form given h, on a grid of the one h
     h, choice = campaign.h, np.zeros((len(campaign.h), 1), dtype=np.intp)
     weight = special.softmax(campaign.mixed.log_prob(h, choice))

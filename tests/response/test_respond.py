@@ -358,12 +358,12 @@ def test_a_folder_of_others_is_left_alone(finished_run, path, quake, tmp_path):
     (tmp_path / "mine" / "thesis.tex").write_text("x")
     given = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
     for folder, words in (
-        (tmp_path / "mine", "did not write it"),
+        (tmp_path / "mine", "is not empty: give another name, or --force"),
         (finished_run.out, "is a run folder"),
     ):
         done = CliRunner().invoke(app, [*given, "-o", str(folder)])
         assert done.exit_code == 2
-        assert words in done.output
+        assert words in " ".join(done.output.split())
 
 
 def test_a_first_building_file_is_written_once(tmp_path):
@@ -377,16 +377,6 @@ def test_a_first_building_file_is_written_once(tmp_path):
     path.write_text(path.read_text().replace("Three storeys", "Mine"))
     assert CliRunner().invoke(app, [*again, "--force"]).exit_code == 0
     assert "Three storeys" in path.read_text()
-
-
-@pytest.mark.parametrize("name", ["campaign.toml", "ground.AT2"])
-def test_a_first_building_file_replaces_nothing_of_another_kind(tmp_path, name):
-    (tmp_path / name).write_text("[[test]]\n")
-    target = str(tmp_path / "campaign.toml")
-    done = CliRunner().invoke(app, ["init", target, "--building", "--force"])
-    assert done.exit_code == 2
-    assert f"{name} exists, and this command did not write it" in " ".join(done.stderr.split())
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["[[test]]\n"]
 
 
 @pytest.mark.parametrize("to", ["quofem", "csv", pytest.param("opensees", marks=pytest.mark.slow)])
