@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.response.building import Building, Device
-from mfd_bayes.response.choice import Choice
-from mfd_bayes.response.draws import draw_dampers
-from mfd_bayes.response.equivalent import Equivalent, equivalents
+from mfd_bayes.response.device_draws import Choice, draw_dampers
+from mfd_bayes.response.opensees import Equivalent, equivalents
 from mfd_bayes.response.schema import Limits
 from mfd_bayes.runs.folder import POPULATION
 from mfd_bayes.runs.opening import open_run

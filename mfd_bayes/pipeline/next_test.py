@@ -16,8 +16,8 @@ from mfd_bayes.assessment.next_test import (
 from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Candidate
+from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.regular import why_no_file
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE

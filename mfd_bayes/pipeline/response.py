@@ -17,13 +17,11 @@ from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.pipeline.response_files import write_response
 from mfd_bayes.reporting.response_page import ResponseView
 from mfd_bayes.reporting.sweep_words import sweep_sentence
-from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.example import example_building, example_ground
-from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.influence import Shares, influence
-from mfd_bayes.response.measures import parse_acceleration
+from mfd_bayes.response.building import Building, example_building, read_building
+from mfd_bayes.response.ground import Ground, example_ground, parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
+from mfd_bayes.response.variance_shares import Shares, variance_shares
 from mfd_bayes.runs.asked import use_of_run, use_word
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
@@ -237,7 +235,7 @@ def view_of(
     )
     imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
     shares = (
-        Shares(name, ground.name, influence(response, name, g))
+        Shares(name, ground.name, variance_shares(response, name, g))
         for name in ("drift", "acceleration")
         for g, ground in enumerate(response.grounds)
     )
@@ -300,7 +298,7 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
             continue
         by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
         low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
-        bare = response.bare[g].drift
+        bare = response.bare.drift[0, g]
         without = by * float(np.max(bare / response.building.heights if ratios else bare))
         found.append(
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "

@@ -10,9 +10,8 @@ from mfd_bayes.pipeline.response import Query, view_of
 from mfd_bayes.pipeline.response_files import write_response
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building
-from mfd_bayes.response.draws import no_dampers
+from mfd_bayes.response.device_draws import no_dampers
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.settling import Accuracy
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.systems import US
 
@@ -44,7 +43,7 @@ def test_the_page_names_the_run_also_where_it_is_the_current_folder(
     monkeypatch.chdir(tmp_path / "brake 7")
     building = read_building(tmp_path / "building.toml")
     ground = Ground("g", 0.02, 100.0 * np.sin(np.arange(50) / 5.0))
-    response = Analysis(building, [ground], no_dampers(10), Accuracy(halvings=0)).respond()
+    response = Analysis(building, [ground], no_dampers(10)).respond()
     query = Query(tmp_path / "building.toml", ("g.csv",), tmp_path / "response")
     view = view_of(open_run("."), response, None, query, US)
     assert "of the device in brake 7, 0 dampers" in view.about

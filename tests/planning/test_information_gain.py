@@ -1,10 +1,15 @@
-"""Expected remaining variance and information where both have a closed form."""
+"""Expected remaining variance and information where both have a closed form; sets of tests."""
 
 import numpy as np
 import pytest
 
-from mfd_bayes.planning.gain import Goals, gain_of, share_left
-from mfd_bayes.planning.regression import directions_of, fit_left_out
+from mfd_bayes.planning.information_gain import (
+    Goals,
+    directions_of,
+    fit_left_out,
+    gain_of,
+    greedy,
+)
 
 DRAWS = 6000
 
@@ -40,10 +45,9 @@ class LinearGaussian:
         return 0.5 * (signs[0] - signs[1])
 
 
-def judged(goals, summaries, *, rng=None):
-    found = Goals(goals)
-    fit = fit_left_out(goals, directions_of(summaries))
-    return gain_of(found, fit, rng or np.random.default_rng(0)), fit
+def judged(goals, summaries):
+    left = fit_left_out(goals, directions_of(summaries))
+    return gain_of(Goals(goals), left, np.random.default_rng(0)), left
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0, 3.0])
@@ -51,12 +55,11 @@ def test_a_linear_gaussian_population_gives_its_closed_form(noise):
     for seed in range(3):
         case = LinearGaussian(seed, noise=noise)
         goals, summaries = case.draw()
-        gain, fit = judged(goals, summaries)
+        gain, left = judged(goals, summaries)
         assert abs(gain.reduction - case.reduction) < 2.5 * gain.error
         assert gain.information == pytest.approx(case.information, rel=0.03, abs=0.01)
-        left = share_left(goals, fit.left)[0]
         closed = np.diag(case.after) / np.diag(case.a @ case.a.T)
-        np.testing.assert_allclose(left, closed, rtol=0.06)
+        np.testing.assert_allclose(left.var(axis=0) / goals.var(axis=0), closed, rtol=0.06)
 
 
 def test_errors_are_as_large_as_the_differences_between_repetitions():
@@ -78,16 +81,10 @@ def test_a_test_that_tells_nothing_has_no_gain():
 
 def test_summaries_that_are_constant_tell_nothing():
     goals = np.random.default_rng(1).standard_normal((200, 1))
-    gain, fit = judged(goals, np.full((200, 3), 7.0))
+    gain, left = judged(goals, np.full((200, 3), 7.0))
     assert gain.reduction == 0.0
-    np.testing.assert_allclose(fit.fitted, goals.mean(axis=0)[None].repeat(200, axis=0))
-
-
-def test_the_mean_left_out_is_computed_by_brute_force():
-    goals = np.random.default_rng(2).standard_normal((50, 1))
-    fit = fit_left_out(goals, np.empty((50, 0)))
-    others = np.array([np.delete(goals, k).mean() for k in range(50)])
-    np.testing.assert_allclose(fit.left[:, 0], goals[:, 0] - others)
+    others = np.array([np.delete(goals, k).mean() for k in range(200)])
+    np.testing.assert_allclose(left[:, 0], goals[:, 0] - others)
 
 
 def test_what_is_left_is_that_of_draws_left_out_by_brute_force():
@@ -96,12 +93,12 @@ def test_what_is_left_is_that_of_draws_left_out_by_brute_force():
     x = rng.standard_normal((60, 3))
     x -= x.mean(axis=0)
     goals = (x @ [1.0, -0.5, 0.2] + 0.3 * rng.standard_normal(60))[:, None]
-    fit = fit_left_out(goals, x, curved=False)
+    left = fit_left_out(goals, x, curved=False)
     ones = np.column_stack([np.ones(60), x])
     for k in (0, 17, 59):
         kept = np.arange(60) != k
         beta = np.linalg.lstsq(ones[kept], goals[kept], rcond=None)[0]
-        assert fit.left[k, 0] == pytest.approx((goals[k] - ones[k] @ beta)[0], abs=2e-3)
+        assert left[k, 0] == pytest.approx((goals[k] - ones[k] @ beta)[0], abs=2e-3)
 
 
 def test_a_curved_dependence_is_found():
@@ -110,8 +107,7 @@ def test_a_curved_dependence_is_found():
     goals = (x[:, 0] ** 2 + 0.1 * rng.standard_normal(2000))[:, None]
     directions = directions_of(x)
     curved, straight = (
-        share_left(goals, fit_left_out(goals, directions, curved=c).left)[0, 0]
-        for c in (True, False)
+        fit_left_out(goals, directions, curved=c).var() / goals.var() for c in (True, False)
     )
     assert curved < 0.05
     assert straight > 0.9
@@ -124,3 +120,20 @@ def test_outliers_and_the_form_of_a_summary_do_not_matter():
     plain, _ = judged(goals, x)
     bent, _ = judged(goals, np.exp(5.0 * x))
     assert bent.reduction == pytest.approx(plain.reduction, abs=0.002)
+
+
+ROWS = [(2.0, 0.0), (2.0, 0.0), (0.0, 1.5), (0.3, 0.3)]
+"""A test, its copy, one about the other goal, and a weak one."""
+
+
+def test_the_second_best_test_is_not_the_copy_of_the_best():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((4000, 2))
+    tests = [(u @ row + rng.standard_normal(4000))[:, None] for row in np.array(ROWS)]
+    sets = greedy(Goals(u), [test - test.mean(axis=0) for test in tests], 3)
+    assert [len(chosen) for chosen in sets] == [1, 2, 3]
+    assert sets[0][0] in (0, 1)
+    assert sets[1] == (*sets[0], 2)
+    assert set(sets[2]) == {0, 1, 2}
+    alone = greedy(Goals(u[:, :1]), [test - test.mean(axis=0) for test in tests], 2)
+    assert set(alone[1]) == {0, 1}  # the control: of one goal the copy tells more
