@@ -48,7 +48,7 @@ class Posterior(ShownPosterior):
     noise : str
         A name in `noises.NOISES`: "ou", "iid", "student_t" or "staged".
     model : Model or str, optional
-        The three-stage model when left out. The name of one may be followed by "+weakening".
+        The three-stage model when left out.
     start : {"sample", "mask"}
         The place in the gap at the first sample is unknown: it is sampled, or the samples up to
         the first slip are left out of the likelihood.

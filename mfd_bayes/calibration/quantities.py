@@ -6,7 +6,7 @@ import numpy as np
 
 from mfd_bayes.calibration import noises
 from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.friction import models, weakening
+from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 
@@ -24,7 +24,6 @@ OF_RECORDS = (
 def known_quantities() -> dict[str, Quantity]:
     """Quantities of all models, of records and of all noises, by name."""
     parts = [model.quantities for model in models.MODELS.values()]
-    parts += [tuple(weakening.QUANTITIES.values())]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
     return {quantity.name: quantity for part in parts for quantity in part}
 

@@ -342,17 +342,6 @@ def test_priors_beyond_what_bouc_wen_admits_are_refused(name, prior, words):
     build("lugre", priors={name: prior})  # a model without these parameters
 
 
-@pytest.mark.parametrize(
-    ("figures", "words"),
-    [({"lower": -1.5, "upper": 0.5}, "below -1,"), ({"lower": 0.0, "upper": 1.5}, "above 1,")],
-)
-def test_priors_of_a_fall_that_would_turn_friction_round_are_refused(figures, words):
-    prior = {"weakening_bwd": Prior("uniform", figures)}
-    with pytest.raises(PriorError, match=f"prior of weakening_bwd.* values {words}"):
-        build("lugre+weakening", priors=prior)
-    build("lugre+weakening_fwd", priors=prior)
-
-
 def test_priors_of_a_model_are_needed_only_where_it_is_chosen():
     own = {k: v for k, v in FILE.parameters.items() if k not in ("Fy_fwd", "exponent", "alpha")}
     with pytest.raises(PriorError, match="alpha, Fy_fwd, exponent"):
