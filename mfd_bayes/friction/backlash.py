@@ -99,6 +99,9 @@ FEWER = 0.8
 """Newton goes on with the unsolved steps alone when they are fewer than this share, but where slip
 sets in at once: what the others do may then change."""
 
+PATIENCE = 7
+"""Steps after which vectors that are not solved go on without the others."""
+
 FAR_OFF = 1e13
 """Error, over its limit and on average over the vectors, from which on Newton's method may have
 gone beyond what friction can hold: it is cut.
@@ -305,6 +308,13 @@ class Steps:
         motion = of(self.way), of(self.sign)
         return Steps(*motion, of(self.level), of(self.bound), of(self.length), slip)
 
+    def of(self, vectors: Index) -> Steps:
+        """Those of some vectors."""
+        columns = (self.way, self.sign, self.level, self.bound, self.length)
+        some = (c if c.shape[1] == 1 else c[:, vectors] for c in columns)
+        way, sign, level, bound, length = some
+        return Steps(way, sign, level, bound, length)
+
     def breaks(self, rows: Index) -> tuple[Index, Index]:
         """Which of them turn or do not follow the one before them, by their numbers `rows`.
 
@@ -354,6 +364,11 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
         own = np.log(np.maximum(moved, 1e-300)) - passed
         moving = np.flatnonzero(passed + np.maximum.accumulate(own) > 0.0)
         if not moving.size:
+            break
+        hard = (np.square(step) * error > 1.0).any(axis=0)
+        if done == PATIENCE and hard.sum() < 0.5 * n.size:
+            (rows,) = hard.nonzero()
+            force[:, rows], z[-1, rows] = advance(damper.of(rows), steps.of(rows), first[rows])
             break
         if steps.slip is None and moving.size < FEWER * kept.size:
             kept = kept[moving]

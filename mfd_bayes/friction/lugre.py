@@ -71,7 +71,7 @@ def of_direction(backward: NDArray[np.bool_], pair: Array, work: Array | None = 
     """What belongs to the direction of each motion, of what is forward and backward."""
     if backward.ndim == pair.ndim and backward.shape[1] == 1:  # as np.where, in a fifth of the time
         return np.asarray(pair.take(backward[:, 0], axis=0, out=work, mode="clip"))
-    return np.where(backward, pair[1], pair[0])
+    return np.asarray(np.where(backward, pair[1], pair[0]))
 
 
 def decay_of(way: Array, steady: Array, out: Array | None = None) -> Array:
