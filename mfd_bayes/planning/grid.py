@@ -8,7 +8,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from mfd_bayes.calibration.derived import count_cycles
+from mfd_bayes.calibration.cycles import count_cycles
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.loops import find_loops
