@@ -15,8 +15,8 @@ from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.quantities import intervals_of
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.models import find_model
