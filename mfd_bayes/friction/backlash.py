@@ -367,7 +367,7 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
             break
         hard = (np.square(step) * error > 1.0).any(axis=0)
         if done == PATIENCE and hard.sum() < 0.5 * n.size:
-            (rows,) = hard.nonzero()
+            rows = np.flatnonzero(hard)
             force[:, rows], z[-1, rows] = advance(damper.of(rows), steps.of(rows), first[rows])
             break
         if steps.slip is None and moving.size < FEWER * kept.size:
