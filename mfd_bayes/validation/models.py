@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import CampaignError, FitError
