@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage

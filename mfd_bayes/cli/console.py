@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from mfd_bayes.runs.verdict import Use, Verdict
-from mfd_bayes.store.cards import counted
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
@@ -95,7 +94,9 @@ def warnings_of(plan: Plan) -> list[Finding]:
 
 def print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
-    tests = [f"{task.id} ({counted(task.trace.samples, 'sample')})" for task in plan.tasks]
+    lengths = [task.trace.samples for task in plan.tasks]
+    words = [f"{n} sample{'s' if n != 1 else ''}" for n in lengths]
+    tests = [f"{task.id} ({said})" for task, said in zip(plan.tasks, words, strict=True)]
     say(f"{plan.campaign.path} is fine: would calibrate {', '.join(tests)}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
     follow = [f"{name} after {other}" for name, other in plan.manifest.settings.order.items()]

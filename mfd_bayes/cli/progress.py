@@ -336,4 +336,7 @@ def _line(step: Step) -> str:
     text += f"R-hat {progress.r_hat:.3f}, ESS {progress.ess:.0f}, " if progress.measured else ""
     text += f"{_rate_text(progress)} steps/s"
     left = (progress.limit - progress.steps) / _rate(progress)
-    return text if step.stage == State.DONE else f"{text}, at most {left:.0f} s left"
+    if step.stage == State.DONE:
+        return text
+    missing = f", needs {progress.missing}" if progress.missing else ""
+    return f"{text}{missing}, at most {left:.0f} s left"

@@ -43,9 +43,8 @@ def compare(
     out : Path
         OUT/MODEL, OUT/NOISE or OUT/MODEL_NOISE hold the runs; OUT/comparison.csv is written last.
     models : sequence of str
-        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash", each also with
-        "+weakening" after it; with `noises` in the options also one, or none for
-        the campaign's own.
+        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash"; with `noises` in the
+        options also one, or none for the campaign's own.
     options : Options
         `model` and `noise` are ignored; with `by`, each run is also cross-validated, as by
         `crossvalidate`.

@@ -9,7 +9,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from mfd_bayes.calibration.derived import count_cycles
+from mfd_bayes.calibration.cycles import count_cycles
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.harmonic import MOST_CYCLES

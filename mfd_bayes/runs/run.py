@@ -18,8 +18,7 @@ from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Advice, Effort
 from mfd_bayes.population.bands import Band, Forecast, check_flag
-from mfd_bayes.population.follow import Forecaster
-from mfd_bayes.population.given import predict_given
+from mfd_bayes.population.given import Forecaster, predict_given
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST, planned_setting
 from mfd_bayes.population.starts import Ending

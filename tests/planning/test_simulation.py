@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.derived import cycle_energies
+from mfd_bayes.calibration.cycles import cycle_energies
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.simulation import Loop
