@@ -356,9 +356,10 @@ class _Draws:
         last = force - rest
         moved = free[:, half:full] + last @ forced[:m, half:full]
         there = devices.step(moved[:, :m], moved[:, m:], 0.5 * size, time + 0.5 * size)
-        bump = there.force - rest - 0.5 * (first + last)
+        answer = there.force - rest - 0.5 * (first + last)
         # the bump itself takes from the travel in the middle: one iteration of Newton's
-        bump = _solved(slope, forced[m:, half : half + m].T, bump)
+        bump = _solved(slope, forced[m:, half : half + m].T, answer)
+        bump = np.clip(bump, np.minimum(answer, 0.0), np.maximum(answer, 0.0))
         curve = np.concatenate([last, bump], axis=1)
         end = free[:, : 2 * n] + curve @ forced[:, : 2 * n]
         bent = np.max(np.abs(bump) / scale, axis=1, initial=0.0) * size / (LONGEST * self.bend)

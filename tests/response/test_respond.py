@@ -209,7 +209,7 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
     assert len(levels) == 3
     assert all(row.split(",")[1] == row.split(",")[3] for row in levels)
     assert r"\toprule" in (out / "peaks.tex").read_text()
-    again = CliRunner().invoke(app, words)
+    again = CliRunner().invoke(app, [*words, "--force"])
     assert again.exit_code == 0, again.output
 
 
