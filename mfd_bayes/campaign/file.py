@@ -17,6 +17,7 @@ from mfd_bayes.campaign.schema import (
     Entry,
     NoiseName,
     Role,
+    TimeColumn,
 )
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.friction.weakening import weakened_name
@@ -31,7 +32,7 @@ from mfd_bayes.records.roles import header_unit
 from mfd_bayes.records.sources import Source, Subtracted
 from mfd_bayes.units import ActuationUnit, actuation_factor, measure, parse_actuation
 
-_PARTS = ("minus_mass", "tare", "arm", "measured_at")  # of a source, with these keys
+_PARTS = ("minus_mass", "tare", "arm", "measured_at", "rate", "dates")  # keys of a source
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +163,13 @@ def load_campaign(
 
 def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
     """Test of an entry, with the campaign's columns where the entry gives none."""
-    chosen = {**dict(defaults), **{k: v for k, v in entry.columns if v is not None}}
+    chosen = defaults.given | entry.columns.given
+    if entry.rate is not None:
+        if "time" in entry.columns.given:
+            raise CampaignError(
+                f"test {entry.id!r} in {path}: a time is given either by its column or by a rate"
+            )
+        chosen["time"] = TimeColumn(rate=entry.rate)
     file = _inside(path, folder, entry)
     level: str | None = None
     if isinstance(entry.actuation, str):
@@ -177,7 +184,7 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
         actuation_unit=unit,
         window=None if entry.fit is None else parse_window(entry.fit),
         role=entry.role,
-        columns={role: _source(c) for role, c in chosen.items() if c is not None},
+        columns={role: _source(c) for role, c in chosen.items()},
         session=entry.session,
         after=entry.after,
     )
@@ -185,10 +192,11 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
 
 def _source(column: Column) -> Source:
     """Source of a column of the campaign file."""
-    parts = {name: getattr(column, name, "") for name in _PARTS}
+    parts = {name: getattr(column, name, None) or "" for name in _PARTS}
     other = column.minus if isinstance(column, DisplacementColumn) else None
     minus = None if other is None else Subtracted(other.key, other.unit, other.times)
-    return Source(column.key, column.unit, minus, **parts)
+    key = None if parts["rate"] else column.key
+    return Source(key, column.unit, minus, sign=getattr(column, "sign", 1), **parts)
 
 
 def _history_unit(path: Path, test: str, column: Column, file: Path) -> ActuationUnit:

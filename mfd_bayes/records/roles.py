@@ -15,6 +15,7 @@ ROLES = ("time", "displacement", "force", "velocity", "actuation")
 """What a column can be; a record needs a time and a displacement."""
 
 _EXAMPLES = {"time": "time_s", "displacement": "displacement_mm"}
+_NO_TIME = '; where it has none, give its rate: rate = "100 Hz"'
 _SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
 _BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
 _REMARKS = frozenset(
@@ -67,11 +68,13 @@ def roles_of(
     units: Mapping[str, str],
     *,
     actuation: str | None = None,
+    timed: bool = True,
 ) -> dict[str, str]:
     """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
 
     A column is given by its name, or by its number from 1. One for the actuation is looked for
-    only where `actuation`, a constant, is not given.
+    only where `actuation`, a constant, is not given; one for the time only where the file is
+    `timed`.
 
     Raises
     ------
@@ -86,10 +89,13 @@ def roles_of(
     chosen = bool({"time", "displacement"} & columns.keys())  # then what is not named is not used
     used: tuple[str, ...] = ("time", "displacement") if chosen else ROLES
     wanted = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
+    if not timed:
+        wanted = [role for role in wanted if role != "time"]
     roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
-    missing = [role for role in ("time", "displacement") if role not in roles]
+    needed = ("time", "displacement") if timed else ("displacement",)
+    missing = [role for role in needed if role not in roles]
     if missing and not table.headed:
         raise RecordError(
             f"{table.path} has no names, only {', '.join(table.names[:20])}: say in a campaign "
@@ -99,7 +105,7 @@ def roles_of(
         raise RecordError(
             f"no column for {missing[0]} in {table.path}, which has {', '.join(table.names[:20])}: "
             f"rename it in the file, as {_EXAMPLES[missing[0]]}, or name it in [columns] of a "
-            "campaign, or in Python by columns"
+            "campaign, or in Python by columns" + (_NO_TIME if missing[0] == "time" else "")
         )
     return {role: roles[role] for role in ROLES if role in roles}
 

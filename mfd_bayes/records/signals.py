@@ -12,9 +12,11 @@ from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import check_once, roles_of, unit_of
-from mfd_bayes.records.sources import Source, scale_of, take_off, wanted_of
+from mfd_bayes.records.sources import Source, scale_of, step_of, take_off, wanted_of
 from mfd_bayes.records.trace import check_size
 from mfd_bayes.units import ActuationUnit, actuation_factor, factor
+
+DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
 
 
 def sources_of(
@@ -34,11 +36,14 @@ def sources_of(
     units = _by_role("units", units, {"force": "kN"})
     given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
     stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units)
-    roles = roles_of(table, {r: s.column for r, s in given.items()}, stated, actuation=actuation)
-    found = {}
+    for role, source in given.items():
+        source.check(role, table.path)
+    named = {r: s.column for r, s in given.items() if s.column is not None}
+    rated = "time" in given and bool(given["time"].rate)
+    roles = roles_of(table, named, stated, actuation=actuation, timed=not rated)
+    found = {"time": given["time"]} if rated else {}
     for role, name in roles.items():
         source = given.get(role, Source(name))
-        source.check(role, table.path)
         found[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
     return found
 
@@ -65,6 +70,12 @@ def signals_of(
     named: dict[str, tuple[str, str]] = {}
     internal: ActuationUnit | None = None
     for role, source in sources.items():
+        if source.rate:
+            step = step_of(source.rate, f"the rate of {table.path}")
+            signals[role] = step * np.arange(next(iter(raw.values())).size)
+            named[role] = f"sample number at {source.rate}", "s"
+            check_size(f"the time of {table.path}", role, signals[role])
+            continue
         name, unit = str(source.column), str(source.unit)
         of = f"column {name!r} of {table.path}"
         if role == "actuation":
@@ -72,16 +83,24 @@ def signals_of(
         else:
             scale, unit = scale_of(source, role, unit, of)
         named[role] = name, unit
+        values = _since_start(raw[name], scale) if role == "time" else raw[name]
         with np.errstate(over="ignore"):  # check_magnitude refuses infinity
-            signals[role] = raw[name] * scale
+            signals[role] = values * scale
         check_size(of, role, signals[role])
     check_once(table, {role: name for role, (name, _) in named.items()})
     for role, source in sources.items():
-        if not source.plain:
+        if not source.plain and source.column is not None:
             signals[role] = take_off(table, role, source, signals, raw)
             check_size(f"the {role} of {table.path}", role, signals[role])
     _settle(table, signals)
     return signals, named, internal
+
+
+def _since_start(values: Array, scale: float) -> Array:
+    """Times, in their own unit; dates, counted since 1904 or 1970, from the first row on."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_date = values.size and np.isfinite(values[0]) and values[0] * scale >= DATE
+        return values - values[0] if is_date else values
 
 
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
@@ -100,7 +119,12 @@ def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, f
             raise
         raw = table.patchy(names)
         source = sources["time"]
-        time = raw[str(source.column)] * factor(str(source.unit), "time")
+        if source.rate:
+            rows = np.arange(next(iter(raw.values())).size)
+            time = rows * step_of(source.rate, f"the rate of {table.path}")
+        else:
+            scale = factor(str(source.unit), "time")
+            time = _since_start(raw[str(source.column)], scale) * scale
         good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
         inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
         if not inside.size or not good[inside[0] : inside[-1] + 1].all():
@@ -139,5 +163,5 @@ def in_words(sources: Mapping[str, Source]) -> dict[str, str]:
     return {
         role: source.words(str(source.column), str(source.unit))
         for role, source in sources.items()
-        if not source.plain
+        if not source.plain and source.column is not None
     }

@@ -17,6 +17,7 @@ from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.roles import stated_unit
+from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import check_magnitude
 from mfd_bayes.units import factor, force_meant
 
@@ -91,6 +92,21 @@ class Guess:
     """Number of a column, from 1, that has no name of its own; None of others."""
     lacking: str = ""
     """Why its unit is unknown, and what may be written; empty where nothing more is known."""
+    sign: int = 1
+    rate: str = ""
+    """In place of a column of times: the rate, or the step, that the file states."""
+
+    @property
+    def key(self) -> tuple[str, str | None, int | None, int, str]:
+        """What the campaign file says of it."""
+        return self.name, self.unit, self.number, self.sign, self.rate
+
+    @property
+    def source(self) -> Source:
+        """The column as it is read; one of an unknown unit or rate is read somehow."""
+        if not self.name:
+            return Source(rate=self.rate or "1 Hz")
+        return Source(self.name, self.unit, sign=self.sign)
 
 
 def guess_columns(table: Table) -> dict[str, Guess]:
@@ -112,6 +128,24 @@ def guess_columns(table: Table) -> dict[str, Guess]:
     found = {role: _with_unit(table, role, guess, found) for role, guess in found.items()}
     found = _checked_velocity(table, found)
     return {role: _numbered(table, guess) for role, guess in found.items()}
+
+
+NO_TIME = 'the file has none, and states no rate: write time = { rate = "100 Hz" } with its own'
+
+
+def timed_by_rate(found: dict[str, Guess], rate: str, doubt: str) -> dict[str, Guess]:
+    """Guesses with the rate that a file states, where no column is a time.
+
+    Where it states none, the time is left open, if displacement and force have their names.
+    """
+    time = found.get("time")
+    if time is None and not {"displacement", "force"} <= found.keys():
+        return found
+    if time is None or (rate and time.lacking):
+        doubts = (doubt,) if doubt else ()
+        guess = Guess("", "s", doubts, rate=rate) if rate else Guess("", None, lacking=NO_TIME)
+        return found | {"time": guess}
+    return found
 
 
 def _numbered(table: Table, guess: Guess) -> Guess:
@@ -298,8 +332,8 @@ def _no_time(name: str, values: Array) -> str:
     words = set(re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower()))
     if whole and (words & _COUNTERS or np.all(steps == 1.0)):
         return (
-            f"{name or 'this column'!r} counts samples and is no time: at which rate? At 1000 Hz "
-            'write unit = "ms", at 1 Hz unit = "s"; else add a column of seconds: it over the rate'
+            f"{name or 'this column'!r} counts samples and is no time: at which rate? Write it in "
+            'place of the column, time = { rate = "100 Hz" }'
         )
     if np.ptp(values) < 1.0 and any(low < values[0] < high for low, high in _DATES):
         return f'{name!r} seems to be a date, counted in days: write unit = "day"'

@@ -14,11 +14,13 @@ from mfd_bayes.campaign.draft.actuation import (
     prevailing_unit,
     without_shared_levels,
 )
-from mfd_bayes.campaign.draft.columns import Guess, guess_columns
-from mfd_bayes.campaign.draft.levels import level_in_header, levels_in
+from mfd_bayes.campaign.draft.columns import Guess, guess_columns, timed_by_rate
+from mfd_bayes.campaign.draft.levels import level_in_header, levels_in, rate_in_header
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.records.declared import contradictions, length_in_name
+from mfd_bayes.records.faults.signals import force_sign
+from mfd_bayes.records.loops import channels_swapped
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.scales import Scales, scales_of
@@ -147,6 +149,9 @@ def _look_at(path: Path, folder: Path) -> Candidate:
         raise RecordError("written by mfd-bayes")
     columns = guess_columns(table)
     column = columns.pop("actuation", None)
+    rate, doubt = rate_in_header(path, table.names)
+    if rate or not (table.notes or table.blocks):
+        columns = timed_by_rate(columns, rate, doubt)
     missing = [role for role in _ESSENTIAL if role not in columns]
     if missing:
         again = next(iter(table.blocks.values()), "")
@@ -179,12 +184,15 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
     """Draft of a file; raises where the file cannot be read with the guessed columns."""
     actuation, source, doubts = actuation_of(one, unit)
     roles = dict(one.columns)
-    names = {role: guess.name for role, guess in roles.items()}
-    units = {role: guess.unit or _INTERNAL[role] for role, guess in roles.items()}
-    if isinstance(actuation, Guess):
-        names["actuation"], units["actuation"] = actuation.name, str(actuation.unit)
-    level = actuation if isinstance(actuation, str) else None
-    record = read_record(one.path, names, units, level)
+    record = _record(one.path, roles, actuation)
+    if any(force_sign(record.trace())) and not channels_swapped(record.trace()):
+        doubt = (
+            "its loops run backward, with negative work, so the sign of the force is turned; if "
+            "that of the displacement is wrong, write sign = -1 there instead"
+        )
+        force = roles["force"]
+        roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
+        record = _record(one.path, roles, actuation)
     known = {role for role, guess in roles.items() if guess.unit is not None}
     doubts += tuple(fault.sentence for fault in contradictions(record, known=known))
     if "displacement" not in known and (length := length_in_name(record)):
@@ -200,6 +208,15 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
         earthquake=_EARTHQUAKE.search(one.path.stem) is not None,
         scales=_scales(record, roles),
     )
+
+
+def _record(path: Path, roles: dict[str, Guess], actuation: str | Guess | None) -> Record:
+    """Record of the guessed columns; unknown units are taken for the internal ones."""
+    sources = {role: guess.source for role, guess in roles.items()}
+    units = {r: _INTERNAL[r] for r, g in roles.items() if g.unit is None and g.name}
+    if isinstance(actuation, Guess):
+        sources["actuation"] = actuation.source
+    return read_record(path, sources, units, actuation if isinstance(actuation, str) else None)
 
 
 def _scales(record: Record, roles: dict[str, Guess]) -> Scales | None:

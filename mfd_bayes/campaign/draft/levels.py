@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mfd_bayes.records.declared import NUMBER, number_in
+from mfd_bayes.records.sources import step_of
 from mfd_bayes.units import ActuationUnit, parse_actuation
 
 _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
@@ -57,19 +58,73 @@ def level_in_header(path: Path, names: Sequence[str]) -> Level | None:
 
     A pressure without that word, as ``Brake at 500 psi``, gets a doubt.
     """
-    lines = list(names)
-    if path.suffix.lower() in _TEXT_SUFFIXES and path.is_file():
-        with path.open("rb") as file:
-            head = file.read(_HEADER_BYTES).decode("utf-8", "replace")
-        lines += [
-            line for line in head.splitlines()[:_HEADER_LINES] if re.search(r"[A-Za-z]{3}", line)
-        ]
+    lines = [*names, *(line for line in _lines(path) if re.search(r"[A-Za-z]{3}", line))]
     for pattern, doubt in ((_SAID, ""), (_PRESSURE_UNIT, "it is a pressure in the header lines")):
         for line in lines:
             match = pattern.search(line)
             if match:
                 return _level(match[1], match[2], doubt)
     return None
+
+
+def _lines(path: Path) -> list[str]:
+    """First lines of a text file."""
+    if path.suffix.lower() not in _TEXT_SUFFIXES or not path.is_file():
+        return []
+    with path.open("rb") as file:
+        return file.read(_HEADER_BYTES).decode("utf-8", "replace").splitlines()[:_HEADER_LINES]
+
+
+_COUNT = r"([+-]?(?:\d+\.?\d*|\.\d+|\d+,\d+)(?:[eE][+-]?\d+)?)(?![\d.,]*\d)"
+_HZ = r"(k?hz|s/s|sa/s|sps|1/s|samples?\s*(?:/|per)\s*s(?:ec(?:ond)?)?)(?![a-z])"
+_SECONDS = r"(s|ms|us|µs|μs|sec|msec|seconds?|milliseconds?)(?![a-z])"
+_BETWEEN = r"[\s\"'=:;,.\t]*"
+_RATES = (
+    r"(?:sampl\w*|scan\w*|acqui\w*|logg\w*|daq|abtast\w*|mess|サンプリング)[\s_-]*"
+    r"(?:rate|freq\w*|周波数)|abtastrate|messrate|(?<![a-z_])fs(?![a-z])|^\W*rate|data[\s_-]*rate|"
+    r"sampled at"
+)
+_STEPS = (
+    r"(?:sampl\w*|scan\w*|log\w*|record\w*|time|abtast\w*|サンプリング)[\s_-]*"
+    r"(?:interval\w*|period\w*|step|increment|間隔|周期)|abtastintervall|"
+    r"(?<![a-z_])(?:dt|delta[_ ]?[xt])(?![a-z])|^\W*interval"
+)
+_STATED = tuple(
+    (
+        re.compile(
+            rf"(?:{words}){_BETWEEN}(?:[\[(]?\s*{units}\s*[\])]?)?{_BETWEEN}{_COUNT}"
+            rf"{_BETWEEN}(?:[\[(]?\s*{units})?",
+            re.IGNORECASE,
+        ),
+        unit,
+    )
+    for words, units, unit in ((_RATES, _HZ, "Hz"), (_STEPS, _SECONDS, "s"))
+)
+
+
+def rate_in_header(path: Path, names: Sequence[str]) -> tuple[str, str]:
+    """Rate, or step, of the samples in the lines above the numbers, and what is assumed of it.
+
+    ``"100 Hz"`` of ``Sample rate: 100 Hz``; empty where the lines state none, or several.
+    """
+    found: dict[float, tuple[str, str]] = {}
+    for line in _lines(path):
+        for pattern, usual in _STATED:
+            for match in pattern.finditer(line):
+                text, doubt = _rate(match, usual)
+                if text:
+                    found[step_of(text, "rate")] = text, doubt
+    return next(iter(found.values())) if len(found) == 1 else ("", "")
+
+
+def _rate(match: re.Match[str], usual: str) -> tuple[str, str]:
+    """Quantity of a rate or a step; empty where its number cannot be read for sure."""
+    number, unit = match[2].replace(",", "."), (match[1] or match[3] or "").lower()
+    if re.fullmatch(r"[1-9]\d{0,2},\d{3}", match[2]) or not float(number) > 0.0:
+        return "", ""
+    unit = re.sub(r"^(?:s/s|sa/s|sps|1/s|samples?.*)$", "Hz", unit).replace("hz", "Hz")
+    unit = unit.replace("μ", "µ")
+    return f"{number} {unit or usual}", "" if unit else f"{usual} is assumed for its rate or step"
 
 
 def _level(number: str, unit: str, doubt: str = "") -> Level:
