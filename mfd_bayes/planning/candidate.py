@@ -12,7 +12,13 @@ import numpy as np
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.records.harmonic import MOST_CYCLES
 from mfd_bayes.records.numbers import real_number
-from mfd_bayes.units import ActuationUnit, measure, parse_actuation, parse_quantity
+from mfd_bayes.units import (
+    ActuationUnit,
+    actuation_kind,
+    measure,
+    parse_actuation,
+    parse_quantity,
+)
 
 SETUP = 0.25
 """Time on the frame beside the motion itself, h: setting the actuation, a check of the record."""
@@ -256,11 +262,10 @@ def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
         return "cycles", _cycles(float(match[1]), text)
     named = {"length": ("amplitude", "displacement"), "time": ("price", "time")}
     measured = _measured(text)
-    if measured in ("pressure", "force"):
+    if measured not in ("length", "time", "rate", None):
         level, own = parse_actuation(text)
         if own != unit:
-            kind = "a pressure" if unit == "ksi" else "a force"
-            raise UnitError(f"the campaign's actuation is {kind}, {text!r} is not")
+            raise UnitError(f"the campaign's actuation is {actuation_kind(unit)}, {text!r} is not")
         return "actuation", level
     name, dimension = named.get(measured or "", ("frequency", "rate"))
     value = parse_quantity(text, dimension)

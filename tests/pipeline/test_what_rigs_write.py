@@ -199,3 +199,122 @@ def test_a_sign_turns_the_column_before_anything_is_taken_off(tmp_path):
     record = mb.read_record(tmp_path / "a.csv", columns=plain | {"force": turned})
     np.testing.assert_allclose(record.force, force / 4448.2216, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(record.displacement, x / 25.4, rtol=1e-9)
+
+
+# Actuation in any unit
+
+
+ACTUATED = """[campaign]
+model = "lugre"
+[columns]
+time = {{ name = "t_s" }}
+displacement = {{ name = "x_mm" }}
+force = {{ name = "f_N" }}
+"""
+TEST = '[[test]]\nid = "{0}"\nfile = "{0}.csv"\nactuation = {1}\n'
+
+
+def actuated(folder, *levels):
+    """A campaign whose tests have these actuations."""
+    time, x, force = loops()
+    text = ACTUATED.format()
+    for number, level in enumerate(levels):
+        size = float(re.sub(r"[^\d.]", "", level)) if level[0] == '"' else 1.0
+        noise = np.random.default_rng(number).normal(0.0, 6.0, time.size)
+        columns = [time, x, force * size + noise, np.full(time.size, 1.5)]
+        write(folder / f"r{number}.csv", "t_s,x_mm,f_N,drive_A", columns)
+        text += TEST.format(f"r{number}", level)
+    (folder / "c.toml").write_text(text)
+    return folder / "c.toml"
+
+
+@pytest.mark.parametrize(
+    ("level", "shown"),
+    [
+        ("1 A", "1 A"),
+        ("500 mA", "500 mA"),
+        ("1.5 amps", "1.5 amps"),
+        ("24 V", "24 V"),
+        ("3 turns", "3 turns"),
+        ("180 deg", "180 deg"),
+        ("40 %", "40 %"),
+        ("5 clicks", "5 clicks"),
+        ("120 N*m", "120 N*m"),
+        ("80 ft*lbf", "80 ft*lbf"),
+        ("0.2 T", "0.2 T"),
+    ],
+)
+def test_an_actuation_is_said_in_its_own_unit(tmp_path, level, shown):
+    assert f" actuation {shown} " in command("inspect", actuated(tmp_path, f'"{level}"'))
+
+
+@pytest.mark.parametrize("level", ["3 mm", "2 s", "5 Hz", "3 kg", "20 degC", "7 bananas", "0.5 1"])
+def test_a_unit_of_no_actuation_is_refused(tmp_path, level):
+    said = command("inspect", actuated(tmp_path, f'"{level}"'), code=2)
+    assert f"unit '{level.split()[1]}' of '{level}'" in said
+
+
+def test_actuations_of_one_kind_may_differ_in_unit_and_others_are_refused(tmp_path):
+    said = command("inspect", actuated(tmp_path, '"500 mA"', '"1 A"'))
+    assert " actuation 0.5 A " in said
+    assert " actuation 1 A " in said
+    said = command("inspect", actuated(tmp_path, '"1 A"', '"1 V"'), code=2)
+    assert "that of test 'r1' is in V or a multiple of it" in said
+    said = command("inspect", actuated(tmp_path, '"1 A"', '"5 bar"'), code=2)
+    assert "that of test 'r1' is a pressure" in said
+
+
+def test_a_measured_current_is_an_actuation(tmp_path):
+    said = command("inspect", actuated(tmp_path, '{ name = "drive_A" }'))
+    assert " actuation 1.5 A (mean of a history)" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "above", "level", "doubt"),
+    [
+        ("run_0.5A", "", "0.5 A", ""),
+        ("run_250mA", "", "250 mA", ""),
+        ("run_2A", "", "2 A", "2A is taken for A"),
+        ("run_12volts", "", "12 V", ""),
+        ("run", "Coil current: 0.75 A\n", "0.75 A", ""),
+        ("run_2turns", "", "2 turns", ""),
+        ("run_500psi_2A", "", "500 psi", ""),
+    ],
+)
+def test_init_drafts_the_current_of_a_test(tmp_path, name, above, level, doubt):
+    write(tmp_path / f"{name}.csv", "Time (s),Displacement (mm),Force (N)", loops(), above)
+    said, text, _ = drafted(tmp_path)
+    assert f'actuation = "{level}"' in text
+    assert (doubt in said) if doubt else ("unsure" not in said)
+
+
+def test_init_drafts_a_column_of_current(tmp_path):
+    columns = [*loops(), np.full(240, 0.8)]
+    write(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N),Current (A)", columns)
+    said, text, _ = drafted(tmp_path)
+    assert "actuation = \"0.8 A\"  # of column 'Current (A)'" in text
+    assert "FIXME" not in said
+    (tmp_path / "a.csv").rename(tmp_path / "a_500psi.csv")
+    (tmp_path / "campaign.toml").unlink()
+    command("init", tmp_path, "--force")
+    assert 'actuation = "500 psi"' in (tmp_path / "campaign.toml").read_text()
+
+
+@pytest.mark.slow
+def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
+    campaign = actuated(tmp_path, '"500 mA"', '"1000 mA"')
+    command("init", campaign)
+    campaign.write_text(
+        campaign.read_text().replace("[campaign]", '[campaign]\npriors = "priors.toml"')
+    )
+    out = tmp_path / "out"
+    command("calibrate", campaign, "-o", out, "--effort", "quick", "--jobs", 1, "--seed", 1)
+    laws = (out / "laws.csv").read_text()
+    assert re.search(r"K_c_fwd,k?N/mA,", laws)
+    assert re.search(r"alpha_sigma0,k?N/mm/mA,", laws)
+    asked = ("--sine", "12 mm, 0.25 Hz, 2 cycles", "-o", tmp_path / "b.csv")
+    command("predict", out, *asked, "--actuation", "0.8 A")
+    assert "must be in A or a multiple of it" in command(
+        "predict", out, *asked, "--actuation", "500 psi", code=2
+    )
+    assert "mA, 0.25 Hz" in command("next", out, "-o", tmp_path / "n.csv")

@@ -19,7 +19,7 @@ from mfd_bayes.records.readers.labels import own_name
 from mfd_bayes.records.roles import stated_unit
 from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import check_magnitude
-from mfd_bayes.units import factor, force_meant
+from mfd_bayes.units import actuation_factor, factor, force_meant
 
 Array = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ _WORDS: Mapping[str, Mapping[str, int]] = {
     "actuation": {
         **dict.fromkeys(("pressure", "actuation", "tension", "preload", "druck"), 6),
         **dict.fromkeys(("press", "clamping", "clamp", "psi", "kpa", "mpa", "bar"), 5),
+        **dict.fromkeys(("current", "amperage", "voltage", "torque", "strom"), 3),
     },
 }
 """Score of a word in a column's name for each role."""
@@ -49,12 +50,14 @@ _NOT_MEASURED = frozenset(
     {"command", "cmd", "setpoint", "target", "ref", "reference", "desired", "error", "nominal"}
 )
 
+_ANY = "any actuation"
+
 _KINDS = {
     "time": ("time",),
     "displacement": ("displacement",),
     "force": ("force",),
     "velocity": ("velocity",),
-    "actuation": ("pressure", "force"),
+    "actuation": ("pressure", "force", _ANY),
 }
 
 FAST_CYCLE, SLOWEST_STEP = 100.0, 10.0
@@ -179,7 +182,10 @@ def numbers_of(table: Table, name: str) -> Array | None:
 
 def _measures(unit: str, kind: str) -> bool:
     try:
-        factor(unit, kind)
+        if kind != _ANY:
+            factor(unit, kind)
+        elif actuation_factor(unit)[1] == "%" and unit != "%":
+            return False
     except UnitError:
         return False
     return True
@@ -231,7 +237,11 @@ def _measures_else(table: Table, name: str, role: str) -> bool:
     match = _BRACKETS.search(own_name(name))
     stated = match[1] if match else table.units.get(name, "")
     return bool(stated) and any(
-        _measures(stated, kind) for r, kinds in _KINDS.items() if r != role for kind in kinds
+        _measures(stated, kind)
+        for r, kinds in _KINDS.items()
+        if r != role
+        for kind in kinds
+        if kind != _ANY
     )
 
 

@@ -24,7 +24,7 @@ from mfd_bayes.records.loops import channels_swapped
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.scales import Scales, scales_of
-from mfd_bayes.units import ActuationUnit
+from mfd_bayes.units import ActuationUnit, actuation_factor
 
 _ESSENTIAL = ("time", "displacement", "force")
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip", "velocity": "in/s"}
@@ -67,7 +67,7 @@ class Draft:
     left_out: tuple[tuple[str, str], ...]
     """Files that are not tests of the campaign, and why."""
     unit: ActuationUnit | None
-    """"ksi" where actuations are pressures, "kip" of tensions, None if unknown."""
+    """"ksi" where actuations are pressures, "kip" of tensions, …; None if unknown."""
 
     @property
     def scales(self) -> dict[str, Scales]:
@@ -167,8 +167,11 @@ def _look_at(path: Path, folder: Path) -> Candidate:
     ]
     if odd:
         raise RecordError(f"the name of its column {odd[0]!a} is not UTF-8: rename it")
-    header = level_in_header(path, table.names)
-    return Candidate(path, table, columns, column, header, levels_in(path.stem))
+    header, named = level_in_header(path, table.names), levels_in(path.stem)
+    other = column is not None and column.unit and actuation_factor(column.unit)[1]
+    if (header or named) and other not in (None, False, "ksi", "kip"):
+        column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
+    return Candidate(path, table, columns, column, header, named)
 
 
 def _is_own(path: Path, table: Table) -> bool:

@@ -12,17 +12,21 @@ from mfd_bayes.records.sources import step_of
 from mfd_bayes.units import ActuationUnit, parse_actuation
 
 _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
+_DRIVES = r"ma|amps?|a|mv|volts?|v|turns?|clicks?|nm"
 _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN", "n": "N", "lb": "lbf", "lbs": "lbf"}
-_SPELLED |= {"kips": "kip"}
+_SPELLED |= {"kips": "kip", "nm": "N*m", "mv": "mV", "ma": "mA", "a": "A", "v": "V"}
+_SPELLED |= {"amp": "A", "amps": "A", "volt": "V", "volts": "V"}
 _WITH_UNIT = re.compile(rf"{NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
 # what follows a number may not make another of it, or be its unit
 _ENDS = r"(?![\d.]*[a-z]|,\d{3}(?!\d)|,\d{1,2}(?![\d.a-z]))"
 _PRESSURE = re.compile(rf"(?<![a-z])(?:p|press|pressure)[ _=-]?{NUMBER}{_ENDS}", re.I)
 _TENSION = re.compile(rf"(?<![a-z])(?:tension|preload)[ _=-]?{NUMBER}{_ENDS}", re.I)
 _SAID = re.compile(
-    rf"(?:pressure|tension|preload|actuation|clamping)[^\d\n]{{0,30}}?{NUMBER}\s*({_UNITS})(?![a-z])",
+    rf"(?:pressure|tension|preload|actuation|clamping|current|voltage|torque)[^\d\n]{{0,30}}?"
+    rf"{NUMBER}\s*({_UNITS}|{_DRIVES})(?![a-z])",
     re.IGNORECASE,
 )
+_DRIVEN = re.compile(rf"(?<![A-Za-z]){NUMBER}[ _-]?({_DRIVES})(?![a-z])", re.IGNORECASE)
 
 _PRESSURE_UNIT = re.compile(rf"{NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.IGNORECASE)
 
@@ -50,6 +54,8 @@ def levels_in(name: str) -> tuple[Level, ...]:
     pressures, tensions = _PRESSURE.findall(name), _TENSION.findall(name)
     assumed = [_level(number, "psi", "psi is assumed; it may be kPa") for number in pressures]
     assumed += [_level(number, "lbf", "lbf is assumed; it may be N") for number in tensions]
+    if not assumed:
+        assumed = [_drive(m) for m in _DRIVEN.finditer(name)]
     return tuple(dict.fromkeys(assumed))
 
 
@@ -125,6 +131,13 @@ def _rate(match: re.Match[str], usual: str) -> tuple[str, str]:
     unit = re.sub(r"^(?:s/s|sa/s|sps|1/s|samples?.*)$", "Hz", unit).replace("hz", "Hz")
     unit = unit.replace("μ", "µ")
     return f"{number} {unit or usual}", "" if unit else f"{usual} is assumed for its rate or step"
+
+
+def _drive(match: re.Match[str]) -> Level:
+    """Current, voltage or setting in a name; a single letter may be a label as well."""
+    label = len(match[2]) == 1 and match[1].isdigit()
+    doubt = f"{match[0]} is taken for {_SPELLED[match[2].lower()]}" if label else ""
+    return _level(match[1], match[2], doubt)
 
 
 def _level(number: str, unit: str, doubt: str = "") -> Level:

@@ -37,6 +37,8 @@ _PRIORS = {
     None: ("mfd", 'unsure: no actuation is known; "mfd" is for pressures, "brfd" for tensions'),
 }
 
+_OTHER = ("mfd", "for drum brakes; its priors do not depend on the unit of actuation")
+
 Shared = dict[str, Guess]
 
 
@@ -65,7 +67,7 @@ def priors_of(draft: Draft) -> tuple[str, str]:
 
     Those of a shipped file where it knows such a device, else those that are read off the records.
     """
-    name, why = _PRIORS[draft.unit]
+    name, why = _PRIORS.get(draft.unit, _OTHER)
     if not draft.scales:
         lacking = any(guess.unit is None for test in draft.tests for guess in test.columns.values())
         if lacking:
@@ -196,7 +198,8 @@ def _no_unit(role: str, guess: Guess) -> str:
 
 
 def _no_actuation(test: TestDraft, draft: Draft) -> str:
-    example = "30 lbf" if draft.unit == "kip" else "500 psi"
+    examples = {None: "500 psi", "ksi": "500 psi", "kip": "30 lbf"}
+    example = examples.get(draft.unit, f"1 {draft.unit}")
     return (
         f'add actuation = "{example}" or similar; no column, header line or file name has it'
         f"{test.source}"
