@@ -25,7 +25,7 @@ from mfd_bayes.planning.goal import check_session
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.regular import file_inside
 from mfd_bayes.records.roles import header_unit

@@ -26,7 +26,7 @@ from mfd_bayes.friction import models
 from mfd_bayes.friction.weakening import SIDES
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
-from mfd_bayes.records.readers.bounds import COLUMNS, NAME
+from mfd_bayes.records.readers.table import COLUMNS, NAME
 from mfd_bayes.records.sources import step_of
 from mfd_bayes.units import parse_actuation, parse_quantity
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.readers.cells import bare_unit
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.table import bare_unit, own_name
 from mfd_bayes.units import UNREAD, measure, same_unit
 
 ROLES = ("time", "displacement", "force", "velocity", "actuation")

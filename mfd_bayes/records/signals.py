@@ -14,7 +14,7 @@ from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import check_once, roles_of, unit_of
 from mfd_bayes.records.sources import Source, scale_of, step_of, take_off, wanted_of
 from mfd_bayes.records.trace import check_size
-from mfd_bayes.units import ActuationUnit, actuation_factor, factor
+from mfd_bayes.units import ActuationUnit, actuation_factor
 
 DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
 
@@ -65,27 +65,25 @@ def signals_of(
     MfdError
         When a column cannot be read, or its unit does not measure what its role needs.
     """
-    raw = table.columns(wanted_of(table, sources))
+    raw = table.columns(wanted_of(table, sources), sources["time"].dates)
     signals: dict[str, Array] = {}
     named: dict[str, tuple[str, str]] = {}
     internal: ActuationUnit | None = None
     for role, source in sources.items():
-        if source.rate:
-            step = step_of(source.rate, f"the rate of {table.path}")
-            signals[role] = step * np.arange(next(iter(raw.values())).size)
-            named[role] = f"sample number at {source.rate}", "s"
-            check_size(f"the time of {table.path}", role, signals[role])
-            continue
         name, unit = str(source.column), str(source.unit)
         of = f"column {name!r} of {table.path}"
+        if role == "time":
+            signals[role] = _times(table, source, raw)
+            named[role] = (f"sample number at {source.rate}", "s") if source.rate else (name, unit)
+            check_size(of, role, signals[role])
+            continue
         if role == "actuation":
             scale, internal = actuation_factor(unit, of=of)
         else:
             scale, unit = scale_of(source, role, unit, of)
         named[role] = name, unit
-        values = _since_start(raw[name], scale) if role == "time" else raw[name]
         with np.errstate(over="ignore"):  # check_magnitude refuses infinity
-            signals[role] = values * scale
+            signals[role] = raw[name] * scale
         check_size(of, role, signals[role])
     check_once(table, {role: name for role, (name, _) in named.items()})
     for role, source in sources.items():
@@ -96,11 +94,19 @@ def signals_of(
     return signals, named, internal
 
 
-def _since_start(values: Array, scale: float) -> Array:
-    """Times, in their own unit; dates, counted since 1904 or 1970, from the first row on."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        is_date = values.size and np.isfinite(values[0]) and values[0] * scale >= DATE
-        return values - values[0] if is_date else values
+def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
+    """Times, s: of a rate, or of a column; dates, counted since 1904 or 1970, from the first row.
+
+    NaN where a cell holds none.
+    """
+    if source.rate:
+        rows = next(iter(raw.values())).size
+        return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows)
+    name, unit = str(source.column), str(source.unit)
+    scale, values = scale_of(source, "time", unit, f"column {name!r} of {table.path}")[0], raw[name]
+    start = values[np.argmax(np.isfinite(values))]
+    with np.errstate(over="ignore", invalid="ignore"):  # check_size refuses infinity
+        return np.asarray((values - start if start * scale >= DATE else values) * scale)
 
 
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
@@ -111,34 +117,23 @@ def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, f
     MfdError
         When a cell inside the window holds none.
     """
-    names = wanted_of(table, sources)
-    try:
-        table.columns(names)
-    except RecordError:
-        if table.patchy is None or any(table.names.count(name) != 1 for name in names):
-            raise
-        raw = table.patchy(names)
-        source = sources["time"]
-        if source.rate:
-            rows = np.arange(next(iter(raw.values())).size)
-            time = rows * step_of(source.rate, f"the rate of {table.path}")
-        else:
-            scale = factor(str(source.unit), "time")
-            time = _since_start(raw[str(source.column)], scale) * scale
-        good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
-        inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
-        if not inside.size or not good[inside[0] : inside[-1] + 1].all():
-            raise
-        bad = np.flatnonzero(~good)
-        first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
-        last = int(np.min(bad[bad > inside[-1]], initial=time.size))
-        return table.part(
-            first,
-            last,
-            f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
-            f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
-        )
-    return table
+    raw = table.values(wanted_of(table, sources), sources["time"].dates)
+    good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
+    if good.all():
+        return table
+    time = _times(table, sources["time"], raw)
+    inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
+    if not inside.size or not good[inside[0] : inside[-1] + 1].all():
+        return table  # whose columns are refused, with the place of the cell
+    bad = np.flatnonzero(~good)
+    first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
+    last = int(np.min(bad[bad > inside[-1]], initial=time.size))
+    return table.part(
+        first,
+        last,
+        f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
+        f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
+    )
 
 
 def _settle(table: Table, signals: dict[str, Array]) -> None:

@@ -1,9 +1,15 @@
 """What rigs and loggers write: rates, time stamps, signs and units of actuation."""
 
+import json
 import re
+from datetime import datetime, timedelta
 
 import numpy as np
+import pandas as pd
 import pytest
+from nptdms import ChannelObject, TdmsWriter
+from openpyxl import Workbook
+from scipy.io import savemat
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
@@ -318,3 +324,213 @@ def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
         "predict", out, *asked, "--actuation", "500 psi", code=2
     )
     assert "mA, 0.25 Hz" in command("next", out, "-o", tmp_path / "n.csv")
+
+
+# Time stamps
+
+
+BEGIN = datetime(2024, 3, 5, 10, 0, 0)
+NIGHT = datetime(2024, 3, 5, 23, 59, 55)
+
+
+def stamps(form, begin=BEGIN, samples=240):
+    """Time stamps of a test, of a form of strftime in which %L stands for milliseconds."""
+    moments = [begin + timedelta(seconds=STEP * k) for k in range(samples)]
+    return [m.strftime(form.replace("%L", f"{m.microsecond // 1000:03}")) for m in moments]
+
+
+def no_zeros(stamp):
+    """A stamp that loses its .000."""
+    return stamp.removesuffix(".000")
+
+
+STAMPS = {
+    "ISO": stamps("%Y-%m-%d %H:%M:%S.%L"),
+    "ISO with T and Z": stamps("%Y-%m-%dT%H:%M:%S.%LZ"),
+    "ISO with a zone": stamps("%Y-%m-%dT%H:%M:%S.%L+01:00"),
+    "ISO that loses its .000": [no_zeros(s) for s in stamps("%Y-%m-%d %H:%M:%S.%L")],
+    "ISO without separators": stamps("%Y%m%dT%H%M%S.%L"),
+    "slashes": stamps("%Y/%m/%d %H:%M:%S.%L"),
+    "US with AM": stamps("%m/%d/%Y %I:%M:%S.%L %p"),
+    "US at noon": stamps("%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
+    "US without zeros": [s.lstrip("0").replace("/0", "/") for s in stamps("%m/%d/%Y %H:%M:%S.%L")],
+    "US past midnight, told by the day": stamps(
+        "%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 25, 23, 59, 55)
+    ),
+    "US past midnight, told by the steps": stamps("%m/%d/%Y %H:%M:%S.%L", NIGHT),
+    "German": stamps("%d.%m.%Y %H:%M:%S.%L"),
+    "German past midnight": stamps("%d.%m.%Y %H:%M:%S.%L", NIGHT),
+    "past midnight at the end of a month": stamps(
+        "%d/%m/%Y %H:%M:%S.%L", datetime(2024, 2, 29, 23, 59, 55)
+    ),
+    "two digits of a year": stamps("%d-%m-%y %H:%M:%S.%L"),
+    "MATLAB": stamps("%d-%b-%Y %H:%M:%S.%L"),
+    "a month's name": stamps("%b %d %Y %H:%M:%S.%L"),
+    "clock": stamps("%H:%M:%S.%L"),
+    "clock past midnight": stamps("%H:%M:%S.%L", NIGHT),
+    "clock of twelve hours": stamps("%I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
+    "clock of twelve hours, no AM": stamps("%I:%M:%S.%L", datetime(2024, 3, 5, 12, 59, 55)),
+    "milliseconds behind a colon": stamps("%H:%M:%S:%L"),
+    "minutes and seconds": stamps("%M:%S.%L"),
+    "clock before the date": stamps("%H:%M:%S.%L %d.%m.%Y"),
+    "timedelta of pandas": [f"0 days {s}" for s in stamps("%H:%M:%S.%L000")],
+}
+
+
+@pytest.mark.parametrize("form", STAMPS)
+def test_time_stamps_are_seconds_since_the_first_row(tmp_path, form):
+    time, *columns = loops()
+    write(
+        tmp_path / "a_5bar.csv", "Timestamp,Displacement (mm),Force (N)", [STAMPS[form], *columns]
+    )
+    said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Timestamp", unit = "s" }' in text
+    assert "FIXME" not in said
+    assert "240 over 11.95 s" in seen
+    roles = {"time": "Timestamp", "displacement": 2, "force": 3}
+    record = mb.read_record(tmp_path / "a_5bar.csv", roles, fit="2 s to 8 s")
+    np.testing.assert_allclose(record.time, time, atol=1e-9)
+    assert record.trace().time[[0, -1]] == pytest.approx([2.0, 8.0])
+
+
+def test_a_date_a_clock_and_a_counter_beside_each_other(tmp_path):
+    _, *columns = loops()
+    clock = stamps("%H:%M:%S.%L", NIGHT)
+    day = stamps("%d.%m.%Y", NIGHT)
+    head = "No.,Date,Time,Displacement (mm),Force (N),Events"
+    write(tmp_path / "a_5bar.csv", head, [range(240), day, clock, *columns, [""] * 240])
+    said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Time", unit = "s" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_an_order_of_dates_that_nothing_tells_is_asked_for(tmp_path):
+    time, *columns = loops()
+    moments = [
+        datetime(2024, 3, 5) + timedelta(days=k // 120, seconds=STEP * k) for k in range(240)
+    ]
+    text = [m.strftime("%m/%d/%Y %H:%M:%S.%f") for m in moments]
+    write(tmp_path / "a.csv", "Timestamp,x_mm,f_N", [text, *columns])
+    roles = {"displacement": "x_mm", "force": "f_N"}
+    with pytest.raises(mb.MfdError, match='write dates = "day first" or dates = "month first"'):
+        mb.read_record(tmp_path / "a.csv", {"time": "Timestamp", **roles})
+    given = {"time": Source("Timestamp", dates="month first"), **roles}
+    assert mb.read_record(tmp_path / "a.csv", given).gap.startswith("time has a gap")
+    stated = 'time = { name = "Timestamp", dates = "month first" }'
+    text = CAMPAIGN.format(columns=stated, test="")
+    (tmp_path / "c.toml").write_text(
+        text.replace("Displacement (mm)", "x_mm").replace("Force (N)", "f_N")
+    )
+    assert "time has a gap" in command("inspect", tmp_path / "c.toml")
+
+
+@pytest.mark.parametrize("cell", ["", "#N/A", "25:61:00", "later"])
+def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path, cell):
+    _, *columns = loops()
+    clock = stamps("%H:%M:%S.%L")
+    clock[200] = cell
+    write(tmp_path / "a.csv", "Timestamp,x_mm,f_N", [clock, *columns])
+    roles = {"time": "Timestamp", "displacement": "x_mm", "force": "f_N"}
+    with pytest.raises(mb.MfdError, match="line 202 of .*, column 'Timestamp'"):
+        mb.read_record(tmp_path / "a.csv", roles)
+    assert mb.read_record(tmp_path / "a.csv", roles, fit="0 s to 8 s").time.size == 200
+
+
+@pytest.mark.parametrize("kind", ["moments", "clock", "elapsed"])
+def test_dates_of_a_workbook_are_a_time(tmp_path, kind):
+    time, x, force = loops()
+    moments = [BEGIN + timedelta(seconds=float(t)) for t in time]
+    cells = {
+        "moments": moments,
+        "clock": [m.time() for m in moments],
+        "elapsed": [m - BEGIN for m in moments],
+    }[kind]
+    book = Workbook()
+    book.active.append(["Time", "Displacement (mm)", "Force (N)"])
+    for row in zip(cells, x.tolist(), force.tolist(), strict=True):
+        book.active.append(list(row))
+    book.save(tmp_path / "a_5bar.xlsx")
+    said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Time", unit = "s" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_a_channel_of_moments_is_a_time(tmp_path):
+    time, x, force = loops()
+    moments = np.datetime64(BEGIN, "us") + (1e6 * time).astype("m8[us]")
+    channels = [
+        ChannelObject("G", n, v)
+        for n, v in zip(["Clock", "Disp (mm)", "Load (N)"], [moments, x, force], strict=True)
+    ]
+    with TdmsWriter(tmp_path / "a_5bar.tdms") as writer:
+        writer.write_segment(channels)
+    said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Clock", unit = "s" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_stamps_of_json_are_a_time(tmp_path):
+    _, x, force = loops()
+    columns = {
+        "time": stamps("%Y-%m-%dT%H:%M:%S.%LZ"),
+        "disp_mm": x.tolist(),
+        "load_N": force.tolist(),
+    }
+    (tmp_path / "a_5bar.json").write_text(json.dumps(columns))
+    assert "240 over 11.95 s" in drafted(tmp_path)[2]
+
+
+@pytest.mark.parametrize(
+    ("unit", "first", "by"),
+    [
+        ("day", 45356.4166666667, 1 / 86400),
+        ("day", 739316.416666667, 1 / 86400),
+        ("s", 1709632800.0, 1.0),
+        ("s", 3792477600.0, 1.0),
+        ("ms", 1709632800000.0, 1e3),
+        ("us", 1709632800000000.0, 1e6),
+    ],
+    ids=["Excel", "MATLAB", "1970", "LabVIEW", "ms", "us"],
+)
+def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path, unit, first, by):
+    time, *columns = loops()
+    cells = [f"{first + t * by:.10f}" for t in time]
+    write(tmp_path / "a_5bar.csv", "X_Value,Displacement (mm),Force (N)", [cells, *columns])
+    said, text, seen = drafted(tmp_path)
+    assert f'unit = "{unit}" }}  # unsure' in text
+    assert f"it looks like a date, counted in {unit}" in said
+    assert "240 over 11.95 s" in seen
+    roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
+    record = mb.read_record(tmp_path / "a_5bar.csv", roles, fit="0 s to 8 s")
+    np.testing.assert_allclose(record.time, time, atol=2e-5)
+
+
+# Cells outside the window
+
+
+@pytest.mark.parametrize("form", ["csv", "xlsx", "json", "tdms", "mat"])
+@pytest.mark.parametrize("window", ["0 s to 8 s", "0 s to 11 s"])
+def test_bad_cells_outside_the_window_are_left_out_of_every_format(tmp_path, form, window):
+    table = dict(zip(["t_s", "x_mm", "f_N"], loops(), strict=True))
+    table["f_N"][200] = np.nan  # at 10 s
+    path = tmp_path / f"a.{form}"
+    if form == "csv":
+        write(path, ",".join(table), table.values())
+    elif form == "xlsx":
+        pd.DataFrame(table).to_excel(path, index=False)
+    elif form == "json":
+        path.write_text(json.dumps({name: values.tolist() for name, values in table.items()}))
+    elif form == "mat":
+        savemat(path, table)
+    else:
+        with TdmsWriter(path) as writer:
+            writer.write_segment([ChannelObject("G", name, v) for name, v in table.items()])
+    units = {"time": "s", "displacement": "mm", "force": "N"}
+    roles = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
+    if window == "0 s to 8 s":
+        record = mb.read_record(path, roles, units, fit=window)
+        assert record.time.size == 200
+        assert "lie outside the window fit" in record.doubts[0]
+    else:
+        with pytest.raises(mb.MfdError, match="column 'f_N': expected a finite number"):
+            mb.read_record(path, roles, units, fit=window)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from mfd_bayes.records.declared import SLOW_PERIOD, SLOW_RATE
 from mfd_bayes.records.loops import roughness
 from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.roles import stated_unit
 from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import check_magnitude
@@ -73,8 +74,12 @@ _COUNTERS = frozenset(
 )
 """Words in the name of a column that counts samples."""
 
-_DATES = ((20_000.0, 80_000.0), (690_000.0, 800_000.0))
-"""Days since 1900 and since the year 0, of the last and the coming decades."""
+_EARLIEST = 20_000.0
+_DATES = {
+    "day": (_EARLIEST, 800_000.0),
+    **{unit: (5e8 * by, 6e9 * by) for unit, by in (("s", 1.0), ("ms", 1e3), ("us", 1e6))},
+}
+"""Ranges of dates of these decades: days of Excel and of MATLAB, seconds since 1970 and 1904."""
 
 _BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$")
 _BEHIND = re.compile(r"[\s,/:]+([^\s,:]+)\s*$")
@@ -180,6 +185,14 @@ def numbers_of(table: Table, name: str) -> Array | None:
     return numbers
 
 
+def times_of(table: Table, name: str) -> Array | None:
+    """As `numbers_of`, for a time: a date in ns or us may be large."""
+    try:
+        return table.columns([name])[name]
+    except MfdError:
+        return None
+
+
 def _measures(unit: str, kind: str) -> bool:
     try:
         if kind != _ANY:
@@ -251,7 +264,8 @@ def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, G
         name: values
         for name in table.names
         if name not in taken and table.names.count(name) == 1
-        if (values := numbers_of(table, name)) is not None and values.size > 2
+        if (values := times_of(table, name)) is not None and values.size > 2
+        if _steady(values) or numbers_of(table, name) is not None
     }
     found: dict[str, Guess] = {}
     if "time" in missing:
@@ -325,9 +339,11 @@ def _timed(table: Table, guess: Guess, found: Mapping[str, Guess]) -> Guess:
         return guess
     if said := stated_unit(own_name(guess.name), table.units.get(guess.name, "")):
         return replace(guess, lacking=unread(said, "time"))
-    values = numbers_of(table, guess.name)
+    values = times_of(table, guess.name)
     if values is None or values.size < 3 or values[-1] <= values[0]:
         return guess
+    if (since := float(values[0])) >= _EARLIEST and np.ptp(values) < 0.05 * since:
+        return replace(guess, **_date_unit(since))
     if lacking := _no_time(own_name(guess.name), values) or _of_two_units(table, values, found):
         return replace(guess, lacking=lacking)
     unit = "ms" if _is_slow(table, values, found) else "s"
@@ -345,9 +361,16 @@ def _no_time(name: str, values: Array) -> str:
             f"{name or 'this column'!r} counts samples and is no time: at which rate? Write it in "
             'place of the column, time = { rate = "100 Hz" }'
         )
-    if np.ptp(values) < 1.0 and any(low < values[0] < high for low, high in _DATES):
-        return f'{name!r} seems to be a date, counted in days: write unit = "day"'
     return ""
+
+
+def _date_unit(since: float) -> dict[str, Any]:
+    """Unit of a time that counts from 1900, 1904, 1970 or the year 0, and the doubt about it."""
+    for unit, (low, high) in _DATES.items():
+        if low < since < high:
+            doubt = f"no unit of time is given; it looks like a date, counted in {unit}"
+            return {"unit": unit, "doubts": (doubt,)}
+    return {"lacking": "it begins at a number too large for a time: what does it count?"}
 
 
 def _of_two_units(table: Table, values: Array, found: Mapping[str, Guess]) -> str:

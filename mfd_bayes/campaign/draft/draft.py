@@ -149,7 +149,7 @@ def _look_at(path: Path, folder: Path) -> Candidate:
         raise RecordError("written by mfd-bayes")
     columns = guess_columns(table)
     column = columns.pop("actuation", None)
-    rate, doubt = rate_in_header(path, table.names)
+    rate, doubt = rate_in_header(table.head)
     if rate or not (table.notes or table.blocks):
         columns = timed_by_rate(columns, rate, doubt)
     missing = [role for role in _ESSENTIAL if role not in columns]
@@ -167,7 +167,7 @@ def _look_at(path: Path, folder: Path) -> Candidate:
     ]
     if odd:
         raise RecordError(f"the name of its column {odd[0]!a} is not UTF-8: rename it")
-    header, named = level_in_header(path, table.names), levels_in(path.stem)
+    header, named = level_in_header(table.head, table.names), levels_in(path.stem)
     other = column is not None and column.unit and actuation_factor(column.unit)[1]
     if (header or named) and other not in (None, False, "ksi", "kip"):
         column = None  # a current or a voltage, of a sensor perhaps, where the level is stated

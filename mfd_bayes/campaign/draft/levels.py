@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from mfd_bayes.records.declared import NUMBER, number_in
 from mfd_bayes.records.sources import step_of
@@ -29,10 +28,6 @@ _SAID = re.compile(
 _DRIVEN = re.compile(rf"(?<![A-Za-z]){NUMBER}[ _-]?({_DRIVES})(?![a-z])", re.IGNORECASE)
 
 _PRESSURE_UNIT = re.compile(rf"{NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.IGNORECASE)
-
-_HEADER_LINES = 40
-_HEADER_BYTES = 8192
-_TEXT_SUFFIXES = frozenset({".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm"})
 
 
 @dataclass(frozen=True)
@@ -59,26 +54,18 @@ def levels_in(name: str) -> tuple[Level, ...]:
     return tuple(dict.fromkeys(assumed))
 
 
-def level_in_header(path: Path, names: Sequence[str]) -> Level | None:
+def level_in_header(lines: Sequence[str], names: Sequence[str]) -> Level | None:
     """Level in the lines above the numbers or in a column's name, as ``Pressure: 500 psi``.
 
     A pressure without that word, as ``Brake at 500 psi``, gets a doubt.
     """
-    lines = [*names, *(line for line in _lines(path) if re.search(r"[A-Za-z]{3}", line))]
+    lines = [*names, *(line for line in lines if re.search(r"[A-Za-z]{3}", line))]
     for pattern, doubt in ((_SAID, ""), (_PRESSURE_UNIT, "it is a pressure in the header lines")):
         for line in lines:
             match = pattern.search(line)
             if match:
                 return _level(match[1], match[2], doubt)
     return None
-
-
-def _lines(path: Path) -> list[str]:
-    """First lines of a text file."""
-    if path.suffix.lower() not in _TEXT_SUFFIXES or not path.is_file():
-        return []
-    with path.open("rb") as file:
-        return file.read(_HEADER_BYTES).decode("utf-8", "replace").splitlines()[:_HEADER_LINES]
 
 
 _COUNT = r"([+-]?(?:\d+\.?\d*|\.\d+|\d+,\d+)(?:[eE][+-]?\d+)?)(?![\d.,]*\d)"
@@ -108,13 +95,13 @@ _STATED = tuple(
 )
 
 
-def rate_in_header(path: Path, names: Sequence[str]) -> tuple[str, str]:
+def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
     """Rate, or step, of the samples in the lines above the numbers, and what is assumed of it.
 
     ``"100 Hz"`` of ``Sample rate: 100 Hz``; empty where the lines state none, or several.
     """
     found: dict[float, tuple[str, str]] = {}
-    for line in _lines(path):
+    for line in lines:
         for pattern, usual in _STATED:
             for match in pattern.finditer(line):
                 text, doubt = _rate(match, usual)
