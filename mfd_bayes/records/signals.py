@@ -106,7 +106,8 @@ def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
     scale, values = scale_of(source, "time", unit, f"column {name!r} of {table.path}")[0], raw[name]
     start = values[np.argmax(np.isfinite(values))]
     with np.errstate(over="ignore", invalid="ignore"):  # check_size refuses infinity
-        return np.asarray((values - start if start * scale >= DATE else values) * scale)
+        times: Array = (values - start if start * scale >= DATE else values) * scale
+    return times
 
 
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:

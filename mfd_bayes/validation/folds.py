@@ -156,8 +156,8 @@ def parts_of(
     parts: dict[str, tuple[str, ...]] = {name: (name,) for name in names} if by == "test" else {}
     if by == "level":
         for fold in levels_of(list(settings.values())):
-            by, unit = US.of_actuation(actuation_unit)
-            level = by * settings[names[fold[0]]].actuation
+            scale, unit = US.of_actuation(actuation_unit)
+            level = scale * settings[names[fold[0]]].actuation
             parts[f"{level:.4g} {unit}"] = tuple(names[j] for j in fold)
     elif by == "session":
         sessions = dict.fromkeys(setting.session for setting in settings.values())

@@ -183,6 +183,17 @@ def test_only_the_tests_that_run_backward_are_turned(tmp_path):
     assert "force sign" not in seen
 
 
+@pytest.mark.parametrize("spike", [1e6, -1e6, -9999.0])
+def test_an_overflow_value_turns_no_sign(tmp_path, spike):
+    time, x, force = loops()
+    force[41] = spike
+    write(tmp_path / "a_5bar.csv", "Time (s),Displacement (mm),Force (N)", [time, x, force])
+    said, text, seen = drafted(tmp_path)
+    assert "sign" not in said + text
+    assert "force sign" not in seen
+    assert "spikes: 1 isolated sample of the force" in seen
+
+
 def test_the_warning_of_negative_work_names_the_key(tmp_path):
     time, x, force = loops()
     write(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N)", [time, x, -force])
@@ -399,13 +410,13 @@ def test_a_date_a_clock_and_a_counter_beside_each_other(tmp_path):
     day = stamps("%d.%m.%Y", NIGHT)
     head = "No.,Date,Time,Displacement (mm),Force (N),Events"
     write(tmp_path / "a_5bar.csv", head, [range(240), day, clock, *columns, [""] * 240])
-    said, text, seen = drafted(tmp_path)
+    _said, text, seen = drafted(tmp_path)
     assert 'time = { name = "Time", unit = "s" }' in text
     assert "240 over 11.95 s" in seen
 
 
 def test_an_order_of_dates_that_nothing_tells_is_asked_for(tmp_path):
-    time, *columns = loops()
+    _time, *columns = loops()
     moments = [
         datetime(2024, 3, 5) + timedelta(days=k // 120, seconds=STEP * k) for k in range(240)
     ]
@@ -431,7 +442,7 @@ def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path, cell):
     clock[200] = cell
     write(tmp_path / "a.csv", "Timestamp,x_mm,f_N", [clock, *columns])
     roles = {"time": "Timestamp", "displacement": "x_mm", "force": "f_N"}
-    with pytest.raises(mb.MfdError, match="line 202 of .*, column 'Timestamp'"):
+    with pytest.raises(mb.MfdError, match=r"line 202 of .*, column 'Timestamp'"):
         mb.read_record(tmp_path / "a.csv", roles)
     assert mb.read_record(tmp_path / "a.csv", roles, fit="0 s to 8 s").time.size == 200
 
@@ -450,7 +461,7 @@ def test_dates_of_a_workbook_are_a_time(tmp_path, kind):
     for row in zip(cells, x.tolist(), force.tolist(), strict=True):
         book.active.append(list(row))
     book.save(tmp_path / "a_5bar.xlsx")
-    said, text, seen = drafted(tmp_path)
+    _said, text, seen = drafted(tmp_path)
     assert 'time = { name = "Time", unit = "s" }' in text
     assert "240 over 11.95 s" in seen
 
@@ -464,7 +475,7 @@ def test_a_channel_of_moments_is_a_time(tmp_path):
     ]
     with TdmsWriter(tmp_path / "a_5bar.tdms") as writer:
         writer.write_segment(channels)
-    said, text, seen = drafted(tmp_path)
+    _said, text, seen = drafted(tmp_path)
     assert 'time = { name = "Clock", unit = "s" }' in text
     assert "240 over 11.95 s" in seen
 

@@ -19,6 +19,7 @@ from mfd_bayes.campaign.draft.levels import level_in_header, levels_in, rate_in_
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.records.declared import contradictions, length_in_name
+from mfd_bayes.records.faults import without_spikes
 from mfd_bayes.records.faults.signals import force_sign
 from mfd_bayes.records.loops import channels_swapped
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
@@ -188,7 +189,8 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
     actuation, source, doubts = actuation_of(one, unit)
     roles = dict(one.columns)
     record = _record(one.path, roles, actuation)
-    if any(force_sign(record.trace())) and not channels_swapped(record.trace()):
+    sound = without_spikes(record.trace())
+    if any(force_sign(sound)) and not channels_swapped(sound):
         doubt = (
             "its loops run backward, with negative work, so the sign of the force is turned; if "
             "that of the displacement is wrong, write sign = -1 there instead"
@@ -225,7 +227,7 @@ def _record(path: Path, roles: dict[str, Guess], actuation: str | Guess | None) 
 def _scales(record: Record, roles: dict[str, Guess]) -> Scales | None:
     """Scales of a record whose units are known."""
     known = all(roles[role].unit is not None for role in _ESSENTIAL)
-    return scales_of(record.trace()) if known else None
+    return scales_of(without_spikes(record.trace())) if known else None
 
 
 def _id(stem: str, taken: Sequence[str]) -> str:

@@ -143,7 +143,8 @@ def _serve(read: Callable[[Path], Content], path: Path, stream: BinaryIO) -> Non
 
 def _receive(stream: BinaryIO) -> bytes | None:
     """All that a child writes; None where it takes too long."""
-    end, pieces = time.monotonic() + SECONDS, []
+    end = time.monotonic() + SECONDS
+    pieces: list[bytes] = []
     number = stream.fileno()
     while True:
         if sys.platform != "win32":

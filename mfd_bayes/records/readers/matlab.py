@@ -93,7 +93,7 @@ def _inside(name: str, value: Any, depth: int) -> Arrays:
     for number, element in enumerate(value.reshape(-1), start=1):
         place = f"{name}({number})" if value.size > 1 else name
         fields = dict(zip(value.dtype.names, element, strict=True))
-        label = fields.get("label")
+        label: Any = fields.get("label")
         words = str(label.reshape(-1)[0]).strip() if _is_text(label) else ""
         for field, content in fields.items():
             own = f" {words}" if words and field == "values" else ""

@@ -207,7 +207,7 @@ class Table:
         if any(np.isfinite(as_number(cell, sign)) for sign in self.decimals):
             seen = {
                 sign: f"{c!r} in {self.place(at)}, column {one!r}"
-                for one, column in reversed(cells.items())
+                for one, column in reversed(list(cells.items()))
                 for at, c in reversed(list(enumerate(column)))
                 for sign in ".,"
                 if isinstance(c, str) and sign in c

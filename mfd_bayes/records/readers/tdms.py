@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
@@ -124,7 +125,8 @@ def _channels(path: Path) -> Content:
     from nptdms.log import log_manager
 
     log_manager.set_level(logging.ERROR)  # its warnings are errors here
-    channels, arrays = [], []
+    channels: list[dict[str, Any]] = []
+    arrays: list[NDArray[np.generic]] = []
     # Given a path, nptdms would read an index file beside it, which may belong to another.
     with path.open("rb") as stream, TdmsFile.open(stream) as file:
         for name, status in (file.file_status.channel_statuses or {}).items():
