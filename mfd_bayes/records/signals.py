@@ -101,7 +101,7 @@ def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
     """
     if source.rate:
         rows = next(iter(raw.values())).size
-        return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows)
+        return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows, dtype=np.float64)
     name, unit = str(source.column), str(source.unit)
     scale, values = scale_of(source, "time", unit, f"column {name!r} of {table.path}")[0], raw[name]
     start = values[np.argmax(np.isfinite(values))]

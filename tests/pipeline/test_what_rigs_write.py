@@ -61,6 +61,7 @@ def drafted(folder):
         ("Sampling interval: 0,05 s\n", "0.05 s"),
         ("Sample Period: 50 ms\n", "50 ms"),
         ("fs = 20\n", "20 Hz"),
+        ("sample_rate_hz,20\n", "20 Hz"),
         ("# dt = 0.05 s\n", "0.05 s"),
         ("Scan rate: 0.02 kHz per channel\n", "0.02 kHz"),
         ("Abtastrate: 20 Hz\n", "20 Hz"),
@@ -383,6 +384,7 @@ STAMPS = {
     "clock of twelve hours, no AM": stamps("%I:%M:%S.%L", datetime(2024, 3, 5, 12, 59, 55)),
     "milliseconds behind a colon": stamps("%H:%M:%S:%L"),
     "minutes and seconds": stamps("%M:%S.%L"),
+    "as ctime": stamps("%a %b %d %H:%M:%S.%L %Y"),
     "clock before the date": stamps("%H:%M:%S.%L %d.%m.%Y"),
     "timedelta of pandas": [f"0 days {s}" for s in stamps("%H:%M:%S.%L000")],
 }
@@ -445,6 +447,27 @@ def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path, cell):
     with pytest.raises(mb.MfdError, match=r"line 202 of .*, column 'Timestamp'"):
         mb.read_record(tmp_path / "a.csv", roles)
     assert mb.read_record(tmp_path / "a.csv", roles, fit="0 s to 8 s").time.size == 200
+
+
+def test_stamps_that_are_too_coarse_ask_for_the_rate(tmp_path):
+    _, *columns = loops()
+    head = "Timestamp,Displacement (mm),Force (N)"
+    write(tmp_path / "a_5bar.csv", head, [stamps("%H:%M:%S"), *columns])
+    said = command("init", tmp_path)
+    assert "time stamps of 'Timestamp' are equal in several rows, about 20 in a second" in said
+    with pytest.raises(mb.MfdError, match=r'too coarse, write rate = "100 Hz"'):
+        mb.read_record(tmp_path / "a_5bar.csv", {"time": "Timestamp", "displacement": 2})
+
+
+def test_statistics_below_stamps_are_a_footer(tmp_path):
+    _, *columns = loops()
+    head = "Timestamp,Displacement (mm),Force (N)"
+    write(tmp_path / "a_5bar.csv", head, [stamps("%H:%M:%S.%L"), *columns])
+    with (tmp_path / "a_5bar.csv").open("a") as file:
+        file.write("Max,12,950\nMin,-12,-950\n")
+    seen = drafted(tmp_path)[2]
+    assert "240 over 11.95 s" in seen
+    assert "line 242 and below: numbers below the table, not used" in seen
 
 
 @pytest.mark.parametrize("kind", ["moments", "clock", "elapsed"])

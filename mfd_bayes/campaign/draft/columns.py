@@ -335,6 +335,16 @@ def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
 
 def _timed(table: Table, guess: Guess, found: Mapping[str, Guess]) -> Guess:
     """Time with its unit, from the steps where none is given and they can tell it."""
+    stamps = times_of(table, guess.name) if guess.name in table.stamped else None
+    if stamps is not None and np.any(np.diff(stamps) == 0.0) and stamps[-1] > stamps[0]:
+        new = np.flatnonzero(np.diff(stamps) > 0.0)
+        first, last = (new[0], new[-1]) if new.size > 1 else (0, stamps.size - 1)
+        rate = (last - first) / (stamps[last] - stamps[first])
+        return Guess(
+            *("", None),
+            lacking=f"time stamps of {guess.name!r} are equal in several rows, about {rate:.3g} in "
+            'a second: write the rate in place of the column, time = { rate = "100 Hz" }',
+        )
     if guess.unit is not None:
         return guess
     if said := stated_unit(own_name(guess.name), table.units.get(guess.name, "")):

@@ -71,7 +71,7 @@ def level_in_header(lines: Sequence[str], names: Sequence[str]) -> Level | None:
 _COUNT = r"([+-]?(?:\d+\.?\d*|\.\d+|\d+,\d+)(?:[eE][+-]?\d+)?)(?![\d.,]*\d)"
 _HZ = r"(k?hz|s/s|sa/s|sps|1/s|samples?\s*(?:/|per)\s*s(?:ec(?:ond)?)?)(?![a-z])"
 _SECONDS = r"(s|ms|us|µs|μs|sec|msec|seconds?|milliseconds?)(?![a-z])"
-_BETWEEN = r"[\s\"'=:;,.\t]*"
+_BETWEEN = r"[\s\"'=:;,._]*"
 _RATES = (
     r"(?:sampl\w*|scan\w*|acqui\w*|logg\w*|daq|abtast\w*|mess|サンプリング)[\s_-]*"
     r"(?:rate|freq\w*|周波数)|abtastrate|messrate|(?<![a-z_])fs(?![a-z])|^\W*rate|data[\s_-]*rate|"

@@ -268,7 +268,10 @@ def _body(grid: Grid, layout: Layout, labelled: Sequence[str]) -> Body:
     names = None if layout.names is None else _plain(rows[layout.names])
     units = None if layout.units is None else _plain(rows[layout.units])
     own = {_beginning(row) for row in rows[: layout.names]} if layout.names is not None else set()
-    column = kinds(rows[layout.data]).find("n") if layout.data < size else 0
+    first = rows[layout.data] if layout.data < size else ()
+    column = next(
+        (k for k, kind in enumerate(kinds(first)) if kind == "n" or is_stamp(first[k])), 0
+    )
     words = [at for at in range(layout.data, size) if _is_text(rows[at], column)]
     dropped: set[int] = set()
     starts: dict[int, int] = {}  # row below a repeated heading, to the heading's first row

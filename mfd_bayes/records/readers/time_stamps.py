@@ -30,6 +30,9 @@ _CLOCK = (
 )
 _STAMP = re.compile(rf"(?:{_DATE}(?:[T,;_ ]\s*|\s+))?{_CLOCK}")
 _REVERSED = re.compile(rf"{_CLOCK}[,; ]\s*{_DATE}")
+_NAMED = re.compile(  # Tue Mar 05 10:00:00 2024
+    rf"(?:[^\W\d_]{{3}}\s+)?(?P<um>[^\W\d_]{{3}})\s+(?P<ud>\d{{1,2}})\s+{_CLOCK}\s+(?P<uy>\d{{4}})"
+)
 _DAYS = re.compile(rf"(?P<days>\d+)\s*(?:days?|d)[, ]\s*{_CLOCK}")  # 0 days 00:00:01.5
 _DAY = 86_400 * 10**9  # ns
 _GAP = 10  # an order of dates makes a gap where a step is so many times longer than usual
@@ -37,7 +40,8 @@ _GAP = 10  # an order of dates makes a gap where a step is so many times longer 
 
 def _match(text: str) -> re.Match[str] | None:
     text = re.sub(r"^(\d{8})[T ](\d{2})(\d{2})(\d{2})", r"\1T\2:\3:\4", text)  # 20240305T100000
-    return _STAMP.fullmatch(text) or _REVERSED.fullmatch(text) or _DAYS.fullmatch(text)
+    forms = (_STAMP, _REVERSED, _NAMED, _DAYS)
+    return next((match for form in forms if (match := form.fullmatch(text))), None)
 
 
 def is_stamp(cell: object) -> bool:
@@ -135,8 +139,8 @@ def _day(part: dict[str, str | None], month_first: bool) -> int | None:
         if month_first:
             day, month = month, day
     elif part.get("nd") or part.get("ud"):
-        year, day = part["ny"] or part["uy"], part["nd"] or part["ud"]
-        word = (part["nm"] or part["um"] or "")[:3].lower()
+        year, day = part.get("ny") or part["uy"], part.get("nd") or part["ud"]
+        word = (part.get("nm") or part["um"] or "")[:3].lower()
         if word not in _MONTHS and word not in _MONTHS_ELSEWHERE:
             raise ValueError(word)
         number = _MONTHS.index(word) + 1 if word in _MONTHS else _MONTHS_ELSEWHERE[word]
