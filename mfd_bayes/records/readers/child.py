@@ -16,9 +16,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,140 +44,99 @@ def read_in_child(read: Callable[[Path], Content], path: Path, kind: str) -> Con
         When the file is none of its format, or reading it takes more than is allowed.
     """
     path.open("rb").close()
-    with contextlib.ExitStack() as stack:
-        pid, stream = _fork(read, path) if _may_fork() else _start(read, path)
-        stack.callback(_end, pid)
-        stack.enter_context(stream)
-        content = _receive(stream)
-        if content is None:
-            raise RecordError(f"{path} takes more than {SECONDS:g} s to read: {_LESS}")
-    if not content:
-        raise RecordError(f"{path} is not {kind} that can be read")
-    facts, arrays = _unpacked(content)
+    forks = hasattr(os, "fork") and threading.active_count() == 1
+    content = (_forked if forks else _spawned)(read, path)
+    if content is None:
+        raise RecordError(f"{path} takes more than {SECONDS:g} s to read: {_LESS}")
+    try:
+        size = 8 + int.from_bytes(content[:8], "little")
+        facts, at = json.loads(content[8:size]), size
+        arrays: list[NDArray[np.generic]] = []
+        for code, count in facts.pop("arrays"):
+            arrays.append(np.frombuffer(content, code, count, at))
+            at += arrays[-1].nbytes
+    except ValueError:  # the process ended before it had written all
+        facts, arrays = {"error": ""}, []
     match facts.pop("error", None):
         case None:
             return facts, arrays
         case "memory":
             raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_LESS}")
-        case [message]:
+        case "":
+            raise RecordError(f"{path} is not {kind} that can be read")
+        case message:
             raise RecordError(f"{path} {message}")
-    raise RecordError(f"{path} is not {kind} that can be read")
 
 
 _LESS = "save only the test's own columns, or as .csv"
 
 
-def _may_fork() -> bool:
-    return hasattr(os, "fork") and threading.active_count() == 1
-
-
-def _fork(read: Callable[[Path], Content], path: Path) -> tuple[int, BinaryIO]:
-    """Start a copy of this process, which has the libraries already."""
+def _forked(read: Callable[[Path], Content], path: Path) -> bytes | None:
+    """What a copy of this process writes, which has the libraries already; None if it is late."""
     source, target = os.pipe()
     pid = os.fork()
-    if pid:
-        os.close(target)
-        return pid, os.fdopen(source, "rb")
+    if not pid:
+        try:
+            os.close(source)
+            serve(read, path, target)
+        finally:
+            os._exit(0)
+    os.close(target)
+    end, pieces = time.monotonic() + SECONDS, [b" "]
     try:
-        os.close(source)
-        with os.fdopen(target, "wb") as stream:
-            _serve(read, path, stream)
+        while pieces[-1]:
+            left = end - time.monotonic()
+            if left <= 0.0 or not select.select([source], [], [], left)[0]:
+                return None
+            pieces.append(os.read(source, 2**20))
+        return b"".join(pieces[1:])
     finally:
-        os._exit(0)
+        os.close(source)
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
 
 
-def _start(read: Callable[[Path], Content], path: Path) -> tuple[int, BinaryIO]:
-    """Start a new interpreter, where a copy of a process with threads could wait for ever."""
+def _spawned(read: Callable[[Path], Content], path: Path) -> bytes | None:
+    """As `_forked`, of a new interpreter: a copy of a process with threads may wait for ever."""
     code = (
         "import sys; sys.path[:] = sys.argv[4:]\n"
-        "from mfd_bayes.records.readers import child\n"
-        "child.serve(*sys.argv[1:4])"
+        "from importlib import import_module\nfrom pathlib import Path\n"
+        "from mfd_bayes.records.readers.child import serve\n"
+        "serve(getattr(import_module(sys.argv[1]), sys.argv[2]), Path(sys.argv[3]), 1)"
     )
-    words = [read.__module__, read.__name__, str(path), *sys.path]
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
-    assert process.stdout is not None
-    _CHILDREN[process.pid] = process
-    return process.pid, process.stdout  # type: ignore[return-value]  # a buffered reader is one
+    words = [sys.executable, "-c", code, read.__module__, read.__name__, str(path), *sys.path]
+    try:
+        done = subprocess.run(words, capture_output=True, timeout=SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        return None
+    return done.stdout
 
 
-_CHILDREN: dict[int, subprocess.Popen[bytes]] = {}
-
-
-def serve(module: str, name: str, path: str) -> None:
-    """Read a file, and write what is read to the output; called in a new interpreter."""
-    with os.fdopen(os.dup(1), "wb") as stream:
-        _serve(getattr(import_module(module), name), Path(path), stream)
-
-
-def _serve(read: Callable[[Path], Content], path: Path, stream: BinaryIO) -> None:
-    """Read a file within limits, and write what is read."""
-    with contextlib.suppress(Exception):
+def serve(read: Callable[[Path], Content], path: Path, number: int) -> None:
+    """Read a file within limits, and write what is read to a descriptor."""
+    with os.fdopen(os.dup(number), "wb") as stream:
         nowhere = os.open(os.devnull, os.O_RDWR)
-        for output in (0, 1, 2):
+        for output in (1, 2):
             os.dup2(nowhere, output)
-    with contextlib.suppress(Exception):
-        import resource
+        with contextlib.suppress(ImportError, OSError, ValueError):  # as on Windows
+            import resource
 
-        has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        most = resource.getrlimit(resource.RLIMIT_AS)[1]
-        limit = has + MEMORY if most == resource.RLIM_INFINITY else min(has + MEMORY, most)
-        resource.setrlimit(resource.RLIMIT_AS, (limit, most))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    try:
-        facts, arrays = read(path)
-    except UnreadableError as error:
-        facts, arrays = {"error": [str(error)]}, []
-    except MemoryError:
-        facts, arrays = {"error": "memory"}, []
-    except BaseException:  # the libraries raise dozens of kinds
-        facts, arrays = {"error": "other"}, []
-    facts["arrays"] = [(array.dtype.str, array.size) for array in arrays]
-    head = json.dumps(facts).encode("ascii")
-    stream.write(len(head).to_bytes(8, "little") + head)
-    for array in arrays:
-        stream.write(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
-
-
-def _receive(stream: BinaryIO) -> bytes | None:
-    """All that a child writes; None where it takes too long."""
-    end = time.monotonic() + SECONDS
-    pieces: list[bytes] = []
-    number = stream.fileno()
-    while True:
-        if sys.platform != "win32":
-            left = end - time.monotonic()
-            if left <= 0.0 or not select.select([number], [], [], left)[0]:
-                return None
-        piece = os.read(number, 2**20)
-        if not piece:
-            return b"".join(pieces)
-        pieces.append(piece)
-
-
-def _end(pid: int) -> None:
-    """End a child that is there no longer, or is waited for no longer."""
-    process = _CHILDREN.pop(pid, None)
-    if process is not None:
-        process.kill()
-        process.wait()
-        return
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGKILL)
-    os.waitpid(pid, 0)
-
-
-def _unpacked(content: bytes) -> Content:
-    """Facts and arrays of what a child has written; no facts where it was ended amid it."""
-    size = 8 + int.from_bytes(content[:8], "little")
-    try:
-        facts = json.loads(content[8:size])
-        arrays, at = [], size
-        for kind, count in facts.pop("arrays"):
-            array = np.frombuffer(content, kind, count, at)
-            arrays.append(array)
-            at += array.nbytes
-    except ValueError:
-        return {"error": "other"}, []
-    return facts, arrays
+            has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            most = resource.getrlimit(resource.RLIMIT_AS)[1]
+            limit = has + MEMORY if most == resource.RLIM_INFINITY else min(has + MEMORY, most)
+            resource.setrlimit(resource.RLIMIT_AS, (limit, most))
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        arrays: list[NDArray[np.generic]] = []
+        try:
+            facts, arrays = read(path)
+        except UnreadableError as error:
+            facts = {"error": str(error)}
+        except MemoryError:
+            facts = {"error": "memory"}
+        except BaseException:  # the libraries raise dozens of kinds
+            facts = {"error": ""}
+        facts["arrays"] = [(array.dtype.str, array.size) for array in arrays]
+        head = json.dumps(facts).encode("ascii")
+        stream.write(len(head).to_bytes(8, "little") + head)
+        for array in arrays:
+            stream.write(np.ascontiguousarray(array).tobytes())

@@ -15,7 +15,7 @@ from mfd_bayes.records.readers.table import Cell, Table
 
 CELLS = 2_000_000  # most cells of a workbook: eight minutes of four columns at 1024 Hz
 _OLE = bytes.fromhex("D0CF11E0")  # first bytes of old .xls workbooks and of encrypted ones
-_FORMULA = "a formula without a stored value: save it in Excel"
+_FORMULA = "(a formula without a stored value: save it in Excel)"
 
 
 def read_excel(path: Path) -> Table:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
-from mfd_bayes.records.readers.table import Array, Column, Table, bare_unit
+from mfd_bayes.records.readers.table import Column, Table, bare_unit
 from mfd_bayes.units import factor, measure
 
 SAMPLES = 50_000_000  # most samples of all channels: an hour and a half of ten at 1024 Hz
@@ -27,30 +27,20 @@ _LABVIEW = np.datetime64("1904-01-01", "us")  # a start time that a writer left 
 
 @dataclass(frozen=True)
 class _Clock:
-    """Sampling times of a waveform: `start` and `increment` in a unit, `began` in s."""
+    """Sampling times of a waveform: its step, first time and end, s."""
 
-    increment: float
-    start: float
-    unit: str
+    step: float
+    begin: float
     samples: int
-    began: float | None = None  # since the file's first channel with a start time
+    dated: bool  # whether the file says when it began
 
     @property
-    def begin(self) -> float:
-        """Time of the first sample, in the unit of the axis."""
-        return self.start + (0.0 if self.began is None else self.began / factor(self.unit, "time"))
+    def end(self) -> float:
+        return self.begin + self.step * self.samples
 
-
-@dataclass(frozen=True, eq=False)
-class _Channel:
-    """A channel: its numbers, and its clock where it is a waveform over time."""
-
-    group: str
-    name: str
-    kind: str  # of numpy's data type: "f", "i", …
-    unit: str  # empty where the file gives none
-    clock: _Clock | None
-    values: Array
+    def even(self, other: _Clock) -> bool:
+        """Whether the steps are the same."""
+        return math.isclose(self.step, other.step, rel_tol=EVEN)
 
 
 def read_tdms(path: Path) -> Table:
@@ -66,55 +56,46 @@ def read_tdms(path: Path) -> Table:
             f'reading {path} needs npTDMS, which is not installed: pip install "mfd_bayes[tdms]"'
         ) from error
     facts, arrays = read_in_child(_channels, path, "a TDMS file")
-    found = [
-        _described(one, np.array(values, dtype=np.float64))
-        for one, values in zip(facts["channels"], arrays, strict=True)
-    ]
+    found = facts["channels"]
     if not found:
         raise RecordError(f"{path} holds no channel with data")
-    first = min(
-        (c.clock.began for c in found if c.clock and c.clock.began is not None), default=0.0
-    )
-    found = [
-        replace(c, clock=replace(c.clock, began=c.clock.began - first))
-        if c.clock is not None and c.clock.began is not None
-        else c
-        for c in found
-    ]
-    shared = Counter(channel.name for channel in found)
-    channels = {c.name if shared[c.name] == 1 else f"{c.group}/{c.name}": c for c in found}
-    timed = {n for n, c in channels.items() if c.kind in "fiubM" and _is_time(c)}
-    clocks = {} if timed else {n: c for n, c in _clocks(found).items() if n not in channels}
+    shared = Counter(one["name"] for one in found)
+    names = [c["name"] if shared[c["name"]] == 1 else f"{c['group']}/{c['name']}" for c in found]
+    kinds = {name: one["kind"] for name, one in zip(names, found, strict=True)}
+    columns = dict(zip(names, arrays, strict=True))
+    units = {name: _unit(one) for name, one in zip(names, found, strict=True)}
+    starts = (one["properties"].get("wf_start_time") for one in found)
+    first = min((start for start in starts if isinstance(start, float)), default=0.0)
+    clocks = {
+        name: clock
+        for name, one in zip(names, found, strict=True)
+        if one["kind"] in "fiub" and (clock := _clock(one, first)) is not None
+    }
+    timed = {n for n in names if kinds[n] in "fiubM" and _is_time(n, kinds[n], units[n])}
+    groups = {name: one["group"] for name, one in zip(names, found, strict=True)}
+    times = {} if timed else {n: c for n, c in _times(clocks, groups).items() if n not in columns}
 
     def load(wanted: Sequence[str]) -> dict[str, Column]:
         for name in wanted:
-            kind = channels[name].kind if name in channels else "f"
-            if kind not in "fiubM":
-                held = _KINDS.get(kind, "no numbers")
+            if name in kinds and kinds[name] not in "fiubM":
+                held = _KINDS.get(kinds[name], "no numbers")
                 raise RecordError(f"channel {name!r} of {path} holds {held}; expected numbers")
-        own = {n: channels[n].clock for n in wanted if n in channels and n not in timed}
-        given = {name: clock for name, clock in own.items() if clock is not None}
-        if timed:
-            _check_alike(path, given)
-            given = {}
-        columns: dict[str, Column] = {
-            name: clocks[name].begin + clocks[name].increment * np.arange(clocks[name].samples)
-            if name in clocks
-            else channels[name].values.copy()
+        own = {n: clock for n in wanted if n not in timed and (clock := (times | clocks).get(n))}
+        read: dict[str, Column] = {
+            name: times[name].begin + times[name].step * np.arange(times[name].samples)
+            if name in times
+            else np.array(columns[name], dtype=np.float64)
             for name in wanted
         }
-        given |= {name: clocks[name] for name in wanted if name in clocks}
-        return columns | _together(path, given, columns)
+        return read | _together(path, own, read, timed=bool(timed))
 
-    units = {name: "s" if c.kind == "M" else c.unit for name, c in channels.items()}
-    units |= {name: clock.unit for name, clock in clocks.items()}
     return Table(
         path,
-        (*clocks, *channels),
+        (*times, *names),
         load,
         lambda row: f"sample {row + 1}",
-        {name: unit for name, unit in units.items() if unit},
-        notes=_apart(channels),
+        {name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
+        notes=_apart(clocks),
         head=tuple(facts["settings"]),
     )
 
@@ -173,94 +154,93 @@ def _plain(value: Any) -> float | str | None:
     return float(value)
 
 
-def _described(one: dict[str, Any], values: Array) -> _Channel:
+def _unit(one: dict[str, Any]) -> str:
+    """Unit that a channel's properties state; empty where they state none."""
     own = one["properties"]
     unit = own.get("unit_string") or own.get("NI_UnitDescription") or ""
-    increment, start = own.get("wf_increment"), own.get("wf_start_offset", 0.0)
-    axis = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
-    clock = None
-    if (
-        isinstance(increment, float)
-        and isinstance(start, float)
-        and 0.0 < increment < math.inf
-        and math.isfinite(start)
-        and measure(axis) == "time"
-    ):
-        began = own.get("wf_start_time")
-        known = began if isinstance(began, float) else None
-        clock = _Clock(increment, start, axis, one["samples"], known)
-    return _Channel(one["group"], one["name"], one["kind"], bare_unit(str(unit)), clock, values)
+    return "s" if one["kind"] == "M" else bare_unit(str(unit))
 
 
-def _is_time(channel: _Channel) -> bool:
+def _clock(one: dict[str, Any], first: float) -> _Clock | None:
+    """Clock of a waveform over time; start times count from that of the first channel."""
+    own = one["properties"]
+    step, start, began = (own.get(f"wf_{n}") for n in ("increment", "start_offset", "start_time"))
+    start = 0.0 if start is None else start
+    unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
+    if not (isinstance(step, float) and isinstance(start, float) and measure(unit) == "time"):
+        return None
+    if not (0.0 < step < math.inf and math.isfinite(start)):
+        return None
+    scale, dated = factor(unit, "time"), isinstance(began, float)
+    begin = start * scale + (began - first if isinstance(began, float) else 0.0)
+    return _Clock(step * scale, begin, one["samples"], dated)
+
+
+def _is_time(name: str, kind: str, unit: str) -> bool:
     """Whether a channel is a time by its kind, its name or its unit."""
-    named = "time" in channel.name.lower() or measure(channel.unit) == "time"
-    return channel.kind == "M" or named
+    return kind == "M" or "time" in name.rpartition("/")[2].lower() or measure(unit) == "time"
 
 
-def _apart(channels: Mapping[str, _Channel]) -> tuple[str, ...]:
+def _apart(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
     """Sentence on channels that do not begin, end or step as the first of them does."""
-    clocks = {n: c.clock for n, c in channels.items() if c.kind in "fiub" and c.clock is not None}
     said = []
     first = min(clocks, key=lambda name: clocks[name].begin, default="")
     for name, clock in clocks.items():
         one = clocks[first]
-        if clock.begin >= one.begin + one.increment * one.samples:
+        if clock.begin >= one.end:
             continue  # of another test
-        if not math.isclose(clock.increment, one.increment, rel_tol=EVEN):
-            steps = f"{first} has a step of {one.increment:g}, {name} of {clock.increment:g}"
+        if not clock.even(one):
+            steps = f"{first} has a step of {one.step:g}, {name} of {clock.step:g}"
             return (f"{steps}: they cannot be used together",)
         if clock.begin > one.begin:
-            said.append(f"{name} begins {clock.begin - one.begin:.6g} {clock.unit} after {first}")
+            said.append(f"{name} begins {clock.begin - one.begin:.6g} s after {first}")
         elif clock.samples != one.samples:
             said.append(f"{name} has {clock.samples} samples, {first} {one.samples}")
     more = f", and {len(said) - 3} more" if len(said) > 3 else ""
     return (f"{', '.join(said[:3])}{more}: only what channels share is used",) if said else ()
 
 
-def _check_alike(path: Path, clocks: Mapping[str, _Clock]) -> None:
-    """Refuse waveforms of different clocks beside a channel of times, which is that of one."""
-    for name, other in list(clocks.items())[1:]:
-        first, one = next(iter(clocks.items()))
-        even = math.isclose(one.increment, other.increment, rel_tol=EVEN)
-        if not even or abs(other.begin - one.begin) > SHARE * one.increment:
-            raise RecordError(
-                f"{_differ(path, first, one, name, other)}, and the file has one time"
-            )
-
-
 def _together(
-    path: Path, clocks: Mapping[str, _Clock], columns: Mapping[str, Column]
+    path: Path, clocks: Mapping[str, _Clock], columns: Mapping[str, Column], *, timed: bool
 ) -> dict[str, Column]:
     """Columns while all of them were measured, at the samples of the one that began last.
 
     Raises
     ------
     RecordError
-        When they have other steps, or are never measured together.
+        When they have other steps, are never measured together, or the file has one time for all
+        of them, which is `timed`.
     """
     if len(set(clocks.values())) < 2:
         return {}
-    names = list(clocks)
-    first = clocks[names[0]]
-    late: dict[str, float] = {}
+    first, one = next(iter(clocks.items()))
     for name, clock in clocks.items():
-        alike = math.isclose(clock.increment, first.increment, rel_tol=EVEN)
-        if clock.unit != first.unit or not alike:
-            raise RecordError(f"{_differ(path, names[0], first, name, clock)}: resample them first")
-        if (clock.began is None) != (first.began is None) and (clock.began or first.began):
+        late = clock.begin - one.begin
+        differ = (
+            f"{path}: {name} begins {abs(late):.6g} s {'after' if late > 0 else 'before'} {first}"
+        )
+        if not clock.even(one):
+            differ = (
+                f"{path}: {first} has a step of {one.step:g} s and {name} one of {clock.step:g} s"
+            )
+        if timed and (not clock.even(one) or abs(late) > SHARE * one.step):
+            raise RecordError(f"{differ}, and the file has one time")
+        if not clock.even(one):
+            raise RecordError(f"{differ}: resample them first")
+        if clock.dated != one.dated and late:
             raise RecordError(
-                f"{path}: of {names[0]} and {name} only one has a start time, wf_start_time, which "
+                f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
                 "is not that of the file's first channel: they cannot be aligned"
             )
-        late[name] = (clock.begin - first.begin) / first.increment
-    start = max(late.values())
-    size = math.floor(min(late[n] + c.samples for n, c in clocks.items()) - start + SHARE)
+    if timed:
+        return {}
+    start = max(clock.begin for clock in clocks.values())
+    size = math.floor((min(c.end for c in clocks.values()) - start) / one.step + SHARE)
     if size < 1:
-        raise RecordError(f"{path}: {' and '.join(names)} are never measured at the same time")
+        raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
     found: dict[str, Column] = {}
-    for name in names:
-        begin, values = start - late[name], np.asarray(columns[name], dtype=np.float64)
+    for name, clock in clocks.items():
+        begin, values = (start - clock.begin) / one.step, np.asarray(columns[name], np.float64)
         if abs(begin - round(begin)) < SHARE:
             found[name] = values[round(begin) : round(begin) + size]
         else:
@@ -269,38 +249,13 @@ def _together(
     return {name: column[:sizes] for name, column in found.items()}
 
 
-def _differ(path: Path, one: str, first: _Clock, other: str, second: _Clock) -> str:
-    """Sentence on two channels whose clocks differ."""
-    even = math.isclose(first.increment, second.increment, rel_tol=EVEN)
-    if first.unit != second.unit or not even:
-        return (
-            f"{path}: {one} has a step of {first.increment:g} {first.unit} and {other} one of "
-            f"{second.increment:g} {second.unit}"
-        )
-    late = second.begin - first.begin
-    way = "after" if late > 0 else "before"
-    return f"{path}: {other} begins {abs(late):.6g} {first.unit} {way} {one}"
-
-
-def _clocks(channels: Sequence[_Channel]) -> dict[str, _Clock]:
-    """Name to clock: one for all channels, or one for each group whose channels share a step.
-
-    It is that of the first to begin to the last to end.
-    """
-    groups: dict[str, list[_Clock]] = {}
-    for channel in channels:
-        if channel.kind in "fiub" and channel.clock is not None:
-            groups.setdefault(channel.group, []).append(channel.clock)
+def _times(clocks: Mapping[str, _Clock], groups: Mapping[str, str]) -> dict[str, _Clock]:
+    """Clock for all channels, or for each group whose channels share a step: first to last."""
     found: dict[str, _Clock] = {}
-    for group, own in groups.items():
+    for group in dict.fromkeys(groups[name] for name in clocks):
+        own = [clock for name, clock in clocks.items() if groups[name] == group]
         first = min(own, key=lambda clock: clock.begin)
-        alike = all(
-            c.unit == first.unit and math.isclose(c.increment, first.increment, rel_tol=EVEN)
-            for c in own
-        )
-        if alike:
-            ends = [round((c.begin - first.begin) / c.increment) + c.samples for c in own]
+        if all(clock.even(first) for clock in own):
+            ends = [round((c.begin - first.begin) / c.step) + c.samples for c in own]
             found[f"{group}/time"] = replace(first, samples=max(ends))
-    if len(set(found.values())) == 1:
-        return {"time": next(iter(found.values()))}
-    return found
+    return {"time": next(iter(found.values()))} if len(set(found.values())) == 1 else found

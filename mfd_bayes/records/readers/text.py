@@ -33,7 +33,7 @@ _COMMENT = re.compile(r"\s*#(?!N/A|VALUE!|REF!|DIV/0!|NUM!|NAME\?|NULL!)")  # no
 _COMMENTS = "#%/;!"  # signs before names, from programs of all kinds
 _OPEN = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')
 # What numbers and time stamps are written with, so that no line is a heading.
-_PLAIN = re.compile(r"[\d\s.,;:/eE+\-TZAPM]*")
+_PLAIN = re.compile(r"[\d\s.,;:/eE+\-TZAPM]*", re.ASCII)
 
 
 def read_text(path: Path) -> Table:

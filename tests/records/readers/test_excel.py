@@ -60,7 +60,7 @@ def test_columns_end_where_the_wanted_ones_do(tmp_path):
         (True, "'TRUE'"),
         (datetime.datetime(2024, 5, 1, 10, 30), "'2024-05-01 10:30:00', which is a time stamp"),
         (datetime.time(1, 2, 3), "'01:02:03', which is a time stamp"),
-        ("=A3*2", "'a formula without a stored value: save it in Excel'"),
+        ("=A3*2", "'(a formula without a stored value: save it in Excel)'"),
     ],
 )
 def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path, refused, cell, found):
