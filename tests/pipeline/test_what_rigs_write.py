@@ -1,7 +1,12 @@
 """What rigs and loggers write: rates, time stamps, signs and units of actuation."""
 
 import json
+import os
 import re
+import signal
+import sys
+import threading
+import time
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -568,3 +573,45 @@ def test_bad_cells_outside_the_window_are_left_out_of_every_format(tmp_path, for
     else:
         with pytest.raises(mb.MfdError, match="column 'f_N': expected a finite number"):
             mb.read_record(path, roles, units, fit=window)
+
+
+# Binary files are read in another process
+
+
+def packed(folder):
+    """The same record in each binary format."""
+    table = dict(zip(["t_s", "x_mm", "f_N"], loops(), strict=True))
+    pd.DataFrame(table).to_excel(folder / "a.xlsx", index=False)
+    savemat(folder / "a.mat", table)
+    with TdmsWriter(folder / "a.tdms") as writer:
+        writer.write_segment([ChannelObject("G", name, v) for name, v in table.items()])
+    return [folder / f"a.{form}" for form in ("xlsx", "mat", "tdms")]
+
+
+ROLES = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
+
+
+def test_a_process_with_threads_reads_the_same(tmp_path):
+    done = threading.Event()
+    for path in packed(tmp_path):
+        alone = mb.read_record(path, ROLES)
+        thread = threading.Thread(target=done.wait)
+        thread.start()
+        beside = mb.read_record(path, ROLES)
+        done.set()
+        thread.join()
+        done.clear()
+        np.testing.assert_array_equal(alone.force, beside.force)
+        np.testing.assert_allclose(alone.displacement * 25.4, loops()[1], atol=1e-9)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a process is copied as on Linux")
+def test_a_reader_that_dies_or_never_ends_is_a_sentence(tmp_path, monkeypatch):
+    path = packed(tmp_path)[1]
+    monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: os.kill(os.getpid(), signal.SIGSEGV))
+    with pytest.raises(mb.MfdError, match=r"a\.mat is not a MATLAB file, v5 or v7\.3, that can be"):
+        mb.read_record(path, ROLES)
+    monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: time.sleep(60))
+    monkeypatch.setattr("mfd_bayes.records.readers.child.SECONDS", 0.2)
+    with pytest.raises(mb.MfdError, match=r"a\.mat takes more than 0\.2 s to read"):
+        mb.read_record(path, ROLES)

@@ -7,6 +7,7 @@ numbers and texts come back.
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import json
 import os
 import select
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -74,10 +76,13 @@ _LESS = "save only the test's own columns, or as .csv"
 def _forked(read: Callable[[Path], Content], path: Path) -> bytes | None:
     """What a copy of this process writes, which has the libraries already; None if it is late."""
     source, target = os.pipe()
-    pid = os.fork()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about threads of other libraries, which wait
+        pid = os.fork()
     if not pid:
         try:
             os.close(source)
+            faulthandler.disable()
             serve(read, path, target)
         finally:
             os._exit(0)
