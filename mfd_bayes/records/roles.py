@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from unicodedata import normalize
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table
@@ -38,8 +39,11 @@ def header_unit(name: str) -> str | None:
     None where the name has one part. The last part may be no unit: ``"force"`` of
     ``"axial_force"``.
     """
+    name = normalize("NFKC", name)  # as the brackets of a Japanese keyboard, and ㎜
     match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
-    return match[1].strip().replace("_per_", "/") if match else None
+    if match is None or match[1].strip(" :,;0123456789") == "" != match[1].strip():  # "log(:,1)"
+        return None
+    return match[1].strip().replace("_per_", "/")
 
 
 def stated_unit(name: str, row: str = "") -> str | None:
@@ -49,6 +53,7 @@ def stated_unit(name: str, row: str = "") -> str | None:
     """
     if bare_unit(row):
         return bare_unit(row)
+    name = normalize("NFKC", name)
     for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
         text = bare_unit(square or round_ or angle)
         if not re.search(r"[^\W\d_]|[%°]", text) or text.lower() in _REMARKS:

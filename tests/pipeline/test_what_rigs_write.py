@@ -575,6 +575,38 @@ def test_bad_cells_outside_the_window_are_left_out_of_every_format(tmp_path, for
             mb.read_record(path, roles, units, fit=window)
 
 
+# Names as other keyboards and MATLAB write them
+
+
+@pytest.mark.parametrize("encoding", ["cp932", "utf-8"])
+@pytest.mark.parametrize(
+    "head", ["時間（s）,変位（mm）,荷重（N）", "時間［s］,変位［㎜］,荷重［N］"]
+)
+def test_wide_brackets_and_unit_signs_are_read(tmp_path, encoding, head):
+    write(tmp_path / "a_5bar.csv", head, loops())
+    path = tmp_path / "a_5bar.csv"
+    path.write_bytes(path.read_text(encoding="utf-8").encode(encoding))
+    said, _, seen = drafted(tmp_path)
+    assert "FIXME" not in said
+    assert "displacement -12 to 12 mm" in seen
+
+
+def test_a_comment_of_names_and_one_of_units(tmp_path):
+    rows = "".join(f"{t:.3f} {x:.4f} {f:.2f}\n" for t, x, f in zip(*loops(), strict=True))
+    (tmp_path / "a_5bar.dat").write_text("% Time Disp Force\n% s mm N\n" + rows)
+    _, text, seen = drafted(tmp_path)
+    assert 'displacement = { name = "Disp", unit = "mm" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_a_column_of_a_matrix_has_no_unit_in_its_name(tmp_path):
+    time, x, force = loops()
+    savemat(tmp_path / "a_5bar.mat", {"t_s": time, "data": np.column_stack([x, force])})
+    command("init", tmp_path)
+    said = command("inspect", tmp_path / "campaign.toml", code=2)
+    assert "has no unit in its name; give the unit of displacement" in said
+
+
 # Binary files are read in another process
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +166,7 @@ def _numbered(table: Table, guess: Guess) -> Guess:
 
 def unit_of(table: Table, name: str, role: str) -> str | None:
     """Unit of a column for a role, from its name or the file's row of units; None if unknown."""
-    own = own_name(name)
+    own = normalize("NFKC", own_name(name))
     candidates = [m[1] for m in (p.search(own) for p in (_BRACKETS, _SUFFIX, _BEHIND)) if m]
     candidates += [table.units.get(name, ""), own.strip()]
     for text in candidates:
@@ -228,7 +229,7 @@ def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
 
 def _score(table: Table, name: str, role: str) -> float:
     """Score of a column's name and unit for a role; 0 where it cannot have the role."""
-    plain = _BRACKETS.sub("", own_name(name))
+    plain = _BRACKETS.sub("", normalize("NFKC", own_name(name)))
     words = re.findall(r"[a-z]+", _CAMEL.sub(" ", plain).lower())
     own = max((_WORDS[role].get(word, 0) for word in words), default=0)
     others = [known.get(w, 0) for r, known in _WORDS.items() if r != role for w in words]
@@ -247,7 +248,7 @@ def _score(table: Table, name: str, role: str) -> float:
 
 def _measures_else(table: Table, name: str, role: str) -> bool:
     """Whether the unit of a column is that of another role."""
-    match = _BRACKETS.search(own_name(name))
+    match = _BRACKETS.search(normalize("NFKC", own_name(name)))
     stated = match[1] if match else table.units.get(name, "")
     return bool(stated) and any(
         _measures(stated, kind)

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ def own_name(name: str) -> str:
 
 def bare_unit(text: str) -> str:
     """Unit without brackets: ``"kN"`` of ``"[kN]"``; empty for a dash."""
-    return text.strip().strip("[](){}<>-–— ")
+    return normalize("NFKC", text).strip().strip("[](){}<>-–— ")
 
 
 def as_number(cell: Cell, decimal: str = ".") -> float:

@@ -143,19 +143,17 @@ def _layout(path: Path, head: list[str]) -> tuple[str, list[Row], Layout]:
         if separator != BLANKS:
             check_names(path, [""] * max(map(len, rows)))
         layout = find_table(Grid(path, str(path), rows, ()), exact=separator != BLANKS)
-        if layout is None:
-            continue
-        if separator == BLANKS and layout.names is not None:
+        while separator == BLANKS and layout is not None and layout.names is not None:
             # Words with single blanks between them are names only where each has a column.
             spaced = re.split(r"\s{2,}|\t", head[layout.names].strip())
             if len(spaced) == len(rows[layout.data]):
                 rows[layout.names] = spaced
-            if len(rows[layout.names]) != len(rows[layout.data]):
-                rows = [row if k != layout.names else () for k, row in enumerate(rows)]
-                layout = find_table(Grid(path, str(path), rows, ()), exact=True)
-                if layout is None:
-                    continue
-        found.append((separator, rows, layout))
+            if len(rows[layout.names]) == len(rows[layout.data]):
+                break
+            rows[layout.names] = ()
+            layout = find_table(Grid(path, str(path), rows, ()))
+        if layout is not None:
+            found.append((separator, rows, layout))
     if found:
         return max(found, key=lambda f: (f[2].names is not None, f[2].weight, f[2].count))
     separator = next((sign for sign in SEPARATORS[:-1] if sign in head[0]), ",")
