@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.lugre import LuGre
     from mfd_bayes.friction.three_stage import ThreeStage
-    from mfd_bayes.planning.advice import Advice
     from mfd_bayes.planning.candidate import Candidate, Limits
     from mfd_bayes.planning.goal import Goal
+    from mfd_bayes.planning.study import Advice
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.population.follow import Forecaster
+    from mfd_bayes.population.given import Forecaster
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
     from mfd_bayes.reporting.notebook import open_run
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
-    "Advice": "mfd_bayes.planning.advice",
+    "Advice": "mfd_bayes.planning.study",
     "Band": "mfd_bayes.population.bands",
     "BacklashLuGre": "mfd_bayes.friction.backlash",
     "BoucWen": "mfd_bayes.friction.bouc_wen",
@@ -34,7 +34,7 @@ _HOMES = {
     "Draws": "mfd_bayes.calibration.sampling",
     "Goal": "mfd_bayes.planning.goal",
     "Limits": "mfd_bayes.planning.candidate",
-    "Forecaster": "mfd_bayes.population.follow",
+    "Forecaster": "mfd_bayes.population.given",
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
     "ModelAverage": "mfd_bayes.runs.average",

@@ -55,7 +55,7 @@ def taken_up(theta: Array, trace: Trace) -> Array:
     force, x = MODEL.force(theta, trace)[:, last], trace.displacement[last]
     low, high = spring.deflection(force[:, [0, -1]].T)
     between = low + (high - low) * np.linspace(0.0, 1.0, 41)[:, None]
-    held = np.trapezoid(spring.force(between), between, axis=0)
+    held = np.trapezoid(spring.evaluate(between)[0], between, axis=0)
     work = np.trapezoid(force, x, axis=1) - held
     return work / (np.abs(force).max(axis=1) * np.abs(np.diff(x)).sum())
 

@@ -1,6 +1,6 @@
 """The backlash model as users of other tools would write it, step by step, to race against ours.
 
-Both take the same short steps of the motion (`course.cut`) by the same two-point rule, and solve
+Both take the same short steps of the motion (`backlash.cut`) by the same two-point rule, and solve
 each step by Newton's method before the next: numba in scalar loops, JAX in a scan over the steps
 with all vectors at once and as many of Newton's steps as numba needs at most on this motion.
 """

@@ -36,7 +36,7 @@ import numpy as np
 from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.assessment.design import DesignRow, design_rows
-from mfd_bayes.calibration.derived import derive_from_force
+from mfd_bayes.calibration.cycles import derive_from_force
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign

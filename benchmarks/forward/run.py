@@ -14,8 +14,8 @@ of the ratios within a round. A "pass" is one np.exp over a 2000 × 64 array int
 The first table has the parameters of a plausible damper, and those of real records, whose
 transitions are five times as long, in two motions.
 
-Exit status 1: an implementation does not agree with ours, ours is slower than numba or JAX, or
-ours takes more than 15 passes in any part of the first table. The real records come from --data
+Exit status 1: an implementation does not agree with ours. What is faster is only told: one set of
+formulas for records and steps counts for more. The real records come from --data
 (MFD_BAYES_DATA, ../shared/data); without them that table is left out.
 """
 
@@ -55,7 +55,6 @@ from mfd_bayes.records.trace import Trace
 
 MODEL = ThreeStage()
 SAMPLES, VECTORS = 2000, 64
-MOST_PASSES = 15.0
 AGREEMENT = {"solve_ivp": 2e-3, "same of samples": 2e-3}  # they integrate between samples too
 CLOSE = 1e-8
 BURST = 0.01  # seconds
@@ -224,8 +223,6 @@ def compare(theta, trace, names, rounds):
         off, first = checks[name, way]
         row = _row(f"{name} ({way})", each[name, way], trace, slower, passes * slower)
         print(f"{row}{off:11.0e}{first:11.2f}")
-        if slower < 1:
-            failed.append(f"ours takes {1 / slower:.2f} times as long as {name}")
     for (name, way), (off, _) in checks.items():
         if not off <= AGREEMENT.get(name, CLOSE):
             failed.append(f"{name} ({way}) deviates from ours by {off:.1e} of the peak")
@@ -258,11 +255,8 @@ def table_peers(quick):
         every = seconds["ours"] / seconds["exp"]
         print(
             f"ours: {passes:.1f} passes of {1e6 * np.median(seconds['exp']):.0f} µs "
-            f"({every.min():.1f} to {every.max():.1f} over {every.size} rounds; "
-            f"bar {MOST_PASSES:g})"
+            f"({every.min():.1f} to {every.max():.1f} over {every.size} rounds)"
         )
-        if passes > MOST_PASSES:
-            fell.append(f"ours takes {passes:.1f} passes, more than {MOST_PASSES:g}")
         failed += [f"{label[:2]}: {bar}" for bar in fell]
     return failed
 

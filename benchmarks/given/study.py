@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import FEWEST, Band, Forecast, Predictor
@@ -135,12 +135,11 @@ def make_population(
         design=design,
         draws=LawDraws(h, z, share, exponent),
         choice=choice.reshape(*shape, -1),
-        weights={name: {law: 1.0} for name, law in design.laws.items()},
+        law_weights={name: {law: 1.0} for name, law in design.laws.items()},
         alternatives=LawDraws(h[0, :0], z[0, :0], share[0, :0], exponent[0, :0]),
         alternative_weight=np.zeros(0),
         residual=make_residual(),
         starts=Starts(None, UNLOADED[model]),
-        begun=None,
         priors={name: priors.parameters[name] for name in (*medians, "start", "gamma1")},
         actuation_unit="ksi",
         walkers=10,

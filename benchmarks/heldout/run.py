@@ -14,9 +14,8 @@ calibrates the sessions of the band brake and predicts what was left out:
 
 The calibrated runs stay in out_heldout/, so that a second run does not sample them again; delete
 the folder when records or code have changed. --noise staged shows what the stages of the noise are
-worth, --dependence travel whether it helps that slip force falls after a turn. For comparison
-LuGre alone is fitted to each record by least squares. Exit status 1: a limit was missed. The real
-records come from --data (MFD_BAYES_DATA, ../shared/data).
+worth. For comparison LuGre alone is fitted to each record by least squares. Exit status 1: a limit
+was missed. The real records come from --data (MFD_BAYES_DATA, ../shared/data).
 """
 
 from __future__ import annotations
@@ -278,7 +277,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--model", default="three_stage", help="of the force, as in a campaign file"
     )
-    dependence = "of friction, as in a campaign file: such as travel velocity"
+    dependence = "of friction, as in a campaign file: such as velocity"
     parser.add_argument("--dependence", nargs="+", default=[], help=dependence)
     parser.add_argument("--one-level", action="store_true", help="the 36 lb session alone")
     parser.add_argument("--kinds", action="store_true", help="kinds of motion left out, alone")

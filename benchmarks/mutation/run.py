@@ -38,7 +38,7 @@ Kept = dict[tuple[str, str, int, str], Outcome]
 FOLDERS = ("tests/friction", "tests/population", "tests/calibration")
 TARGETS = (
     *("mfd_bayes/friction/*.py", "mfd_bayes/population/*.py"),
-    *("mfd_bayes/calibration/noise.py", "mfd_bayes/calibration/staged_noise.py"),
+    "mfd_bayes/calibration/noise.py",
 )
 COPIED = ("mfd_bayes", "tests", "priors", "pyproject.toml", "README.md", "LICENSE")
 

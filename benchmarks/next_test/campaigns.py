@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.planning.advice import Advice
-from mfd_bayes.planning.candidate import Candidate, Limits
+from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of
 from mfd_bayes.planning.goal import Goal, parse_goal
-from mfd_bayes.planning.grid import tested_of
-from mfd_bayes.planning.study import Effort, Situation, advise, goals_of
+from mfd_bayes.planning.study import Advice, Effort, Situation, advise, goals_of
 from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.population.population import Population
 from mfd_bayes.records.harmonic import Harmonic
@@ -116,7 +114,7 @@ def calibrated(traces: Sequence[Trace], seed: int) -> Campaign:
     tests = {f"t{k}": _test(trace, priors) for k, trace in enumerate(traces)}
     settings = InferenceSettings(LAWS, "ksi", "quick", (seed, 0))
     population = infer_population(tests, priors, settings).population
-    done = tuple(tested_of(trace) for trace in traces)
+    done = tuple(harmonic_of(trace) for trace in traces)
     some = next(iter(tests.values())).posterior
     situation = Situation(population, some.model, some.noise, done, ("",) * len(done))
     return Campaign(dict(zip(tests, traces, strict=True)), population, situation)

@@ -23,9 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.planning.candidate import Limits
+from mfd_bayes.planning.candidate import Limits, harmonic_of
 from mfd_bayes.planning.goal import Goal, parse_goal
-from mfd_bayes.planning.grid import tested_of
 from mfd_bayes.planning.study import Effort, Situation, advise, goals_of
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
@@ -50,7 +49,7 @@ def situation(run: Run, names: Iterable[str], seed: int) -> Situation:
     settings = replace(run.manifest.settings.inference("quick", (23, seed)), sessions={})
     population = infer_population(tests, run.priors, settings).population
     some = next(iter(tests.values())).posterior
-    done = tuple(tested_of(test.trace) for test in tests.values())
+    done = tuple(harmonic_of(test.trace) for test in tests.values())
     return Situation(population, some.model, some.noise, done, ("",) * len(done))
 
 
@@ -80,7 +79,7 @@ def study(run: Run, known: tuple[int, ...]) -> None:
         level: next(n for n in run.tests if tension(run, n) == level and "0.50Hz" in n)
         for level in others
     }
-    candidates = {level: tested_of(run.tests[name].trace) for level, name in records.items()}
+    candidates = {level: harmonic_of(run.tests[name].trace) for level, name in records.items()}
     advice = advise(before, goal, list(candidates.values()), Limits(), Effort(2000, 0))
     width = width_of(before, goal)
     print(f"\nknown: {' and '.join(map(str, known))} lbf, {len(names)} tests; goal {goal.quantity}")

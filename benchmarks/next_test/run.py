@@ -25,8 +25,7 @@ import numpy as np
 
 import mfd_bayes as mb
 from benchmarks.common.machine import load, platform_line, print_bars, processor, versions
-from mfd_bayes.planning.gain import Gain, Goals, gain_of
-from mfd_bayes.planning.regression import directions_of, fit_left_out
+from mfd_bayes.planning.information_gain import Gain, Goals, directions_of, fit_left_out, gain_of
 
 CASES, DRAWS = 20, 200_000
 """With 30,000 draws a small information has a standard error of 2.5 %, too much to judge 3 %."""

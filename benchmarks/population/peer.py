@@ -68,7 +68,7 @@ class Layout:
     def begin(self, rng):
         """A start: levels where the Gaussians of the tests have them, the rest about that."""
         mixed = self.joint.mixed
-        near = mixed.mode(_chosen(self.ours))[None]
+        near = mixed.of_numbers(mixed.mode(_chosen(self.ours))[None])
         z = mixed.marginal(near, _chosen(self.ours)[None])[1].mean[0]
         followers = {f"deviation {g}": (len(m), 3) for g, m in FOLLOWERS.items()}
         scatter_sd = self.ours.scatter_sd[self.free]

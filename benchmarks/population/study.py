@@ -17,9 +17,9 @@ from benchmarks.sbc.study import narrow_priors
 from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.quantities import intervals_of
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import WIDER, Design, design_of
 from mfd_bayes.population.exact import CHAINS, ExactSampler
@@ -27,7 +27,7 @@ from mfd_bayes.population.exact import Draws as JointDraws
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 
@@ -272,10 +272,10 @@ def fit_campaign(campaign: Campaign, priors: PriorFile, draws: Sequence[Draws]) 
     common = np.zeros(start.shape[1], dtype=bool)
     common[:d] = design.common
     fit = fit_jointly(likelihoods, np.clip(start, -6.0, 6.0), common)
-    pairs = [without(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
+    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
     y, precision = (np.array(part) for part in zip(*pairs, strict=True))
     mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
-    mixed.set_apart(_choice(design, 1)[0])
+    mixed.find_outliers(_choice(design, 1)[0])
     return Joint(fit, mixed, own)
 
 
@@ -284,8 +284,7 @@ def draw_jointly(study: Study, joint: Joint, wider: float = 1.0) -> JointDraws:
     mixed, rng = joint.mixed, np.random.default_rng([study.seed, 2])
     if wider != 1.0:
         design = replace(mixed.design, scatter_sd=wider * mixed.design.scatter_sd)
-        weight, mixed = mixed.weight, MixedModel(design, mixed.y, mixed.p)
-        mixed.weight = weight
+        mixed = MixedModel(design, mixed.y, mixed.p, mixed.weight)
     choice, effort = _choice(mixed.design, CHAINS * WALKERS), study.joint
     pool = [mixed.sample(choice[0], rng, 8000)] * len(choice)
     sampler = ExactSampler(mixed, joint.fit, joint.own, choice, pool, rng)

@@ -10,8 +10,8 @@ from scipy import special, stats
 
 from benchmarks.sampling.reference import find_posterior
 from mfd_bayes.calibration.diagnostics import measure
-from mfd_bayes.calibration.map_fit import find_modes
-from mfd_bayes.calibration.starts import around_modes, disperse
+from mfd_bayes.calibration.modes import around_modes, find_modes
+from mfd_bayes.calibration.proposal import Adaptive
 
 ESS, R_HAT = 400.0, 1.01
 """When a person may stop waiting: of every coordinate."""
@@ -83,9 +83,9 @@ class Problem:
         """Points around the modes from which ours begins, (n, dim); they cost nothing."""
         before = self.spent
         modes = find_modes(self.posterior, np.random.default_rng(seed))
-        found = disperse(
-            self.posterior.log_prob, around_modes(modes, 1.0), n, np.random.RandomState(seed)
-        )
+        rng = np.random.default_rng(seed)
+        drawn = Adaptive(self.posterior.log_prob, around_modes(modes), rng, 4 * n).run()
+        found = drawn.q[rng.choice(len(drawn.q), n, p=drawn.weights)]
         self.paused += self.spent - before
         return found
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-
-from mfd_bayes.friction.banks.gaps import Gaps, Places, blended, turned
+from scipy.special import expit
 
 Array = NDArray[np.float64]
 RTOL = 1e-9
@@ -101,17 +100,50 @@ def _bristles(o: Oscillator, row: Array, change: Any = None, rest: float = 0.0) 
     return flow, force
 
 
+class Gap:
+    """The gap of the three stages by the words of their rules: a play with memory of its side."""
+
+    def __init__(self, row: Array, direction: float, start: float):
+        self.k2, self.k3, self.d2 = row[7:10]
+        self.width, self.ell = row[9] + row[10], row[12] / row[11]
+        self.side, self.carry = direction, 0.0
+        self.edge = -(start if direction > 0 else 1.0 - start) * self.width
+
+    def force(self, x: Array, slip: Array) -> Array:
+        """Force of the three stages, blended in turn, where that of slip is known; kip."""
+        u = self.side * (x - self.edge - (self.width if self.side < 0 else 0.0))
+        found = slip
+        for share, stage in (
+            (np.tanh(0.5 * np.maximum(u, 0.0) / self.ell), self.side * self.k2 * u),
+            (
+                expit((u - self.d2) / self.ell),
+                self.side * (self.k2 * self.d2 + self.k3 * (u - self.d2)),
+            ),
+            (expit((u - self.width) / self.ell), slip),
+        ):
+            found = (1.0 - share) * found + share * stage
+        return found + self.carry * (1.0 - np.tanh(0.5 * np.abs(u) / self.ell))
+
+    def turn(self, x: float, direction: float, slip: float) -> None:
+        """Turn at a place into a direction; what the force would jump by is carried on."""
+        edge = min(max(self.edge, x - self.width), x)
+        slipped = edge in (x, x - self.width)
+        before = self.force(np.array(x), np.array(slip))
+        self.edge = edge
+        if slipped:
+            self.side, self.carry = direction, 0.0
+            self.carry = float(before - self.force(np.array(x), np.array(slip)))
+
+
 def three_stage(o: Oscillator, row: Array, start: float) -> tuple[float, float]:
     """Largest travel and force of the three stages: from one turn of the motion to the next."""
-    names = ("k2", "k3", "d2", "d3", "gamma1", "gamma2")
-    gaps = Gaps.of({name: row[[7 + i]] for i, name in enumerate(names)})
     own = row[[0, 1, 2, 3, 4, 5, 6, 13]]
     direction = -1.0 if o.ground[np.flatnonzero(o.ground)[0]] > 0 else 1.0
-    places = Places.begun(gaps, np.zeros(1), np.array([direction]), np.array([start]))
-    rest = float(blended(gaps, places, np.zeros(1), np.zeros(1))[0])
+    gap = Gap(row, direction, start)
+    rest = float(gap.force(np.zeros(()), np.zeros(())))
     t, y, top = 0.0, np.zeros(3), [0.0, 0.0]
     while t < o.end - 1e-12:
-        flow, force = _bristles(o, own, _blend(gaps, places), rest)
+        flow, force = _bristles(o, own, gap.force, rest)
 
         def turn(t: float, y: Array, way: float = direction) -> float:
             return float(way * y[1])
@@ -120,21 +152,10 @@ def three_stage(o: Oscillator, row: Array, start: float) -> tuple[float, float]:
         found = _solved(flow, o, y, t, turn)
         top = [max(a, b) for a, b in zip(top, _peaks(found, force), strict=True)]
         t, y = float(found.t[-1]), found.y[:, -1]
-        slip = np.array([own[0] * y[2]])  # at rest: no rate, no viscous force
         direction = -direction
-        places = turned(gaps, places, y[:1], np.array([direction]), slip)
+        gap.turn(float(y[0]), direction, float(own[0] * y[2]))  # at rest: no viscous force
         y = np.array([y[0], 1e-9 * direction, y[2]])
     return top[0], top[1]
-
-
-def _blend(gaps: Gaps, places: Places) -> Any:
-    def change(x: Array, slip: Array) -> Array:
-        x, slip = np.atleast_1d(x), np.atleast_1d(slip)
-        many = Places(*(np.broadcast_to(c, x.shape) for c in places))
-        wide = Gaps(*(np.broadcast_to(c, x.shape) for c in vars(gaps).values()))
-        return blended(wide, many, x, slip)
-
-    return change
 
 
 def _solved(flow: Any, o: Oscillator, y: Array, begin: float = 0.0, event: Any = None) -> Any:

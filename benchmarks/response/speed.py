@@ -21,16 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.response import opensees
-from benchmarks.response.cases import GRAVITY, three_stage_row
+from benchmarks.response.cases import three_stage_row
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.response.analysis import Analysis
-from mfd_bayes.response.building import Building, Device
-from mfd_bayes.response.damping import damping_matrix
-from mfd_bayes.response.devices import Dampers
+from mfd_bayes.response.building import Building, building_of
+from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground, read_ground
-from mfd_bayes.response.modes import modes_of
-from mfd_bayes.response.schema import Damping, Limits
-from mfd_bayes.response.structures import Skeleton
+from mfd_bayes.response.schema import Content
 
 SOME = 10
 WEIGHTS = (100.0, 100.0, 100.0, 100.0, 100.0, 50.0)
@@ -38,18 +35,12 @@ WEIGHTS = (100.0, 100.0, 100.0, 100.0, 100.0, 50.0)
 
 def six_storeys() -> Building:
     """The public building, with a damper in each storey."""
-    drifts = np.eye(6) - np.eye(6, k=-1)
-    mass, springs = np.diag(WEIGHTS) / GRAVITY, np.full(6, 326.32)
-    frame = Skeleton(
-        *(mass, drifts.T @ np.diag(springs) @ drifts, 0 * mass, np.ones(6), drifts),
-        *(np.full(6, 144.0), np.full(6, np.inf), springs),
-    )
-    damping = damping_matrix(Damping(), frame, modes_of(mass, frame.stiffness), "")
-    devices = tuple(Device(f"storey {i}", i, i - 1, 1.0, "ksi") for i in range(1, 7))
-    return Building(
-        *("six storeys", mass, damping, frame.stiffness, frame.influence, drifts),
-        *(frame.heights, frame.yields, springs, devices, Limits()),
-    )
+    storey = {"stiffness": "326.32 kip/in", "height": "144 in"}
+    content = {
+        "storey": [storey | {"weight": f"{weight} kip"} for weight in WEIGHTS],
+        "damper": [{"storey": i, "actuation": "1 ksi"} for i in range(1, 7)],
+    }
+    return building_of(Content.model_validate(content), Path("six storeys"))
 
 
 def dampers(draws: int, seed: int = 1) -> Dampers:
@@ -71,7 +62,7 @@ def main(draws: int, jobs: int, record: Path, python: str | None = None) -> None
     print(f"processor {spent:.0f} s, so {spent / 2:.0f} s on two cores; clock {clock:.0f} s")
     print(f"all of it: without dampers and with plain friction too; load {os.getloadavg()[1]:.1f}")
     steps, count = np.unique(found.steps.round(6), return_counts=True)
-    print(f"last step, s: draws  {dict(zip(steps.tolist(), count.tolist(), strict=True))}")
+    print(f"shortest step, s: draws  {dict(zip(steps.tolist(), count.tolist(), strict=True))}")
     print(f"not settled within 1 %: {int(found.unsettled.sum())}; ran away: {found.unstable.sum()}")
     print(f"largest energy not accounted for: {found.imbalance.max():.1e} of the input")
     if python is not None:

@@ -40,8 +40,8 @@ import scipy
 
 from benchmarks.common.data import add_data_option
 from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
-from mfd_bayes.calibration.map_fit import find_modes
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.modes import find_modes
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.record import read_record

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval, ScoreRow
-from mfd_bayes.calibration.derived import full_strokes
+from mfd_bayes.calibration.cycles import full_strokes
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.population.bands import Band
 from mfd_bayes.records.trace import Trace

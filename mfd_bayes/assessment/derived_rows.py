@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.assessment.bands import spread_of
 from mfd_bayes.assessment.views import DerivedRow
-from mfd_bayes.calibration.derived import (
+from mfd_bayes.calibration.cycles import (
     UNITS,
     derive_from_force,
     derive_from_parameters,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.derived import UNITS, derive_from_force, derive_from_parameters
+from mfd_bayes.calibration.cycles import UNITS, derive_from_force, derive_from_parameters
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from mfd_bayes.planning.advice import Advice, Row, Together
-from mfd_bayes.planning.candidate import Candidate
+from mfd_bayes.planning.candidate import Candidate, typical_of
 from mfd_bayes.planning.goal import AT_MOTIONS, GAP
-from mfd_bayes.planning.grid import typical_of
-from mfd_bayes.planning.study import CURVE, TOGETHER
+from mfd_bayes.planning.study import CURVE, TOGETHER, Advice, Row, Together
 from mfd_bayes.runs.systems import System
 
 LITTLE = 0.01

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.assessment.views import NOISE, Check, NoiseRow, Row, TestView
-from mfd_bayes.calibration.noise_check import HALF, Bounds, moves, quantiles_of
+from mfd_bayes.calibration.noise_sensitivity import HALF, Bounds, moves, quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.runs.findings import Finding

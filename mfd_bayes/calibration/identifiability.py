@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import effective_size
-from mfd_bayes.calibration.directions import Directions, find_directions
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
 
@@ -26,8 +25,51 @@ TRADE_OFF = 0.7
 CONFLICT = "possible prior–data conflict"
 PRIOR_LED = "strong prior or weak data"
 
-_SCALING = 1.01
+SCALING = 1.01
 """Power α to which the prior or likelihood is raised; 1/α is used too."""
+
+
+LOADED, CARRIERS = 0.1, 3
+"""Least share of a direction's squared length for a parameter to carry it; most that are named."""
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Combinations of parameters, ordered by how much the data say about them.
+
+    Attributes
+    ----------
+    curvature : (dim,)
+        Curvature of the log likelihood along each direction in prior units: the precision
+        that the data add, as a multiple of the prior's; largest first.
+    axes : (dim, dim)
+        Unit vectors in prior units, one column for each direction.
+    limit : float
+        Curvature from which a direction is informed: 1, or more where so few draws show more
+        than 1 by chance.
+    """
+
+    names: tuple[str, ...]
+    curvature: Array
+    axes: Array
+    limit: float = 1.0
+
+    @property
+    def informed(self) -> int:
+        """Number of directions about which the data say more than the prior."""
+        return int(np.sum(self.curvature > self.limit))
+
+    @property
+    def narrowing(self) -> Array:
+        """Ratio of prior to posterior width along each direction, (dim,)."""
+        times: Array = np.sqrt(1.0 + self.curvature)
+        return times
+
+    def carriers(self, direction: int) -> tuple[str, ...]:
+        """Parameters that contribute most to a direction, strongest first, at most three."""
+        share = self.axes[:, direction] ** 2
+        order = np.argsort(-share)[:CARRIERS]
+        return tuple(self.names[i] for i in order if share[i] >= LOADED)
 
 
 @dataclass(frozen=True)
@@ -114,17 +156,67 @@ def identify(
     draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names])
     width = np.array([posterior.priors[n].coordinate(prior[n]).std() for n in names])
     flat = draws.reshape(len(names), -1).T
+    size = np.min(np.nan_to_num([effective_size(coordinate) for coordinate in draws], nan=0.0))
     return Identifiability(
-        directions=find_directions(names, width, flat, _effective(draws)),
+        directions=find_directions(names, width, flat, float(size)),
         pairs=find_pairs(names, flat),
         sensitivities=measure_sensitivity(names, draws, log_prior, log_likelihood),
     )
 
 
-def _effective(draws: Array) -> float:
-    """Smallest effective sample size of the coordinates, from draws (dim, chain, draw)."""
-    sizes = [effective_size(coordinate) for coordinate in draws]
-    return float(np.min(np.nan_to_num(sizes, nan=0.0)))
+def find_directions(
+    names: tuple[str, ...], prior_sd: Array, draws: Array, size: float = np.inf
+) -> Directions:
+    """Directions that the data inform, from the covariance of posterior draws.
+
+    With prior covariance C0 = diag(prior_sd²) and posterior covariance C, the likelihood's
+    curvature in prior units is H = C0^½ C⁻¹ C0^½ − I, and its eigenvectors are the directions
+    that the data inform (Spantini et al., SIAM J. Sci. Comput. 37, 2015; Cui et al., Inverse
+    Problems 30, 2014). That is exact for a linear model with Gaussian prior and noise.
+    Otherwise it holds for the Gaussian with the posterior's covariance: it describes the whole
+    posterior, where derivatives at a mode describe one point. A negative eigenvalue means a
+    posterior wider than its prior.
+
+    Parameters
+    ----------
+    prior_sd : (dim,)
+        Standard deviations of the coordinates, which are independent under the prior.
+    draws : (n, dim)
+        Posterior draws of the coordinates.
+    size : float
+        How many independent draws they are worth, if fewer than n.
+    """
+    covariance = np.atleast_2d(np.cov(draws / prior_sd, rowvar=False))
+    variances, axes = np.linalg.eigh(covariance)  # smallest first: best known first
+    curvature = 1.0 / np.maximum(variances, np.finfo(float).tiny) - 1.0
+    limit = least_curvature(len(names), min(size, len(draws)))
+    return Directions(names, np.asarray(curvature), np.asarray(axes), limit)
+
+
+def least_curvature(dim: int, size: float) -> float:
+    """Curvature that a sample must show before a direction counts as informed.
+
+    The smallest eigenvalue of the covariance of few draws is too small. With γ = dim/n, and a true
+    variance of 1 in all directions but one, of λ there, a sample shows λ (1 − γ/(1 − λ)) if λ is
+    below 1 − √γ, and cannot tell it from the Marchenko–Pastur edge (1 − √γ)² of the others if not
+    (Baik and Silverstein, J. Multivar. Anal. 97, 2006). Here λ = ½, a curvature of 1. Chance
+    moves the edge by about n^(−2/3) (Tracy and Widom): twice that is kept clear of it.
+
+    Parameters
+    ----------
+    dim : int
+    size : float
+        Number n of independent draws that the draws are worth.
+    """
+    share = dim / max(size, 1e-9)
+    if share >= 1.0:
+        return np.inf
+    edge = (1.0 - np.sqrt(share)) ** 2
+    step = (1.0 - np.sqrt(share)) ** (4.0 / 3.0) * share ** (-1.0 / 6.0) * size ** (-2.0 / 3.0)
+    clear = max(edge - 2.0 * step, 0.0)
+    shown = 0.5 * (1.0 - 2.0 * share) if share < 0.25 else edge
+    smallest = min(shown, clear)
+    return float(1.0 / smallest - 1.0) if smallest > 0.0 else np.inf
 
 
 def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:
@@ -175,7 +267,7 @@ def measure_sensitivity(
     found = []
     for name, own in zip(names, draws, strict=True):
         distance = cjs_distance(own.reshape(-1), np.concatenate(rolled))
-        speed = distance.reshape(chains, 2, 2).mean(axis=2) / np.log2(_SCALING)
+        speed = distance.reshape(chains, 2, 2).mean(axis=2) / np.log2(SCALING)
         chance = np.mean(speed[1:] ** 2, axis=0)
         prior, likelihood = np.sqrt(np.maximum(speed[0] ** 2 - chance, 0.0))
         limits = np.maximum(SENSITIVE, 2.0 * np.sqrt(chance))
@@ -185,7 +277,7 @@ def measure_sensitivity(
 
 def _scaled_weights(log_density: Array) -> Array:
     """Weights of draws where a density is raised to α and to 1/α, (2, chain, draw)."""
-    powers = np.array([_SCALING, 1.0 / _SCALING]) - 1.0
+    powers = np.array([SCALING, 1.0 / SCALING]) - 1.0
     log_weights = powers[:, None, None] * (log_density - log_density.mean())
     weights: Array = np.exp(log_weights - log_weights.max(axis=(1, 2), keepdims=True))
     return weights

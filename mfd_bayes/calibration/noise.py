@@ -1,14 +1,20 @@
-"""Noises: the density of what the force model leaves over, and draws of it."""
+"""Noises: the density of what the force model leaves over, and draws of it.
+
+A noise has a marginal standard deviation and a correlation of neighbours that may change along the
+record; its innovations are independent. A new one is a class and an entry in `NOISES`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from mfd_bayes.errors import FitError
 from mfd_bayes.friction.quantity import Quantity
 
 Array = NDArray[np.float64]
@@ -16,11 +22,27 @@ Values = Mapping[str, Array]
 
 LOG_2PI = float(np.log(2 * np.pi))
 
+PIECE = 1 << 15
+"""Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
+
 SD = Quantity("noise_sd", "force", "s", "s", "standard deviation of the noise")
 TIME = Quantity("noise_time", "time", r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise")
 DOF = Quantity(
-    *("noise_dof", "dimensionless", r"\nu", "ν", "degrees of freedom of the noise"),
+    "noise_dof",
+    "dimensionless",
+    r"\nu",
+    "ν",
+    "degrees of freedom of the noise",
     pooled=False,
+)
+BUILD = Quantity(
+    "noise_build", "force", "s_b", "s<sub>b</sub>", "added noise where the force builds up"
+)
+FADE = Quantity(
+    "noise_fade", "displacement", r"\lambda", "λ", "slip over which the added noise fades"
+)
+BUILD_TIME = Quantity(
+    "noise_build_time", "time", r"\tau_b", "τ<sub>b</sub>", "correlation time of the added noise"
 )
 
 
@@ -97,9 +119,12 @@ class Noise:
     ) -> Array:
         """Noise records, one for each of the n values, (n, T), kip; see `log_density`."""
         noise = self._innovations(rng, (time.size, values["noise_sd"].size), values)
-        self._correlate(noise, time, values, travel)
-        noise *= values["noise_sd"]
-        return noise.T
+        decay, scale = self.memory(time, values, travel)
+        if np.isfinite(decay[:, 1:]).any():
+            phi, shrink = np.exp(-decay.T), np.sqrt(-np.expm1(-2.0 * decay.T))
+            for k in range(1, time.size):
+                noise[k] = phi[k] * noise[k - 1] + shrink[k] * noise[k]
+        return np.asarray(noise.T * scale)
 
     def memory(
         self, time: Array, values: Values, travel: Array | None = None
@@ -133,9 +158,6 @@ class Noise:
         """Draws of standardised innovations, (T, n)."""
         return rng.standard_normal(shape)
 
-    def _correlate(self, noise: Array, time: Array, values: Values, travel: Array | None) -> None:
-        """Turn innovations (T, n) into noise of standard deviation 1, in place."""
-
 
 class OU(Noise):
     """Stationary Ornstein–Uhlenbeck noise: AR(1), for irregular sampling too."""
@@ -148,15 +170,15 @@ class OU(Noise):
     ) -> tuple[Array, Array]:
         """How much each sample depends on the one before, and its scale; see `Noise.memory`."""
         decay, scale = super().memory(time, values)
-        decay[:, 1:] = 1.0 / values["noise_time"][:, None] * np.diff(time)
+        decay[:, 1:] = np.diff(time) / values["noise_time"][:, None]
         return decay, scale
 
     def _correlation(self, time: Array, values: Values) -> tuple[Array, Array]:
-        ratio = steps_of(time) / values["noise_time"][:, None]
+        steps = np.diff(time)
+        if np.ptp(steps) <= 1e-6 * steps[0]:
+            steps = steps[:1]
+        ratio = steps / values["noise_time"][:, None]
         return np.exp(-ratio), -np.expm1(-2.0 * ratio)
-
-    def _correlate(self, noise: Array, time: Array, values: Values, travel: Array | None) -> None:
-        correlate(noise, *self._correlation(time, values))
 
 
 class StudentT(OU):
@@ -176,21 +198,101 @@ class StudentT(OU):
         self, rng: np.random.Generator, shape: tuple[int, int], values: Values
     ) -> Array:
         dof = values["noise_dof"]
-        noise = rng.standard_normal(shape)
-        noise *= np.sqrt(dof / rng.chisquare(dof, shape))
-        return noise
+        return np.asarray(rng.standard_normal(shape) * np.sqrt(dof / rng.chisquare(dof, shape)))
 
 
-def steps_of(time: Array) -> Array:
-    """Steps in time, (T − 1,), or the one step of uniform sampling, (1,)."""
-    steps = np.diff(time)
-    return steps[:1] if np.ptp(steps) <= 1e-6 * steps[0] else steps
+class Staged(OU):
+    """Ornstein–Uhlenbeck noise of s + s_b h, with a weight h(u) of the travel since the last slip.
+
+    h = clip((u − d2)/d3, 0, 1) exp(−(u − D)₊/λ): it grows from 0 at d2 to 1 at D = d2 + d3, and
+    fades over λ in slip; without a gap it fades from each turn on. The rate of forgetting goes
+    from 1/τ to 1/τ_b with h.
+    """
+
+    name: ClassVar[str] = "staged"
+    quantities: ClassVar[tuple[Quantity, ...]] = (SD, TIME, BUILD, FADE, BUILD_TIME)
+    needs_travel: ClassVar[bool] = True
+
+    def log_density(
+        self, residual: Array, time: Array, values: Values, travel: Array | None = None
+    ) -> Array:
+        """Normalised log density of residuals, (n,); see `Noise.log_density`.
+
+        Time comes first inside, in pieces that stay in the cache.
+        """
+        r, u = residual.T, _needed(travel).T
+        n = r.shape[1]
+        steps = np.diff(time, prepend=np.nan)[:, None]
+        slow = 1.0 / values["noise_time"]
+        faster = 1.0 / values["noise_build_time"] - slow
+        total = -time.size * (np.log(values["noise_sd"]) + 0.5 * LOG_2PI)
+        before = np.zeros(n)
+        length = max(PIECE // n, 8)
+        for begin in range(0, time.size, length):
+            rows = slice(begin, begin + length)
+            weight = _weight(values, u[rows])
+            phi = np.exp(-steps[rows] * (slow + faster * weight))
+            if begin == 0:
+                phi[0] = 0.0  # the first sample remembers nothing
+            shrink = (1.0 - phi) * (1.0 + phi)
+            weight *= values["noise_build"] / values["noise_sd"]
+            weight += 1.0
+            standard = r[rows] / weight
+            phi[1:] *= standard[:-1]
+            phi[0] *= before
+            before = standard[-1].copy()
+            standard -= phi
+            standard *= standard
+            standard /= shrink
+            weight *= weight
+            weight *= shrink
+            total -= 0.5 * (standard.sum(axis=0) / values["noise_sd"] ** 2 + _log_product(weight))
+        return total
+
+    def memory(
+        self, time: Array, values: Values, travel: Array | None = None
+    ) -> tuple[Array, Array]:
+        """How much each sample depends on the one before, and its scale; see `Noise.memory`."""
+        weight = _weight(values, _needed(travel).T).T
+        decay, scale = super().memory(time, values)
+        slow = 1.0 / values["noise_time"][:, None]
+        faster = 1.0 / values["noise_build_time"][:, None] - slow
+        decay[:, 1:] = np.diff(time) * (slow + faster * weight[:, 1:])
+        return decay, scale + values["noise_build"][:, None] * weight
 
 
-def correlate(noise: Array, phi: Array, shrink: Array) -> None:
-    """Make AR(1) noise of its innovations (T, n), in place; φ and 1 − φ² as (n, T − 1)."""
-    samples, n = noise.shape
-    phi, shrink = (np.broadcast_to(a.T, (samples - 1, n)) for a in (phi, shrink))
-    noise[1:] *= np.sqrt(shrink)
-    for k in range(1, samples):
-        noise[k] += phi[k - 1] * noise[k - 1]
+def _needed(travel: Array | None) -> Array:
+    if travel is None:
+        raise FitError("staged noise needs the travel since the last slip")
+    return travel
+
+
+def _weight(values: Values, travel: Array) -> Array:
+    """Weight h of travels u, time first, (T, n)."""
+    gap = "d3" in values
+    weight = (values["d2"] + values["d3"] if gap else 0.0) - travel
+    weight /= values["noise_fade"]
+    np.exp(np.minimum(weight, 0.0, out=weight), out=weight)
+    if gap:
+        risen = (travel - values["d2"]) / np.maximum(values["d3"], 1e-12)
+        weight *= np.clip(risen, 0.0, 1.0, out=risen)
+    return weight
+
+
+def _log_product(factors: Array) -> Array:
+    """Sum of the logarithms of factors (T, n), (n,); of products of eight, to take fewer."""
+    products = np.multiply.reduceat(factors, np.arange(0, len(factors), 8), axis=0)
+    return np.asarray(np.log(products).sum(axis=0))
+
+
+NOISES: Mapping[str, Noise] = MappingProxyType(
+    {noise.name: noise for noise in (OU(), Noise(), StudentT(), Staged())}
+)
+"""Every noise by its name in campaign files."""
+
+
+def find_noise(name: str) -> Noise:
+    """Noise of that name, or a FitError that lists the names that there are."""
+    if not isinstance(name, str) or name not in NOISES:
+        raise FitError(f"unknown noise {name!r}: expected one of {', '.join(NOISES)}")
+    return NOISES[name]

@@ -2,41 +2,63 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.calibration.mask import first_slip
-from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.calibration.noises import find_noise
-from mfd_bayes.calibration.pivot import Pivot, find_pivots
+from mfd_bayes.calibration.noise import Noise, find_noise
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors, priors_of
-from mfd_bayes.calibration.prior_table import PriorTable
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import quantities_of_fit
-from mfd_bayes.calibration.shown import ShownPosterior
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.columns import columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.numbers import real_number, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.store.cards import card, counted
 
 Array = NDArray[np.float64]
 
 AT_ONCE = 1 << 24
 """Points times samples whose forces are computed at once: some 400 MB."""
 
-_UNSAMPLED = MappingProxyType({"gamma1": 1.0, "start": 0.5})
-"""Values where these are not sampled. Every stored test has both, whatever its model."""
+
+@dataclass(frozen=True)
+class Pivot:
+    """Friction at the record's usual speed, sampled in place of kinetic friction.
+
+    A slow test tells F_s, a fast one F_c; F_c (1 + c e), with c the mean of exp(−(v/v_s)²)
+    over the motion and e the excess of static friction, is what either knows best. The
+    logarithms of both differ by log(1 + c e), which depends on e alone: the Jacobian is 1.
+
+    Attributes
+    ----------
+    kinetic, excess : int
+        Columns of q.
+    share : float
+        c.
+    prior : Prior
+        Of the excess.
+    """
+
+    kinetic: int
+    excess: int
+    share: float
+    prior: Prior
+
+    def shift(self, points: Array) -> Array:
+        """Difference between the sampled coordinate and log F_c, log(1 + c e), (n,)."""
+        shift: Array = np.log1p(self.share * self.prior.value(points[:, self.excess]))
+        return shift
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Posterior(ShownPosterior):
+class Posterior:
     """Density of the parameters of one test, given its record (model.md section 5).
 
     Parameters
@@ -46,9 +68,9 @@ class Posterior(ShownPosterior):
     priors : str or PriorFile
         A name such as "brfd", a path, or priors already read.
     noise : str
-        A name in `noises.NOISES`: "ou", "iid", "student_t" or "staged".
+        A name in `noise.NOISES`: "ou", "iid", "student_t" or "staged".
     model : Model or str, optional
-        The three-stage model when left out. The name of one may be followed by "+weakening".
+        The three-stage model when left out.
     start : {"sample", "mask"}
         The place in the gap at the first sample is unknown: it is sampled, or the samples up to
         the first slip are left out of the likelihood.
@@ -97,23 +119,31 @@ class Posterior(ShownPosterior):
         file = priors if isinstance(priors, PriorFile) else load_priors(str(priors))
         found = find_noise(noise)
         wanted = quantities_of_fit(chosen, found, sampled_start=start == "sample")
-        chosen_priors = priors_of(file, wanted)
+        known = priors_of(file, wanted)
         names = tuple(
-            name
-            for name, prior in chosen_priors.items()
-            if not prior.fixed and name not in chosen.keeps_prior
+            name for name, p in known.items() if not p.fixed and name not in chosen.keeps_prior
         )
         values = {
             "trace": trace,
             "model": chosen,
             "noise": found,
-            "priors": chosen_priors,
+            "priors": known,
             "names": names,
-            "pivots": find_pivots(trace, names, chosen_priors),
+            "pivots": _pivots(trace, names, known),
             "first": first_slip(trace, file, chosen) if start == "mask" else 0,
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
+
+    def _repr_html_(self) -> str:
+        trace = self.trace
+        facts = [
+            ("model", self.model.name),
+            ("noise", self.noise.name),
+            ("record", f"{counted(trace.samples, 'sample')} over {np.ptp(trace.time):.4g} s"),
+            ("sampled", f"{self.dim} quantities: {', '.join(self.names)}"),
+        ]
+        return card("Posterior of one test", facts)
 
     @property
     def dim(self) -> int:
@@ -122,13 +152,9 @@ class Posterior(ShownPosterior):
 
     @cached_property
     def _defaults(self) -> dict[str, float]:
-        """Values of what is not part of q."""
-        return _UNSAMPLED | {k: p.figures["value"] for k, p in self.priors.items() if p.fixed}
-
-    @cached_property
-    def _table(self) -> PriorTable:
-        """Priors of the columns of q."""
-        return PriorTable([self.priors[name] for name in self.names])
+        """Values of what is not part of q. Every stored test has γ1 and start."""
+        fixed = {name: p.figures["value"] for name, p in self.priors.items() if p.fixed}
+        return {"gamma1": 1.0, "start": 0.5} | fixed
 
     def log_prob(self, q: ArrayLike, least: float = -np.inf) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,).
@@ -144,30 +170,27 @@ class Posterior(ShownPosterior):
         points = self._check(q)
         limit = least if least == -np.inf else real_number("least", least, FitError)
         density = self.log_prior(points)
-        density[self._surely_below(points, density, limit)] = -np.inf
+        below = np.isfinite(density) & (density < limit)
+        if np.any(below):
+            time = self.trace.time[self.first :]
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                most = density[below] + self.noise.largest(time, self.values(points[below]))
+            below[below] = most < limit
+            density[below] = -np.inf
         inside = np.isfinite(density)
-        if np.any(inside):
-            density[inside] += self._log_likelihood(points[inside])
+        density[inside] += self._log_likelihood(points[inside])
         if np.any(np.isnan(density)):
             raise FitError("the log posterior is not a number: please report this as a bug")
         return density
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _surely_below(self, points: Array, log_prior: Array, least: float) -> NDArray[np.bool_]:
-        """Which densities would be below `least` even if the model left nothing over, (n,) bool."""
-        below = np.isfinite(log_prior) & (log_prior < least)
-        if np.any(below):
-            values, time = self.values(points[below]), self.trace.time[self.first :]
-            below[below] = log_prior[below] + self.noise.largest(time, values) < least
-        return below
-
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
-        return self.log_prior_own(self.to_own(self._check(q)))
-
-    def log_prior_own(self, own: Array) -> Array:
-        """Log prior density of the priors' own coordinates, (n, dim) -> (n,)."""
-        return self._table.log_density(own)
+        own = self.to_own(self._check(q))
+        columns = zip(self.names, own.T, strict=True)
+        return sum(
+            (self.priors[name].log_density(column) for name, column in columns),
+            np.zeros(len(own)),
+        )
 
     def log_likelihood(self, q: ArrayLike) -> Array:
         """Log likelihood of q, (n, dim) -> (n,); −inf where the force is beyond all range.
@@ -184,13 +207,10 @@ class Posterior(ShownPosterior):
         """As `log_likelihood`; many points of a long record some at a time, to bound the memory."""
         if len(points) == 0:
             return np.empty(0)
-        parts = -(-len(points) * self.trace.samples // AT_ONCE)
+        parts = min(-(-len(points) * self.trace.samples // AT_ONCE), len(points))
         if parts > 1:
-            some = np.array_split(points, min(parts, len(points)))
-            return np.concatenate([self._likelihood_of_some(part) for part in some])
-        return self._likelihood_of_some(points)
-
-    def _likelihood_of_some(self, points: Array) -> Array:
+            some = np.array_split(points, parts)
+            return np.concatenate([self._log_likelihood(part) for part in some])
         values = self.values(points)
         kept = slice(self.first, None)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -240,15 +260,16 @@ class Posterior(ShownPosterior):
 
         γ1 is 1 here: it does not matter to the force.
         """
-        points = self.to_own(self._check(q))
-        values = {name: np.full(len(points), value) for name, value in self._defaults.items()}
-        return values | dict(zip(self.names, self._table.values(points), strict=True))
+        own = self.to_own(self._check(q))
+        values = {name: np.full(len(own), value) for name, value in self._defaults.items()}
+        columns = zip(self.names, own.T, strict=True)
+        return values | {name: self.priors[name].value(column) for name, column in columns}
 
     def derived(self, q: ArrayLike) -> Array:
         """Friction forces that follow from several coordinates, (n, m), kip."""
         theta = self.theta(self.values(q))
-        pivoted = {self.names[pivot.kinetic] for pivot in self.pivots}
-        several = pivoted | set(self.model.composed(self.names))
+        several = {self.names[pivot.kinetic] for pivot in self.pivots}
+        several |= set(self.model.composed(self.names))
         return theta[:, [k for k, n in enumerate(self.model.parameters) if n in several]]
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
@@ -297,3 +318,45 @@ class Posterior(ShownPosterior):
         if np.any(np.isnan(points)):
             raise FitError("q holds NaN")
         return points
+
+
+def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -> tuple[Pivot, ...]:
+    """Pivots of the directions in which F_c, on its log scale, and its excess are sampled."""
+    if "v_s" not in priors:
+        return ()
+    velocity = trace.velocity
+    moving = np.abs(velocity) > 0.01 * np.max(np.abs(velocity))
+    stribeck = np.exp(-((velocity / priors["v_s"].typical) ** 2))
+    pivots = []
+    for side, sign in (("fwd", 1.0), ("bwd", -1.0)):
+        kinetic, excess = f"Fc_{side}", f"static_excess_{side}"
+        there = moving & (sign * velocity > 0)
+        if {kinetic, excess} <= set(names) and priors[kinetic].on_half_line and np.any(there):
+            columns = names.index(kinetic), names.index(excess)
+            pivots.append(Pivot(*columns, float(np.mean(stribeck[there])), priors[excess]))
+    return tuple(pivots)
+
+
+def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
+    """Sample from which the device has surely slipped: after a stretch of two prior gaps.
+
+    Raises
+    ------
+    FitError
+        When the priors have no gap, or no stretch of the record is that long.
+    """
+    gap = file.gap
+    if gap is None and not model.has_gap:
+        return 0
+    if gap is None:
+        raise FitError(
+            f"start = 'mask' needs the width of the gap: {file.path.name} has no priors of d2 and "
+            "d3, and none of gap"
+        )
+    for begin, end in itertools.pairwise([0, *trace.turning_points.tolist()]):
+        if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
+            return int(end)
+    raise FitError(
+        "start = 'mask' needs a record that goes on after a stroke of twice the prior's gap: what "
+        "comes before is not fitted"
+    )

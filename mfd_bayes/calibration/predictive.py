@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.derived import cycle_energies, full_strokes, total_energy
+from mfd_bayes.calibration.cycles import cycle_energies, full_strokes, total_energy
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.records.trace import Trace, check_magnitude
 

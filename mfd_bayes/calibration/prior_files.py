@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration import families
-from mfd_bayes.calibration.prior_scales import in_units
+from mfd_bayes.calibration import priors
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import PriorError, UnitError
@@ -24,8 +26,25 @@ SCALED = "scales read off the records"
 WRITTEN = "priors.toml"
 """Name of the prior file that ``mfd-bayes init`` writes beside a campaign."""
 
+SCALES = MappingProxyType({"force": "force", "length": "displacement", "speed": "velocity"})
+"""The device's own scales that a prior file may state, and what each measures."""
+
 _LONGEST = 1000
 """Largest length of an error message, in characters, however long the names in the file."""
+
+_MULTIPLES = MappingProxyType(
+    {
+        "force": ("force", "", "kip"),
+        "length": ("length", "", "in"),
+        "speed": ("speed", "", "in/s"),
+        "force/length": ("force", "length", "kip/in"),
+        "force/speed": ("force", "speed", "kip*s/in"),
+        "length/speed": ("length", "speed", "s"),
+    }
+)
+_MULTIPLE = re.compile(
+    rf"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+({'|'.join(_MULTIPLES)})\s*"
+)
 
 
 @dataclass(frozen=True)
@@ -74,8 +93,10 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     PriorError
         When there is no such file (the message lists the known names), or it lies elsewhere.
     """
-    home = _home()
-    if name in (path.stem for path in home.glob("*.toml")):
+    package = Path(__file__).parents[1]
+    home = next(p for p in (package / "priors", package.parent / "priors") if p.is_dir())
+    known = sorted(path.stem for path in home.glob("*.toml"))
+    if name in known:
         return home / f"{name}.toml"
     path = (folder or Path()) / name
     try:
@@ -87,18 +108,11 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
             return path
     except (OSError, RuntimeError, ValueError) as error:
         raise PriorError(f"prior file {name!r} cannot be found: {error}") from error
-    known = ", ".join(sorted(p.stem for p in home.glob("*.toml")))
     hint = "; mfd-bayes init CAMPAIGN.TOML writes it once the units are there"
     raise PriorError(
-        f"no prior file {name!r}: expected one of {known}, or the path of a TOML file"
+        f"no prior file {name!r}: expected one of {', '.join(known)}, or the path of a TOML file"
         f"{hint if name == WRITTEN else ''}"
     )
-
-
-def _home() -> Path:
-    package = Path(__file__).parents[1]
-    installed = package / "priors"
-    return installed if installed.is_dir() else package.parent / "priors"
 
 
 def load_priors(name: str, folder: Path | None = None) -> PriorFile:
@@ -118,46 +132,82 @@ def load_priors(name: str, folder: Path | None = None) -> PriorFile:
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
     try:
-        return _priors(path, in_units(path.name, content))
+        return _read(path, content)
     except PriorError as error:
         if len(str(error)) <= _LONGEST:
             raise
         raise PriorError(f"{str(error)[:_LONGEST]}…") from None
 
 
-def _priors(path: Path, content: dict[str, object]) -> PriorFile:
-    unknown = set(content) - {"title", "parameters", "scatter"}
+def _read(path: Path, content: dict[str, Any]) -> PriorFile:
+    scales = _scales(path.name, content["scales"]) if "scales" in content else None
+    unknown = set(content) - {"title", "scales", "parameters", "scatter"}
     if unknown:
         raise PriorError(
             f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
             "it may hold title, scales, parameters and scatter"
         )
-    tables = _tables(path, content, "parameters"), _tables(path, content, "scatter")
+    sections: list[dict[str, dict[str, Any]]] = []
+    for key in ("parameters", "scatter"):
+        tables = content.get(key, {})
+        if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
+            raise PriorError(f"[{key}] of prior file {path.name} must hold tables")
+        sections.append(
+            {
+                name: {k: _in_units(path.name, v, scales) for k, v in table.items()}
+                for name, table in tables.items()
+            }
+        )
     return PriorFile(
         path=path,
         title=str(content.get("title", path.stem)),
-        parameters={key: _prior(path, key, table) for key, table in tables[0].items()},
-        scatter={key: _scatter(path, key, table) for key, table in tables[1].items()},
+        parameters={key: _prior(path, key, table) for key, table in sections[0].items()},
+        scatter={key: _scatter(path, key, table) for key, table in sections[1].items()},
     )
 
 
-def _tables(path: Path, content: dict[str, object], key: str) -> dict[str, dict[str, object]]:
-    tables = content.get(key, {})
-    if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
-        raise PriorError(f"[{key}] of prior file {path.name} must hold tables")
-    return tables
+def _scales(name: str, given: Any) -> dict[str, float]:
+    """The device's own force, length and speed, internal units."""
+    if not isinstance(given, dict) or set(given) != set(SCALES):
+        raise PriorError(f"[scales] of prior file {name} must hold force, length and speed")
+    found = {}
+    for key, measured in SCALES.items():
+        where = f"{key} in [scales] of prior file {name}"
+        if not isinstance(given[key], str):
+            raise PriorError(f"{where}: expected a quantity such as '7 N', got {given[key]!r:.60}")
+        try:
+            found[key] = parse_quantity(given[key], measured, of=where)
+        except UnitError as error:
+            raise PriorError(str(error)) from error
+        if not found[key] > 0.0:
+            raise PriorError(f"{where}: expected more than 0, got {given[key]!r}")
+    return found
 
 
-def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
+def _in_units(name: str, value: Any, scales: Mapping[str, float] | None) -> Any:
+    """A figure, or, where it is a multiple of the device's scales, its quantity."""
+    match = _MULTIPLE.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
+    if match is None:
+        return value
+    if scales is None:
+        raise PriorError(
+            f"prior file {name} holds multiples of a force, a length and a speed, and does not "
+            "state them: copy it beside the campaign and complete [scales] in it, or let "
+            "mfd-bayes init campaign.toml write a priors.toml from your records"
+        )
+    over, under, unit = _MULTIPLES[match[2]]
+    return f"{float(match[1]) * scales[over] / scales.get(under, 1.0)!r} {unit}"
+
+
+def _prior(path: Path, name: str, table: dict[str, Any]) -> Prior:
     where = f"prior of {name[:60]} in {path.name}"
     known = sampled_quantities()
     if name not in known:
         raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(known)}")
-    chosen = str(table.get("family"))
-    family = families.FAMILIES.get(chosen)
+    family = priors.FAMILIES.get(str(table.get("family")))
     if family is None:
         raise PriorError(
-            f"{where}: family must be one of {', '.join(families.FAMILIES)}, "
+            f"{where}: family must be one of {', '.join(priors.FAMILIES)}, "
             f"got {table.get('family')!r}"
         )
     figures = {}
@@ -169,12 +219,12 @@ def _prior(path: Path, name: str, table: dict[str, object]) -> Prior:
         elif key not in ("family", "reason"):
             figures[key] = np.nan  # the family refuses unknown keys
     try:
-        return Prior(chosen, figures, str(table.get("reason", "")))
+        return Prior(str(table["family"]), figures, str(table.get("reason", "")))
     except PriorError as error:
         raise PriorError(f"{where}: {error}") from error
 
 
-def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
+def _scatter(path: Path, name: str, table: dict[str, Any]) -> Scatter:
     where = f"scatter {name[:60]} in {path.name}"
     members, keys = table.get("parameters"), set(table) - {"parameters", "reason"}
     if keys not in ({"sd"}, {"above", "probability"}) or not isinstance(members, list):
@@ -183,24 +233,24 @@ def _scatter(path: Path, name: str, table: dict[str, object]) -> Scatter:
             "probability in place of sd, for a scatter that is likely none"
         )
     known = sampled_quantities()
-    unknown = [m for m in members if m not in known]
-    if unknown:
+    if unknown := [member for member in members if member not in known]:
         raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
-    kind = known["offset"].kind if members == ["offset"] else None
-    figures = {key: _figure(f"{where}, {key}", table[key], kind) for key in keys - {"probability"}}
-    size = figures.popitem()[1]
+    key = "sd" if "sd" in keys else "above"
+    size = _figure(
+        f"{where}, {key}", table[key], known["offset"].kind if members == ["offset"] else None
+    )
     if not size > 0:
-        raise PriorError(f"{where}: {min(keys - {'probability'})} must be positive, got {size:g}")
-    if "above" not in keys:
-        return Scatter(tuple(members), size, str(table.get("reason", "")))
-    share = _figure(f"{where}, probability", table["probability"], None)
-    if not 0.0 < share < 1.0:
-        raise PriorError(f"{where}: probability must lie between 0 and 1, got {share:g}")
-    mean = size / -float(np.log(share))
-    return Scatter(tuple(members), mean, str(table.get("reason", "")), sparse=True)
+        raise PriorError(f"{where}: {key} must be positive, got {size:g}")
+    if key == "above":
+        share = _figure(f"{where}, probability", table["probability"], None)
+        if not 0.0 < share < 1.0:
+            raise PriorError(f"{where}: probability must lie between 0 and 1, got {share:g}")
+        size /= -float(np.log(share))  # the mean of an exponential with this share above `above`
+    return Scatter(tuple(members), size, str(table.get("reason", "")), sparse=key == "above")
 
 
-def _figure(where: str, value: object, kind: str | None) -> float:
+def _figure(where: str, value: Any, kind: str | None) -> float:
+    """A number of a prior file in internal units; `kind` is what a quantity with unit measures."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise PriorError(
             f"{where}: expected a number or a quantity such as '2 kip', got {reprlib.repr(value)}"
@@ -226,11 +276,10 @@ def _figure(where: str, value: object, kind: str | None) -> float:
 
 def priors_of(file: PriorFile, wanted: list[Quantity]) -> dict[str, Prior]:
     """Priors of quantities by name; none may be missing or allow what no damper has."""
-    missing = [q.name for q in wanted if q.name not in file.parameters]
-    if missing:
+    if missing := [q.name for q in wanted if q.name not in file.parameters]:
         raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
-    priors = {q.name: file.parameters[q.name] for q in wanted}
-    for q, prior in zip(wanted, priors.values(), strict=True):
+    found = {q.name: file.parameters[q.name] for q in wanted}
+    for q, prior in zip(wanted, found.values(), strict=True):
         value = prior.figures.get("value", np.nan)
         lowest, highest = (value, value) if prior.fixed else (prior.lower, prior.upper)
         if q.least <= lowest <= highest <= q.most:
@@ -240,4 +289,4 @@ def priors_of(file: PriorFile, wanted: list[Quantity]) -> dict[str, Prior]:
             f"prior of {q.name} in {file.path.name}: {prior.family} allows "
             f"{'negative values' if lowest < 0 <= q.least else beyond}, which {q.name} cannot have"
         )
-    return priors
+    return found

@@ -1,138 +1,261 @@
-"""The prior of one quantity, and the coordinate in which the quantity is sampled."""
+"""The prior of one quantity: its family, and the coordinate in which the quantity is sampled.
+
+Densities and draws are written out: those of scipy's frozen distributions take many times as long.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration import families
+from mfd_bayes.errors import PriorError
 
 Array = NDArray[np.float64]
-Bound = float | Array
+Figures = Mapping[str, Any]
 
-RANGE = 1e15  # values beyond this, or as near to a bound, are out of support: no damper has them
+RANGE = 1e15
+"""Values beyond this, or as near to a bound, are out of support: no damper has them."""
+
+
+class Figure(NamedTuple):
+    """One number of a family: whether it has the quantity's unit, must be positive, is needed."""
+
+    dimensional: bool
+    positive: bool = False
+    needed: bool = True
+
+
+MIDDLE = Figure(dimensional=True)
+WIDTH = Figure(dimensional=True, positive=True)
+SHAPE = Figure(dimensional=False, positive=True)
+
+
+def _half_line(_: Figures) -> tuple[float, float]:
+    return 0.0, np.inf
+
+
+def _whole_line(_: Figures) -> tuple[float, float]:
+    return -np.inf, np.inf
+
+
+def _bounds(f: Figures) -> tuple[float, float]:
+    return f["lower"], f.get("upper", np.inf)
 
 
 @dataclass(frozen=True)
-class Line:
-    """The unconstrained coordinate q of quantities x between bounds: of one, or of k alike.
-
-    q is x itself on the whole line, log(x − lower) on a half line, and the logit of the
-    place between two bounds.
+class Family:
+    """A family of densities of a quantity x.
 
     Attributes
     ----------
-    lower, upper : float or (k, 1)
-        All of them finite, or all infinite.
+    figures : mapping of str to Figure
+        What a prior file gives for it.
+    log_density : callable
+        Normalised log density at x, any shape, inside the support.
+    draw : callable
+        Independent draws, (n,).
+    median : callable
+        Median of x.
+    support : callable
+        Lower and upper bound of x.
     """
 
-    lower: Bound
-    upper: Bound
-    _whole: bool = field(init=False, repr=False)
-    _half: bool = field(init=False, repr=False)
+    figures: Mapping[str, Figure]
+    log_density: Callable[[Array, Figures], Array]
+    draw: Callable[[np.random.Generator, int, Figures], Array]
+    median: Callable[[Figures], float]
+    support: Callable[[Figures], tuple[float, float]] = _half_line
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_whole", bool(np.all(np.isinf(self.lower))))
-        object.__setattr__(self, "_half", bool(np.all(np.isinf(self.upper))))
+    def check(self, name: str, figures: Figures) -> None:
+        """Raise PriorError where a figure is missing, unknown or out of its range."""
+        needed = {key for key, figure in self.figures.items() if figure.needed}
+        if not needed <= set(figures) <= set(self.figures):
+            raise PriorError(
+                f"{name} needs {' and '.join(sorted(needed))}, got {', '.join(sorted(figures))}"
+            )
+        for key, value in figures.items():
+            if self.figures[key].positive and not value > 0:
+                raise PriorError(f"{key} must be positive, got {value:g}")
+        if "upper" in figures and not figures["upper"] > figures.get("lower", -np.inf):
+            raise PriorError("upper must be above lower")
 
-    def value(self, q: Array) -> Array:
-        """Quantity x at coordinate q, same shape; inf where q is beyond all range."""
-        if self._whole:
-            return q
-        if self._half:
-            return self.lower + np.exp(np.minimum(q, 700.0))
-        return self.lower + (self.upper - self.lower) * special.expit(q)
 
-    def coordinate(self, x: Array) -> Array:
-        """Coordinate q of quantity x, the inverse of `value`."""
-        if self._whole:
-            return x
-        if self._half:
-            return np.log(x - self.lower)
-        return special.logit((x - self.lower) / (self.upper - self.lower))
+def _normal(x: Array, mean: float, sd: float) -> Array:
+    density: Array = -0.5 * ((x - mean) / sd) ** 2 - np.log(sd) - 0.5 * np.log(2 * np.pi)
+    return density
 
-    def log_jacobian(self, q: Array) -> Array:
-        """Logarithm of dx/dq, same shape."""
-        if self._whole:
-            return np.zeros_like(q)
-        if self._half:
-            return q
-        width = np.log(self.upper - self.lower)
-        jacobian: Array = width + special.log_expit(q) + special.log_expit(-q)
-        return jacobian
 
-    def log_density(self, q: Array, family: str, figures: families.Figures) -> Array:
-        """Log density of q, with the Jacobian; −inf where x is out of range, same shape."""
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            x = self.value(q)
-            density = families.FAMILIES[family].log_density(x, figures) + self.log_jacobian(q)
-            inside = (np.abs(x) < RANGE) & (x - self.lower > 1.0 / RANGE)
-        return np.where(inside & np.isfinite(density), density, -np.inf)
+def _gamma(x: Array, f: Figures) -> Array:
+    k, scale = f["shape"], f["scale"]
+    density: Array = (k - 1) * np.log(x) - x / scale - special.gammaln(k) - k * np.log(scale)
+    return density
+
+
+def _beta(x: Array, f: Figures) -> Array:
+    powers = special.xlogy(f["a"] - 1, x) + special.xlog1py(f["b"] - 1, -x)
+    return np.asarray(powers - special.betaln(f["a"], f["b"]))
+
+
+def _tail(f: Figures) -> tuple[float, float, float]:
+    """Log probabilities below both bounds of a normal, in the tail where they keep their digits.
+
+    The third figure is -1 where that is the upper tail.
+    """
+    a, b = ((bound - f["mean"]) / f["sd"] for bound in _bounds(f))
+    side = -1.0 if a > 0 else 1.0
+    return float(special.log_ndtr(side * a)), float(special.log_ndtr(side * b)), side
+
+
+def _truncated(x: Array, f: Figures) -> Array:
+    low, high = sorted(_tail(f)[:2])
+    density: Array = _normal(x, f["mean"], f["sd"]) - high - np.log1p(-np.exp(low - high))
+    return density
+
+
+def _truncated_quantile(u: Any, f: Figures) -> Any:
+    low, high, side = _tail(f)
+    probability = np.logaddexp(low + np.log1p(-u), high + np.log(u))
+    return f["mean"] + side * f["sd"] * special.ndtri_exp(probability)
+
+
+FAMILIES: Mapping[str, Family] = MappingProxyType(
+    {
+        "lognormal": Family(
+            {"median": WIDTH, "spread": SHAPE},
+            lambda x, f: _normal(np.log(x), np.log(f["median"]), f["spread"]) - np.log(x),
+            lambda rng, n, f: rng.lognormal(np.log(f["median"]), f["spread"], n),
+            lambda f: f["median"],
+        ),
+        "normal": Family(
+            {"mean": MIDDLE, "sd": WIDTH},
+            lambda x, f: _normal(x, f["mean"], f["sd"]),
+            lambda rng, n, f: rng.normal(f["mean"], f["sd"], n),
+            lambda f: f["mean"],
+            _whole_line,
+        ),
+        "truncated_normal": Family(
+            {"mean": MIDDLE, "sd": WIDTH, "lower": MIDDLE, "upper": Figure(True, needed=False)},
+            _truncated,
+            lambda rng, n, f: np.asarray(_truncated_quantile(1.0 - rng.random(n), f)),
+            lambda f: float(_truncated_quantile(0.5, f)),
+            _bounds,
+        ),
+        "half_normal": Family(
+            {"sd": WIDTH},
+            lambda x, f: _normal(x, 0.0, f["sd"]) + np.log(2.0),
+            lambda rng, n, f: np.abs(rng.normal(0.0, f["sd"], n)),
+            lambda f: float(f["sd"] * special.ndtri(0.75)),
+        ),
+        "uniform": Family(
+            {"lower": MIDDLE, "upper": MIDDLE},
+            lambda x, f: np.full_like(x, -np.log(f["upper"] - f["lower"])),
+            lambda rng, n, f: rng.uniform(f["lower"], f["upper"], n),
+            lambda f: 0.5 * (f["lower"] + f["upper"]),
+            _bounds,
+        ),
+        "gamma": Family(
+            {"shape": SHAPE, "scale": WIDTH},
+            _gamma,
+            lambda rng, n, f: rng.gamma(f["shape"], f["scale"], n),
+            lambda f: float(f["scale"] * special.gammaincinv(f["shape"], 0.5)),
+        ),
+        "beta": Family(
+            {"a": SHAPE, "b": SHAPE},
+            _beta,
+            lambda rng, n, f: np.asarray(rng.beta(f["a"], f["b"], n)),
+            lambda f: float(special.betaincinv(f["a"], f["b"], 0.5)),
+            lambda _: (0.0, 1.0),
+        ),
+        "fixed": Family(
+            {"value": MIDDLE},
+            lambda x, _: np.zeros_like(x),
+            lambda _, n, f: np.full(n, f["value"]),
+            lambda f: f["value"],
+            _whole_line,
+        ),
+    }
+)
+"""Every family by its name in prior files: a new one is registered here, by one entry."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Density of one quantity, and the line on which it is sampled.
+    """Density of one quantity x, and its unconstrained coordinate q.
+
+    q is x itself on the whole line, log(x − lower) on a half line, and the logit of the place
+    between two bounds.
 
     Attributes
     ----------
     family : str
     figures : mapping of str to float, internal units
     reason : str
+    lower, upper : float
+        Between which the quantity is.
     """
 
     family: str
     figures: Mapping[str, float]
     reason: str = ""
-    line: Line = field(init=False)
+    lower: float = field(init=False)
+    upper: float = field(init=False)
 
     def __post_init__(self) -> None:
-        families.FAMILIES[self.family].check(self.family, self.figures)
-        object.__setattr__(
-            self, "line", Line(*families.FAMILIES[self.family].support(self.figures))
-        )
-
-    @property
-    def lower(self) -> float:
-        """What the quantity is larger than."""
-        return float(self.line.lower)
-
-    @property
-    def upper(self) -> float:
-        """What the quantity is smaller than."""
-        return float(self.line.upper)
+        family = FAMILIES[self.family]
+        family.check(self.family, self.figures)
+        for name, bound in zip(("lower", "upper"), family.support(self.figures), strict=True):
+            object.__setattr__(self, name, float(bound))
 
     @property
     def on_half_line(self) -> bool:
         """Whether the quantity may be any positive value, so that its logarithm is sampled."""
-        return self.lower == 0.0 and bool(np.isinf(self.upper))
+        return self.lower == 0.0 and self.upper == np.inf
 
     @property
     def fixed(self) -> bool:
         """Whether the quantity has one value and is not sampled."""
         return self.family == "fixed"
 
-    def value(self, q: Array) -> Array:
-        """Quantity x at coordinate q, same shape; inf where q is beyond all range."""
-        return self.line.value(q)
-
-    def coordinate(self, x: Array) -> Array:
-        """Coordinate q of quantity x, the inverse of `value`."""
-        return self.line.coordinate(x)
-
-    def log_density(self, q: Array) -> Array:
-        """Log density of q, with the Jacobian; −inf where x is out of range, same shape."""
-        return self.line.log_density(q, self.family, self.figures)
-
     @property
     def typical(self) -> float:
         """Median of x."""
-        return float(families.FAMILIES[self.family].median(self.figures))
+        return float(FAMILIES[self.family].median(self.figures))
+
+    def value(self, q: Array) -> Array:
+        """Quantity x at coordinate q, same shape; inf where q is beyond all range."""
+        if self.lower == -np.inf:
+            return q
+        if self.upper == np.inf:
+            return self.lower + np.exp(np.minimum(q, 700.0))
+        return self.lower + (self.upper - self.lower) * special.expit(q)
+
+    def coordinate(self, x: Array) -> Array:
+        """Coordinate q of quantity x, the inverse of `value`."""
+        if self.lower == -np.inf:
+            return x
+        if self.upper == np.inf:
+            return np.log(x - self.lower)
+        return special.logit((x - self.lower) / (self.upper - self.lower))
+
+    def log_density(self, q: Array) -> Array:
+        """Log density of q, with the Jacobian; −inf where x is out of range, same shape."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            x = self.value(q)
+            density = FAMILIES[self.family].log_density(x, self.figures)
+            if self.upper < np.inf:
+                width = np.log(self.upper - self.lower)
+                density = density + width + special.log_expit(q) + special.log_expit(-q)
+            elif self.lower > -np.inf:
+                density = density + q
+            inside = (np.abs(x) < RANGE) & (x - self.lower > 1.0 / RANGE)
+        return np.where(inside & np.isfinite(density), density, -np.inf)
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws of x, (n,)."""
-        return families.FAMILIES[self.family].draw(rng, n, self.figures)
+        return FAMILIES[self.family].draw(rng, n, self.figures)

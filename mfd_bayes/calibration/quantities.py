@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
-from mfd_bayes.calibration import noises
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration import noise as noises
 from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.friction import models, weakening
+from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 
@@ -24,7 +27,6 @@ OF_RECORDS = (
 def known_quantities() -> dict[str, Quantity]:
     """Quantities of all models, of records and of all noises, by name."""
     parts = [model.quantities for model in models.MODELS.values()]
-    parts += [tuple(weakening.QUANTITIES.values())]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
     return {quantity.name: quantity for part in parts for quantity in part}
 
@@ -44,3 +46,23 @@ def sampled_quantities() -> dict[str, Quantity]:
 def units() -> dict[str, str]:
     """Internal unit of every quantity, by name."""
     return {name: quantity.unit for name, quantity in known_quantities().items()}
+
+
+Array = NDArray[np.float64]
+Interval = tuple[float, float, float]
+"""50, 2.5 and 97.5 % quantiles of the draws of a quantity."""
+
+
+def intervals_of(values: Mapping[str, Array]) -> dict[str, Interval]:
+    """Median and equal-tailed 95 % interval of quantities, from draws of any shape."""
+    found = {name: np.quantile(drawn, [0.5, 0.025, 0.975]) for name, drawn in values.items()}
+    return {name: (float(a), float(b), float(c)) for name, (a, b, c) in found.items()}
+
+
+def interval_rows(
+    intervals: Mapping[str, Interval],
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows of a table: name, unit, median and 95 % interval of quantities, as text."""
+    known = units()
+    rows = [(n, known.get(n, ""), *(f"{x:.4g}" for x in three)) for n, three in intervals.items()]
+    return ("quantity", "unit", "median", "2.5 %", "97.5 %"), rows

@@ -9,22 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import measure_draws
-from mfd_bayes.calibration.noise_check import OtherFit, fit_other, other_noises
+from mfd_bayes.calibration.noise_sensitivity import OtherFit, fit_other, other_noises
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
-from mfd_bayes.calibration.result import load_result
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import CalibratedTest, save_test
-
-Array = NDArray[np.float64]
 
 LEAST_AFTER = 20
 """Fewest samples that are fitted after a start that is masked."""
@@ -100,8 +96,13 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
             task.seed,
             report=lambda progress: observe(Step(task.id, "sampling", progress)),
         )
-        others = _fit_others(task, posterior, draws, observe)
-        _save(task, posterior, draws, others, out / task.file)
+        others: list[OtherFit] = []
+        if task.checks_noise:
+            observe(Step(task.id, "checking the noise"))
+            for noise in other_noises(task.noise):
+                make = replace(task, noise=noise).posterior
+                others.append(fit_other(noise, posterior, make, draws, task.seed))
+        save_test(out / task.file, _stored_of(task, posterior, draws, others))
     except StoreError:
         raise
     except MfdError as error:
@@ -113,31 +114,6 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
     return Outcome(task.id, State.DONE, seconds)
 
 
-def _fit_others(
-    task: Task, posterior: Posterior, draws: Draws, observe: Callable[[Step], Any]
-) -> list[OtherFit]:
-    """Fits of the test under other noises, if they are asked for."""
-    if not task.checks_noise:
-        return []
-    observe(Step(task.id, "checking the noise"))
-    return [
-        fit_other(noise, posterior, replace(task, noise=noise).posterior, draws, task.seed)
-        for noise in other_noises(task.noise)
-    ]
-
-
-def _save(
-    task: Task, posterior: Posterior, draws: Draws, others: list[OtherFit], path: Path
-) -> None:
-    """Store the draws of a test, checked by what will read them."""
-    save_test(path, _stored_of(task, posterior, draws, others))
-    try:
-        load_result(task.id, path, task.priors)
-    except StoreError as error:
-        path.unlink(missing_ok=True)
-        raise FitError(f"its draws could not be read once they are stored: {error}") from error
-
-
 def _stored_of(
     task: Task, posterior: Posterior, draws: Draws, others: list[OtherFit]
 ) -> CalibratedTest:
@@ -147,29 +123,13 @@ def _stored_of(
     flat = {name: value.reshape(-1) for name, value in values.items()}
     rng = np.random.default_rng(task.seed)
     replicas = replicate(posterior, flat, rng, REPLICAS * len(draws.q))
+    chains, convergence = draws.chains, {}
+    for name, value in values.items():
+        if np.ptp(value) > 0:
+            found = measure_draws(value, chains.walkers)
+            figures = found.r_hat, found.ess_bulk, found.ess_tail
+            convergence[name] = [float(figure[0]) for figure in figures]
     facts = {
-        "first": posterior.first,
-        "convergence": _convergence(values, draws.chains.walkers),
-        "other_noises": [asdict(other) for other in others],
-    }
-    return CalibratedTest(
-        values=values,
-        units=units(),
-        stats={
-            "lp": draws.log_prob,
-            "log_prior": draws.log_prior,
-            "log_likelihood": draws.log_likelihood,
-        },
-        trace=task.trace,
-        predictive=replicas.observed.reshape(len(draws.q), -1, task.trace.samples),
-        facts=_facts(task, draws) | facts,
-    )
-
-
-def _facts(task: Task, draws: Draws) -> dict[str, Any]:
-    """What is stored of the settings and of the sampling."""
-    chains = draws.chains
-    return {
         "test": task.id,
         "model": task.model,
         "noise": task.noise,
@@ -186,16 +146,19 @@ def _facts(task: Task, draws: Draws) -> dict[str, Any]:
         "mode_shares": draws.mode_shares.tolist(),
         "mode_values": draws.mode_values if len(draws.modes) > 1 else [],
         "wall_time": draws.wall_time,
+        "first": posterior.first,
+        "convergence": convergence,
+        "other_noises": [asdict(other) for other in others],
     }
-
-
-def _convergence(values: dict[str, Array], walkers: int) -> dict[str, list[float]]:
-    """R̂, bulk and tail ESS of everything that is stored and varies."""
-    found = {}
-    for name, draws in values.items():
-        if np.ptp(draws) == 0:
-            continue
-        measured = measure_draws(draws, walkers)
-        figures = measured.r_hat, measured.ess_bulk, measured.ess_tail
-        found[name] = [float(figure[0]) for figure in figures]
-    return found
+    return CalibratedTest(
+        values=values,
+        units=units(),
+        stats={
+            "lp": draws.log_prob,
+            "log_prior": draws.log_prior,
+            "log_likelihood": draws.log_likelihood,
+        },
+        trace=task.trace,
+        predictive=replicas.observed.reshape(len(draws.q), -1, task.trace.samples),
+        facts=facts,
+    )

@@ -46,6 +46,8 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return read_toml(path)
     except FileNotFoundError as error:
+        if not path.parent.is_dir():
+            raise CampaignError(f"cannot read {path}: there is no folder {path.parent}") from error
         beside = [file.name for file in path.parent.glob("*.toml")]
         near = difflib.get_close_matches(path.name, beside, n=1)
         hint = f"; did you mean {path.parent / near[0]}?" if near else ""

@@ -20,7 +20,6 @@ from mfd_bayes.campaign.schema import (
     TimeColumn,
 )
 from mfd_bayes.errors import CampaignError, UnitError
-from mfd_bayes.friction.weakening import weakened_name
 from mfd_bayes.planning.goal import check_session
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
@@ -82,7 +81,6 @@ class Campaign:
     priors: str
     """A name, or a path relative to `folder`."""
     model: str
-    """With "+weakening" after it where friction depends on travel."""
     noise: NoiseName
     noise_check: bool | None
     """Whether each test is fitted under other noises too; None where the file does not say."""
@@ -119,8 +117,7 @@ def load_campaign(
     ----------
     path : str or Path
     model : str, optional
-        Replaces the file's own: "three_stage", "lugre", "bouc_wen" or "backlash", each also with
-        "+weakening" after it. A dependence on travel in the file holds for it too.
+        Replaces the file's own: "three_stage", "lugre", "bouc_wen" or "backlash".
     noise : {"ou", "iid", "student_t", "staged"}, optional
         Replaces the file's own.
 
@@ -153,7 +150,7 @@ def load_campaign(
         folder=folder,
         title=content.campaign.title or path.stem,
         priors=content.campaign.priors,
-        model=weakened_name(model or content.campaign.model, content.dependence.weakening),
+        model=model or content.campaign.model,
         noise=noise or content.campaign.noise,
         noise_check=content.campaign.noise_check,
         rate=content.campaign.rate,

@@ -19,11 +19,10 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from mfd_bayes.calibration import noises
+from mfd_bayes.calibration import noise as noises
 from mfd_bayes.campaign.tolerances import DEFAULTS
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
-from mfd_bayes.friction.weakening import SIDES
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers.table import COLUMNS, NAME
@@ -33,7 +32,6 @@ from mfd_bayes.units import parse_actuation, parse_quantity
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]
 Role = Literal["calibrate", "validate"]
 Covariate = Literal["velocity", "amplitude"]
-FrictionCovariate = Literal["velocity", "amplitude", "travel"]
 
 
 def _one_of(known: Callable[[], Iterable[str]]) -> BeforeValidator:
@@ -235,31 +233,21 @@ def _once(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 Covariates = Annotated[tuple[Covariate, ...], AfterValidator(_once)]
-FrictionCovariates = Annotated[tuple[FrictionCovariate, ...], AfterValidator(_once)]
 
 
 class Dependence(Part):
-    """What each parameter depends on besides the actuation; default none.
+    """What each parameter depends on besides the actuation; default none."""
 
-    Travel is not a covariate of a test: it changes along its record, and is part of the model.
-    """
-
-    Fc_fwd: FrictionCovariates = ()
-    Fc_bwd: FrictionCovariates = ()
+    Fc_fwd: Covariates = ()
+    Fc_bwd: Covariates = ()
     sigma0: Covariates = ()
     d2: Covariates = ()
     gap: Covariates = ()
 
     @property
-    def weakening(self) -> tuple[str, ...]:
-        """Directions, "fwd" and "bwd", in which friction depends on travel."""
-        return tuple(side for side in SIDES if "travel" in getattr(self, f"Fc_{side}"))
-
-    @property
     def covariates(self) -> dict[str, tuple[str, ...]]:
         """Parameters to the covariates of a test that they depend on."""
-        known = {name: tuple(c for c in chosen if c != "travel") for name, chosen in self}
-        return {name: chosen for name, chosen in known.items() if chosen}
+        return {name: chosen for name, chosen in self if chosen}
 
 
 def _percent(value: object) -> object:

@@ -24,10 +24,11 @@ def path(text: str) -> Path:
 Run = Annotated[Path, typer.Argument(parser=path, help="The run folder.")]
 Campaign = Annotated[Path, typer.Argument(parser=path, help="The campaign file, campaign.toml.")]
 NewRun = Annotated[Path, typer.Option("-o", "--out", parser=path, help="The run folder to write.")]
-Pictures = Annotated[Path, typer.Option("-o", "--out", parser=path, help="Folder of the PNGs.")]
-Replace = Annotated[
-    bool, typer.Option("--force", help="Replace a file that this command did not write.")
+NewRunOrNone = Annotated[
+    Path | None, typer.Option("-o", "--out", parser=path, help="The run folder to write.")
 ]
+Pictures = Annotated[Path, typer.Option("-o", "--out", parser=path, help="Folder of the PNGs.")]
+Replace = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
 Jobs = Annotated[int, typer.Option(min=0, help="Number of processes; 0 for one per processor.")]
 Scheduler = Annotated[
     str,
@@ -59,9 +60,11 @@ Units = Annotated[
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print only warnings and the verdict.")]
 
 
-def completed(options: Options, out: Path, effort: str | None) -> Options:
+def completed(options: Options, out: Path | None, effort: str | None) -> Options:
     """Options with this command, and the effort given or else that of the run that is resumed."""
     from mfd_bayes.pipeline.commands import effort_of
 
-    chosen = effort_of(out, effort, resume=options.resume)
+    chosen = effort or "standard"
+    if out is not None:
+        chosen = effort_of(out, effort, resume=options.resume)
     return replace(options, effort=chosen, command=this_command())

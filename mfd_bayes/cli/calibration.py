@@ -13,7 +13,7 @@ from mfd_bayes.cli.exits import mistakes, resumption, this_command
 
 def calibrate(
     campaign: arguments.Campaign,
-    out: arguments.NewRun,
+    out: arguments.NewRunOrNone = None,
     resume: arguments.Resume = False,
     force: arguments.Force = False,
     jobs: arguments.Jobs = 0,
@@ -33,10 +33,12 @@ def calibrate(
     ArviZ opens. After Ctrl-C, what is finished is kept: --resume goes on.
 
     Example:
-      mfd-bayes calibrate campaign.toml -o out --dry-run
+      mfd-bayes calibrate campaign.toml --dry-run
       mfd-bayes calibrate campaign.toml -o out
       mfd-bayes calibrate campaign.toml -o out --resume
     """
+    if out is None and not dry_run:
+        raise typer.BadParameter("missing: give the run folder to write", param_hint="-o")
     with mistakes("" if dry_run else resumption()):
         from mfd_bayes.pipeline.ready import get_ready
 
@@ -50,8 +52,9 @@ def calibrate(
             effort,
         )
         plan = pipeline.plan_campaign(campaign, options)
-        if dry_run:
-            pipeline.check_dry(plan, out)
+        if dry_run or out is None:
+            if out is not None:
+                pipeline.check_dry(plan, out)
             console.print_plan(plan)
             return
         if not quiet:

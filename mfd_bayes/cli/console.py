@@ -94,8 +94,10 @@ def warnings_of(plan: Plan) -> list[Finding]:
 
 def print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
-    samples = ", ".join(f"{task.id} ({task.trace.samples} samples)" for task in plan.tasks)
-    say(f"{plan.campaign.path} is fine: would calibrate {samples}")
+    lengths = [task.trace.samples for task in plan.tasks]
+    words = [f"{n} sample{'s' if n != 1 else ''}" for n in lengths]
+    tests = [f"{task.id} ({said})" for task, said in zip(plan.tasks, words, strict=True)]
+    say(f"{plan.campaign.path} is fine: would calibrate {', '.join(tests)}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
     follow = [f"{name} after {other}" for name, other in plan.manifest.settings.order.items()]
     if follow:

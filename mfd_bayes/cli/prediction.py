@@ -234,7 +234,6 @@ def compare(
     Example:
       mfd-bayes compare campaign.toml -o out
       mfd-bayes compare campaign.toml -o out --models three_stage,lugre
-      mfd-bayes compare campaign.toml -o out --models backlash,backlash+weakening
       mfd-bayes compare campaign.toml -o out --noises ou,iid,staged
     """
     with mistakes(resumption()):

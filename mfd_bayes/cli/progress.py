@@ -8,7 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,9 @@ Observe = Callable[[Step], None]
 
 FRAME = 0.25
 """Seconds from one drawing of the table to the next."""
+
+SILENCE = 10.0
+"""Seconds without a line after which one says what is at work, where there is no terminal."""
 
 ENDED = (State.DONE, State.KEPT, State.FAILED)
 """Stages of work that has ended."""
@@ -53,7 +56,47 @@ def watch(*, quiet: bool = False) -> Iterator[Observe]:
         with _live() as observe:
             yield observe
     else:
-        yield lambda step: None if step.stage == State.WAITING else say(_line(step))
+        with _lines() as observe:
+            yield observe
+
+
+@contextmanager
+def _lines() -> Iterator[Observe]:
+    """Function that prints a step as a line; what is at work says so after a silence."""
+    lock, over = threading.Lock(), threading.Event()
+    running: dict[str, tuple[str, float]] = {}  # stage, and when it began
+    said = time.monotonic()
+
+    def observe(step: Step) -> None:
+        nonlocal said
+        with lock:
+            if step.stage in ENDED:
+                running.pop(step.id, None)
+            elif step.stage not in (State.WAITING, State.NOTE):
+                began = running.get(step.id, ("", time.monotonic()))[1]
+                running[step.id] = step.stage, began
+            if step.stage != State.WAITING:
+                say(_line(step))
+                said = time.monotonic()
+
+    def remind() -> None:
+        nonlocal said
+        while not over.wait(min(1.0, 0.2 * SILENCE)):
+            with lock:
+                now = time.monotonic()
+                if running and now - said >= SILENCE:
+                    name, (stage, began) = next(iter(running.items()))
+                    with suppress(OSError):  # who prints next says that the output is full
+                        say(f"{name}: {stage}, at work for {now - began:.0f} s")
+                    said = now
+
+    thread = threading.Thread(target=remind, daemon=True)
+    thread.start()
+    try:
+        yield observe
+    finally:
+        over.set()
+        thread.join()
 
 
 @contextmanager
@@ -293,4 +336,7 @@ def _line(step: Step) -> str:
     text += f"R-hat {progress.r_hat:.3f}, ESS {progress.ess:.0f}, " if progress.measured else ""
     text += f"{_rate_text(progress)} steps/s"
     left = (progress.limit - progress.steps) / _rate(progress)
-    return text if step.stage == State.DONE else f"{text}, at most {left:.0f} s left"
+    if step.stage == State.DONE:
+        return text
+    missing = f", needs {progress.missing}" if progress.missing else ""
+    return f"{text}{missing}, at most {left:.0f} s left"

@@ -49,7 +49,7 @@ def respond(
         str, typer.Option(metavar='"0.3 g"', help="Scale every ground motion to this peak.")
     ] = "",
     tolerance: Annotated[
-        float, typer.Option(help="Share by which peaks may change when the step is halved.")
+        float, typer.Option(help="Largest error of a draw's peak drift, as a share.")
     ] = 0.01,
     jobs: arguments.Jobs = 0,
     seed: arguments.Seed = 1,

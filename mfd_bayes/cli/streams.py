@@ -44,6 +44,9 @@ class _Stream:
                 raise OSError(errno.EBADF, "it is closed")
             return act(*given)
         except (OSError, ValueError) as error:  # ValueError: closed in between
+            if isinstance(error, BrokenPipeError) and self._number == 1:
+                drop(1)  # its reader has seen enough
+                return len("".join(given))
             raise CannotPrintError(self._number, error) from error
 
     def __getattr__(self, name: str) -> Any:
@@ -54,7 +57,8 @@ class _Stream:
 def checked_streams() -> Iterator[None]:
     """End with exit code 2 and a sentence where what is printed cannot be written.
 
-    The sentence goes to the other stream, where that takes it.
+    The sentence goes to the other stream, where that takes it. A reader that has seen enough, such
+    as `head`, is no error.
     """
     for number in (0, 1, 2):  # else the next file that is opened would get what is printed
         try:

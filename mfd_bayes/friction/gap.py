@@ -1,26 +1,199 @@
-"""Stages 2 and 3: the gap, a play operator that remembers on which side it last slipped."""
+"""Stages 2 and 3: the gap, a play operator that remembers on which side it last slipped.
+
+The gap lies between the displacements `edge` and `edge` + D. It is crossed in the direction
+`side` = ±1, and `origin` is where the travel u since the last slip is 0: the edge forward, the
+other end backward. `carry` is the jump of the force, kip, at the last turning point, which fades as
+the gap is crossed. The formulas broadcast: stretches of a record (K, n) or samples (N, n) against
+parameters (n,), or a step's (n,) against (n,).
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from mfd_bayes.friction.arrays import rows_of
+from mfd_bayes.friction.model import Array
 from mfd_bayes.friction.recurrence import solve
-from mfd_bayes.friction.transitions import SATURATED, Crossing, Gap, blend
 from mfd_bayes.records.motion import MotionPath
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
+SATURATED = 26.0
+"""Transition lengths after which a transition is taken as complete: exp(−26) is 5e-12."""
+
+SHARP = 150.0
+"""Gap width, in transition lengths, above which each transition has an exponential of its own.
+
+Up to it exp(u/ℓ) serves all three. Exponents are limited to it there, and to `FARTHEST` else, so
+that the product of three exponentials is a number.
+"""
+
+FARTHEST = 200.0
+
+Constants = Mapping[str, Any]
 
 
-def follow(gap: Gap, path: MotionPath, start: Array, slip: Array) -> Crossing:
-    """State of the gap in every stretch between turning points.
+def gap_of(columns: Mapping[str, Array]) -> dict[str, Any]:
+    """What the formulas need of a model's columns, (n,) each.
 
-    At a turning point after slip (u ≥ D or u ≤ 0) the travel restarts at 0 in the new
-    direction, and the force before minus the force after that restart is kept as `carry`.
-    Inside the gap nothing is reset, so that the force retraces its path.
+    `early` and `late` are d2/ℓ and D/ℓ; only ℓ = γ2/γ1 reaches the force. `build_up` is the weight
+    of stage 3 less that of slip at a turn, and `jump` the force of stage 3 there.
+    """
+    k2, k3, d2 = (columns[name] for name in ("k2", "k3", "d2"))
+    width, ell = d2 + columns["d3"], columns["gamma2"] / columns["gamma1"]
+    early, late = d2 / ell, width / ell
+    found = {"k2": k2, "k3": k3, "width": width, "ell": ell, "early": early, "late": late}
+    found |= {"build_up": expit(late) * expit(-early), "jump": (k2 - k3) * d2, "per_ell": 1.0 / ell}
+    found |= {"after_early": np.exp(-early), "after_late": np.exp(-late)}
+    return found | {"sharp": bool(np.any(late > SHARP))}
+
+
+class Gap(NamedTuple):
+    """State of the gap, (n,), or in each stretch between turning points, (K + 1, n)."""
+
+    side: Array
+    edge: Array
+    origin: Array
+    carry: Array
+
+    @classmethod
+    def at(cls, c: Constants, side: Array, edge: Array, carry: Array) -> Gap:
+        """The state, with its origin."""
+        return cls(side, edge, np.where(side > 0.0, edge, edge + c["width"]), carry)
+
+    @classmethod
+    def begun(cls, c: Constants, displacement: Array, direction: Array, start: Array) -> Gap:
+        """State before the first turning point; `start` is u/D along the first direction."""
+        behind = np.where(direction > 0.0, start, 1.0 - start)
+        edge = displacement - behind * c["width"]
+        return cls.at(c, direction, edge, np.zeros(edge.shape))
+
+
+def blend(
+    c: Constants,
+    side: Array,
+    y: Array,
+    carry: Array | None,
+    slip: Array,
+    room: Sequence[Array | None] = (None, None, None, None),
+) -> Array:
+    """Force of the three stages, kip, of the force F1 in slip (paper Eqs. 1 and 2).
+
+    With R = exp(u/ℓ) the weights (model.md section 4) are m12 = (R − 1)/(R + 1) for u ≥ 0,
+    m23 = A/(1 + A) with A = R exp(−d2/ℓ) and m31 = B/(1 + B) with B = R exp(−D/ℓ), so that with
+    q = (R + 1)/2
+
+        F − F1 = {q [A (F3 − F1) + (F2 − F1)] − (F2 − F1)} / ((1 + A)(1 + B) q) + ΔF/q
+
+    For u < 0 m12 is 0, as if R were 1 in q, and ΔF fades with |u|.
+
+    Parameters
+    ----------
+    y : in
+        Displacement from the origin, so that F2 = k2 y and F3 = k3 y + side (k2 − k3) d2.
+    carry : kip, or None
+        The jump ΔF at the last turn; None for none.
+    room : four arrays
+        Memory to work in; the force is the first of them.
+    """
+    q = np.multiply(side, y, out=room[1])
+    back = bool((q < 0.0).any())
+    q *= c["per_ell"]
+    if c["sharp"]:
+        a = np.exp(np.minimum(q - c["early"], SHARP), out=room[2])
+        b = np.exp(np.minimum(q - c["late"], SHARP), out=room[3])
+        np.exp(np.clip(q, -SATURATED, SHARP, out=q), out=q)
+    else:
+        np.minimum(q, FARTHEST, out=q)
+        if back:
+            np.maximum(q, -SATURATED, out=q)
+        np.exp(q, out=q)
+        a = np.multiply(q, c["after_early"], out=room[2])
+        b = np.multiply(q, c["after_late"], out=room[3])
+    if back and carry is not None:
+        fading = 2.0 / (np.maximum(q, 1.0 / q) + 1.0)
+    if back:
+        np.maximum(q, 1.0, out=q)
+    q += 1.0
+    q *= 0.5
+    force = np.multiply(side, c["jump"], out=room[0])
+    force += y * c["k3"]
+    force -= slip
+    force *= a
+    a += 1.0
+    b += 1.0
+    b *= a
+    stick = np.multiply(y, c["k2"], out=a)
+    stick -= slip
+    force += stick
+    force *= q
+    force -= stick
+    b *= q
+    force /= b
+    if carry is not None:
+        force += np.multiply(carry, fading, out=q) if back else np.divide(carry, q, out=q)
+    force += slip
+    return np.asarray(force)
+
+
+def dragged(c: Constants, edge: Array, at: Array) -> Array:
+    """Edge of the gap after a turn: motion beyond either end drags the gap along."""
+    return np.asarray(np.minimum(np.maximum(edge, at - c["width"]), at))
+
+
+def left_over(
+    c: Constants, before: Gap, at: Array, slip: Array, direction: Array
+) -> tuple[Array, Array]:
+    """Blended force before minus after a turn after slip, kip, without the carry; and its fading.
+
+    After such a turn into `direction` the travel restarts at 0.
+    """
+    y = at - before.origin
+    u = before.side * y
+    left = c["build_up"] * (slip - direction * c["jump"])
+    soon = u < c["width"] + SATURATED * c["ell"]
+    if soon.any():
+        left = np.where(soon, left + (blend(c, before.side, y, None, slip) - slip), left)
+    return left, 1.0 - np.tanh(np.abs(u) * (0.5 * c["per_ell"]))
+
+
+def turned(c: Constants, before: Gap, at: Array, slip: Array, direction: Array) -> Gap:
+    """State after a turn of each device at a displacement into a direction, (n,) each.
+
+    After slip (u ≥ D or u ≤ 0) the travel restarts at 0, and the force before minus the force
+    after that is carried on. Inside the gap nothing is reset, so that the force retraces.
+    """
+    edge = dragged(c, before.edge, at)
+    slipped = (edge == at) | (edge == at - c["width"])
+    left, fading = left_over(c, before, at, slip, direction)
+    carry = np.where(slipped, fading * before.carry + left, before.carry)
+    return Gap.at(c, np.where(slipped, direction, before.side), edge, carry)
+
+
+def edges_along(
+    c: Constants, path: MotionPath, start: Array
+) -> tuple[Gap, NDArray[np.bool_], Array]:
+    """As `along`, without the carry; whether each turn ends a slip, and the directions after."""
+    x = path.displacement[path.turning_points]
+    first = Gap.begun(c, path.displacement[0], np.full(start.size, float(path.direction)), start)
+    edge = np.empty((x.size + 1, start.size))
+    edge[0], beyond = first.edge, x[:, None] - c["width"]
+    for k, place in enumerate(x.tolist()):
+        np.maximum(edge[k], beyond[k], out=edge[k + 1])
+        np.minimum(edge[k + 1], place, out=edge[k + 1])
+    slipped = (edge[1:] == x[:, None]) | (edge[1:] == beyond)
+    direction = np.where(np.arange(x.size + 1) % 2, -1.0, 1.0)[:, None] * path.direction
+    latest = np.zeros(edge.shape, dtype=np.intp)  # turn that set the side of each stretch
+    np.multiply(slipped, np.arange(1, x.size + 1)[:, None], out=latest[1:])
+    np.maximum.accumulate(latest, axis=0, out=latest)
+    side = direction[latest, 0]
+    return Gap.at(c, side, edge, np.zeros(edge.shape)), slipped, direction[1:]
+
+
+def along(c: Constants, path: MotionPath, start: Array, slip: Array) -> Gap:
+    """State in every stretch between turning points, (K + 1, n), as `turned` at each of them.
 
     Parameters
     ----------
@@ -29,127 +202,11 @@ def follow(gap: Gap, path: MotionPath, start: Array, slip: Array) -> Crossing:
     slip : (K, n), kip
         F1 at the turning points.
     """
-    first = begin(gap, float(path.displacement[0]), path.direction, start)
-    return turn(gap, first, path.displacement[path.turning_points], path.direction, slip)
-
-
-def travel(gap: Gap, path: MotionPath, start: Array) -> Array:
-    """Travel u since the last slip at every sample, (T, n), in; see `follow`.
-
-    Between 0 and D the gap is crossed; beyond D the device slips.
-    """
-    first = begin(gap, float(path.displacement[0]), path.direction, start)
-    x = path.displacement[path.turning_points][:, None]
-    directions = np.where(np.arange(len(x) + 1) % 2, -1.0, 1.0) * path.direction
-    edge, slipped = _dragged(gap, first.edge, x, directions)
-    side = _side(first, slipped, directions)[0]
-    crossing = Crossing(side, edge, np.zeros(edge.shape))
-    along = np.empty((path.samples.size, start.size))
-    rows_of(side, path.stretch, out=along)
-    along *= path.displacement[path.samples, None]
-    along -= rows_of(side * crossing.origin(gap), path.stretch, out=np.empty(along.shape))
-    return along
-
-
-def place_at_end(gap: Gap, path: MotionPath, start: Array) -> Array:
-    """Place in the gap at the last sample, (n,), 1: 0 at its backward end, 1 at its forward end.
-
-    The play operator alone: motion beyond either end drags the gap along.
-    """
-    edge = begin(gap, float(path.displacement[0]), path.direction, start).edge[0]
-    last = float(path.displacement[-1])
-    for x in (*path.displacement[path.turning_points].tolist(), last):
-        edge = np.minimum(np.maximum(edge, x - gap.width), x)
-    width = gap.width
-    place = np.divide(last - edge, width, out=np.full(edge.shape, 0.5), where=width > 0)
-    return np.asarray(np.clip(place, 0.0, 1.0))
-
-
-def _side(
-    before: Crossing, slipped: NDArray[np.bool_], directions: Array
-) -> tuple[Array, NDArray[np.intp]]:
-    """Direction of the crossing in each stretch, (K + 1, n), and the stretch that set it."""
-    latest = np.zeros((len(slipped) + 1, slipped.shape[1]), dtype=np.intp)
-    np.multiply(slipped, np.arange(1, len(latest))[:, None], out=latest[1:])
-    np.maximum.accumulate(latest, axis=0, out=latest)
-    return np.where(latest > 0, directions[latest], before.side), latest
-
-
-def begin(gap: Gap, displacement: float, direction: int, start: Array) -> Crossing:
-    """State in the one stretch before the first turning point; see `follow`."""
-    behind = start if direction > 0 else 1.0 - start
-    shape = (1, start.size)
-    return Crossing(
-        np.full(shape, float(direction)),
-        (displacement - behind * gap.width).reshape(shape),
-        np.zeros(shape),
-    )
-
-
-def turn(gap: Gap, before: Crossing, at: Array, direction: int, slip: Array) -> Crossing:
-    """State of a stretch and of the K stretches that follow it, each after a turning point.
-
-    Parameters
-    ----------
-    before : Crossing
-        State of one stretch.
-    at : (K,), in
-        Turning points.
-    direction : int
-        +1 or -1, direction of motion before the first of them.
-    slip : (K, n), kip
-        F1 at the turning points.
-    """
-    x = at[:, None]
-    directions = np.where(np.arange(len(x) + 1) % 2, -1.0, 1.0) * direction
-    edge, slipped = _dragged(gap, before.edge, x, directions)
-    side, latest = _side(before, slipped, directions)
-    carry = np.zeros(edge.shape)
-    left, faded = _left_over(gap, Crossing(side, edge, carry), x, slipped, slip)
-    carry[0], carry[1:] = before.carry[0], left
-    if faded is not None:
-        # after slip carry_k = faded carry_{k−1} + jump; inside the gap carry_k = carry_{k−1}
-        carry[1:] = solve(np.where(slipped, faded, 1.0), left * slipped, before.carry[0])
-    elif not slipped.all():
-        carry = np.take_along_axis(carry, latest, axis=0)
-    return Crossing(side, edge, carry)
-
-
-def _dragged(
-    gap: Gap, first: Array, x: Array, directions: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Edge of the gap in each stretch, (K + 1, n), and whether each turning point ends a slip.
-
-    Motion beyond either end of the gap drags the gap along.
-    """
-    # first as if every stretch crossed the whole gap; short stretches are corrected below
-    beyond = x - gap.width
-    edge = np.concatenate([first, np.where(directions[:-1, None] > 0, beyond, x)])
-    slipped = np.ones(x.shape[:1] + first.shape[1:], dtype=bool)
-    short = np.abs(x[1:, 0] - x[:-1, 0]) <= gap.width.max()
-    for k in [0, *(np.flatnonzero(short) + 1).tolist()][: len(x)]:
-        np.maximum(edge[k], beyond[k], out=edge[k + 1])
-        np.minimum(edge[k + 1], x[k], out=edge[k + 1])
-        slipped[k] = (edge[k + 1] == x[k]) | (edge[k + 1] == beyond[k])
-    return edge, slipped
-
-
-def _left_over(
-    gap: Gap, crossing: Crossing, x: Array, slipped: NDArray[np.bool_], slip: Array
-) -> tuple[Array, Array | None]:
-    """Blended force before minus after each turning point that follows slip, (K, n), kip.
-
-    Also the share of the previous `carry` that is left there, (K, n), or None if none is.
-    """
-    # after the turn, at u = 0
-    build_up = expit(gap.width / gap.transition) * expit(-gap.d2 / gap.transition)
-    left = build_up * (slip - crossing.side[1:] * ((gap.k2 - gap.k3) * gap.d2))
-    u = crossing.side[:-1] * (x - crossing.origin(gap)[:-1])
-    early = slipped & (u < gap.width + SATURATED * gap.transition)
-    if not early.any():
-        return left, None
-    partly = np.flatnonzero(early.any(axis=1))
-    before = slip[partly]
-    blend(gap, crossing, partly, x[partly, 0], before)
-    left[partly] += before - slip[partly]
-    return left, 1.0 - np.tanh(np.abs(u) * (0.5 / gap.transition))
+    gap, slipped, direction = edges_along(c, path, start)
+    x = path.displacement[path.turning_points, None]
+    before = Gap(*(column[:-1] for column in gap))
+    left, fading = left_over(c, before, x, slip, direction)
+    if len(x):
+        fading[~slipped], left[~slipped] = 1.0, 0.0
+        gap.carry[1:] = solve(fading, left, gap.carry[0])
+    return gap

@@ -1,33 +1,274 @@
-"""LuGre friction without a gap, to compare the three-stage model with."""
+"""Stage 1: LuGre friction by its exact exponential step, and the model that is LuGre alone.
+
+Every formula serves a record, with motions (T, 1) and parameters (n,), and a step, with (n,) of
+both. Parameters that follow a varying actuation are (T, n) along a record.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.bristles import friction_of, slip_force
-from mfd_bayes.friction.evaluation import check_start
-from mfd_bayes.friction.paper import actuate, check_theta, quantities_of
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.banks import State, SteppedModel
+from mfd_bayes.friction.columns import columns_in_order, named_vectors
+from mfd_bayes.friction.model import Array, Columns, check_start
+from mfd_bayes.friction.parameters import PARAMETERS, STATIC, quantities_of
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.stepping import Damper, State, Stepped
+from mfd_bayes.friction.recurrence import Blocks, scratch
+from mfd_bayes.records.motion import MotionPath
 from mfd_bayes.records.trace import Trace
 
-Array = NDArray[np.float64]
+FLOOR = 1e-9
+"""Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
 
-_PARAMETERS = ("sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd", "v_s")
+PIECE = 1 << 16
+"""Size of a piece's arrays, in numbers: they stay in the cache."""
+
+
+class Curve(NamedTuple):
+    """Stribeck curve g = F_c + (F_s − F_c) exp(−(v/v_s)²), over σ0 and with the sign of v; in.
+
+    `kinetic` and `excess` are those of F_c and F_s − F_c, forward and, negative, backward: (2, …).
+    `rate` is −1/v_s², s²/in².
+    """
+
+    kinetic: Array
+    excess: Array
+    rate: Array
+
+
+def curve_of(c: Mapping[str, Array]) -> Curve:
+    """The Stribeck curve of LuGre's parameters by name."""
+    stiff = np.maximum(c["sigma0"], FLOOR)
+    forward, backward = (np.maximum(c[f"Fc_{side}"], FLOOR) for side in ("fwd", "bwd"))
+    excess = np.maximum(c["Fs_fwd"] - forward, 0.0), np.maximum(c["Fs_bwd"] - backward, 0.0)
+    return Curve(
+        np.stack(np.broadcast_arrays(forward / stiff, -backward / stiff)),
+        np.stack(np.broadcast_arrays(excess[0] / stiff, -excess[1] / stiff)),
+        -1.0 / np.square(c["v_s"]),
+    )
+
+
+def steady_of(
+    curve: Curve, rate: Array, out: Array | None = None, work: Array | None = None
+) -> Array:
+    """Deflection sgn(v) g(v)/σ0, in, that the bristles tend to at a mean velocity, in/s."""
+    backward = rate < 0.0
+    steady = np.multiply(np.square(rate), curve.rate, out=out)
+    np.exp(steady, out=steady)
+    steady *= of_direction(backward, curve.excess, work)
+    steady += of_direction(backward, curve.kinetic, work)
+    return np.asarray(steady)
+
+
+def of_direction(backward: NDArray[np.bool_], pair: Array, work: Array | None = None) -> Array:
+    """What belongs to the direction of each motion, of what is forward and backward."""
+    if backward.ndim == pair.ndim and backward.shape[1] == 1:  # as np.where, in a fifth of the time
+        return np.asarray(pair.take(backward[:, 0], axis=0, out=work, mode="clip"))
+    return np.asarray(np.where(backward, pair[1], pair[0]))
+
+
+def decay_of(way: Array, steady: Array, out: Array | None = None) -> Array:
+    """A = exp(−σ0 |Δx|/g): share of their distance to `steady` that the bristles keep."""
+    decay = np.divide(-way, steady, out=out)
+    return np.asarray(np.exp(decay, out=decay))
+
+
+def damping_of(velocity: Array, rate: Array, steady: Array, out: Array | None = None) -> Array:
+    """σ0 |v|/g, 1/s, with the direction of the mean velocity."""
+    return np.asarray(np.divide(np.copysign(velocity, rate), steady, out=out))
+
+
+def slip_force(
+    c: Mapping[str, Array], damping: Array, z: Array, velocity: Array, work: Array | None = None
+) -> Array:
+    """F1 = σ0 z + σ1 ż + σ2 v with ż = v − σ0 |v| z/g(v), kip (paper Eqs. 3 and 4).
+
+    `damping`, σ0 |v|/g, is overwritten.
+    """
+    force = damping
+    force *= -c["sigma1"]
+    force += c["sigma0"]
+    force *= z
+    force += np.multiply(c["sigma1"] + c["sigma2"], velocity, out=work)
+    return force
+
+
+def limit_of(c: Mapping[str, Array], z: Array, steady: Array) -> Array:
+    """Factor of the damping where the actuation varies.
+
+    Under constant actuation σ0 |z|/g is at most the largest static over the least kinetic
+    friction. Where the actuation fell while at rest, it is limited to that.
+    """
+    most = np.maximum(np.maximum(c["Fs_fwd"], c["Fs_bwd"]), FLOOR)
+    most = most / np.maximum(np.minimum(c["Fc_fwd"], c["Fc_bwd"]), FLOOR)
+    limit: Array = np.minimum(1.0, most / np.maximum(np.abs(z / steady), 1e-300))
+    return limit
+
+
+def force_along(c: Columns, factors: Columns, path: MotionPath) -> Array:
+    """F1 of bristles that start undeflected, (P, n), kip, at every sample of a path.
+
+    Between samples the velocity is taken constant, so that Δx is exact and the equation for z
+    linear (model.md section 2):
+
+        z_{n+1} = a_n z_n + (1 − a_n) sgn(Δx_n) g_n/σ0,   a_n = exp(−σ0 |Δx_n| / g_n)
+
+    The rate terms at sample n use the velocity of the path and the g of the step before it.
+
+    Parameters
+    ----------
+    c : dict of (n,)
+        At the reference actuation.
+    factors : dict of (P, n) or (P, 1)
+        Factors along the path of those that follow the actuation; empty where it is constant.
+    """
+    samples, n = path.step.size, c["v_s"].size
+    length, varying = max(PIECE // max(n, 1), 1), bool(factors)
+    force, z = np.empty((samples, n)), np.zeros(n)
+    now, curve = c, curve_of(c)
+    for begin in range(0, samples, length):
+        end = min(begin + length, samples)
+        blocks = Blocks.of(end - begin)
+        rows = begin + blocks.order
+        if varying:
+            last = np.maximum(rows - 1, 0)
+            now = c | {k: f[rows] * c[k] for k, f in factors.items()}
+            curve = curve_of(c | {k: 0.5 * (f[last] + f[rows]) * c[k] for k, f in factors.items()})
+        way, rate, velocity = (a[rows, None] for a in (path.step, path.rate, path.velocity))
+        room = scratch(5, rows.size, n)
+        steady = steady_of(curve, rate, room[0], room[1])
+        decay = decay_of(way, steady, room[1])
+        damping = damping_of(velocity, rate, steady, room[2])
+        state, work = room[3:] if varying else (steady, room[3])
+        np.subtract(steady, np.multiply(decay, steady, out=work), out=state)
+        blocks.solve(decay, state, z)
+        z = state[blocks.place[-1]].copy()
+        if varying:
+            damping *= limit_of(now, state, steady)
+        part = slip_force(now, damping, state, velocity, work)
+        part.take(blocks.place, axis=0, out=force[begin:end], mode="clip")
+    return force
+
+
+class PaperModel(SteppedModel):
+    """What LuGre and the three stages have in common: the paper's friction."""
+
+    positive: ClassVar[frozenset[str]] = frozenset({"sigma0", "gamma1", "gamma2", "v_s"})
+    laws: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine"}
+    )
+    tied_laws: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {static: kinetic for static, (kinetic, _) in STATIC.items()}
+    )
+    slip_forces: ClassVar[tuple[str, ...]] = ("Fc_fwd", "Fc_bwd")
+
+    def theta(self, values: Mapping[str, Array]) -> Array:
+        """Parameters in their order, (n, p): F_s = F_c (1 + excess), γ2 = ℓ γ1."""
+        known = named_vectors(values, [q.name for q in self.quantities if q.sampled])
+        for static, (kinetic, excess) in STATIC.items():
+            known[static] = known[kinetic] * (1.0 + known[excess])
+        if "gamma2" in self.parameters:
+            known["gamma2"] = known["ell"] * known["gamma1"]
+        return super().theta(known)
+
+    def vectors(self, theta: ArrayLike) -> Array:
+        """Theta as numbers, (n, p).
+
+        A model with fewer parameters takes its own from a theta in the paper's order, (n, 14), too.
+        """
+        values = columns_in_order("theta", theta, self.parameters)
+        if values.ndim == 2 and values.shape[1] == len(PARAMETERS) != len(self.parameters):
+            values = values[:, [PARAMETERS.index(name) for name in self.parameters]]
+        return super().vectors(values)
+
+    def columns(self, theta: ArrayLike) -> Columns:
+        """Theta's columns by name, (n,) each; F_s ≥ F_c holds."""
+        columns = super().columns(theta)
+        for static, (kinetic, _) in STATIC.items():
+            if np.any(columns[static] < columns[kinetic] * (1 - 1e-12)):
+                raise FitError(f"static friction {static} must be at least kinetic {kinetic}")
+        return columns
+
+    def composed(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Static friction, where its excess is sampled."""
+        return tuple(static for static, (_, excess) in STATIC.items() if excess in names)
+
+    def slip_along(
+        self, columns: Columns, trace: Trace, scales: Mapping[str, Array] | None
+    ) -> Array:
+        """F1 at every sample of the trace's path, (P, n), kip."""
+        factors = self.factors(trace, columns["v_s"].size, scales)
+        factors = {name: f.take(trace.path.nearest, axis=0) for name, f in factors.items()}
+        return force_along(columns, factors, trace.path)
+
+    def constants(self, theta: ArrayLike) -> dict[str, Any]:
+        """See `SteppedModel`."""
+        columns = self.columns(theta)
+        return columns | curve_of(columns)._asdict()
+
+    def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
+        """Undeflected bristles; of a direction that is not known, the first velocity's is taken."""
+        v = state.velocity
+        c = _at(state.constants, state.scales)
+        moved = np.full(v.size, direction is not None)
+        way = np.where(v < 0.0, -1.0, 1.0) if direction is None else direction
+        slip = (c["sigma1"] + c["sigma2"]) * v
+        known = {"z": np.zeros(v.size), "slip": slip, "start": start}
+        return known | {"direction": way, "moved": moved}
+
+    def advance(
+        self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
+    ) -> Columns:
+        """Bristles after a straight way; directions of those that turned before it."""
+        c, memory = state.constants, state.memory
+        now: Mapping[str, Any] = c
+        way = displacement - state.displacement
+        varying = bool(scales or state.scales)
+        if varying:
+            before, now = _at(c, state.scales), _at(c, scales)
+            names = {*scales, *state.scales}
+            curve = curve_of(c | {name: 0.5 * (before[name] + now[name]) for name in names})
+        else:
+            curve = Curve(c["kinetic"], c["excess"], c["rate"])
+        rate = way / dt
+        steady = steady_of(curve, rate)
+        z = steady + decay_of(way, steady) * (memory["z"] - steady)
+        damping = damping_of(velocity, rate, steady)
+        if varying:
+            damping *= limit_of(now, z, steady)
+        slip = slip_force(now, damping, z, velocity)
+        direction = np.where(
+            way * memory["direction"] < 0.0, -memory["direction"], memory["direction"]
+        )
+        moved = memory["moved"] | (way != 0.0)
+        return memory | {"z": z, "slip": slip, "direction": direction, "moved": moved}
+
+    def total(self, state: State) -> Array:
+        """F1, (n,), kip."""
+        return state.memory["slip"]
+
+
+def _at(c: Mapping[str, Any], scales: Columns) -> Mapping[str, Any]:
+    """Parameters under a changed actuation."""
+    return {**c, **{name: c[name] * factor for name, factor in scales.items()}} if scales else c
 
 
 @dataclass(frozen=True)
-class LuGre(Stepped):
+class LuGre(PaperModel):
     """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4)."""
 
     name: ClassVar[str] = "lugre"
-    parameters: ClassVar[tuple[str, ...]] = _PARAMETERS
-    quantities: ClassVar[tuple[Quantity, ...]] = quantities_of(_PARAMETERS)
+    parameters: ClassVar[tuple[str, ...]] = (
+        *("sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd", "v_s"),
+    )
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_of(parameters)
 
     def force(
         self,
@@ -41,22 +282,7 @@ class LuGre(Stepped):
 
         theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
         """
-        columns = check_theta(self, theta)
-        if start is not None:
-            check_start(start, columns["v_s"].shape[1])
-        return slip_force(friction_of(actuate(columns, trace, scales)), trace.path)[0].T
-
-    def start(
-        self,
-        theta: ArrayLike,
-        start: ArrayLike | None = None,
-        *,
-        direction: int | None = None,
-        reference_actuation: float | None = None,
-    ) -> State:
-        """State before the first sample of a motion; see `ThreeStage.start`."""
-        columns = check_theta(self, theta)
-        check_start(start, columns["v_s"].shape[1])
-        friction = friction_of(columns)
-        damper = Damper(friction, direction=direction, reference=reference_actuation)
-        return State.at_rest(damper)
+        columns = self.columns(theta)
+        check_start(start, columns["v_s"].size)
+        force = self.slip_along(columns, trace, scales)
+        return force.take(trace.path.samples, axis=0).T

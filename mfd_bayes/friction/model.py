@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
-from mfd_bayes.friction.evaluation import check_start, checked, of_trace
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.yield_shares import shares_along
+from mfd_bayes.records.motion import vertices
+from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
+Columns = dict[str, Array]
 
 _NONE: Mapping[str, str] = MappingProxyType({})
 
@@ -32,6 +34,8 @@ class Model:
         All that it knows by name. Those that are sampled are so in this order.
     parameters : tuple of str
         Names of theta's columns; those of all quantities where not given.
+    positive : frozenset of str
+        Parameters that must not be 0.
     has_gap : bool
         Whether `start`, the place in the gap at the first sample, matters.
     keeps_prior : tuple of str
@@ -48,6 +52,7 @@ class Model:
 
     name: ClassVar[str]
     quantities: ClassVar[tuple[Quantity, ...]]
+    positive: ClassVar[frozenset[str]] = frozenset()
     has_gap: ClassVar[bool] = False
     keeps_prior: ClassVar[tuple[str, ...]] = ()
     laws: ClassVar[Mapping[str, str]] = _NONE
@@ -56,22 +61,21 @@ class Model:
     slip_forces: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
-        """Let `force` and `travel` of every model take empty batches, and give numbers alone.
-
-        `end` takes traces alone, as both of them do.
-        """
+        """Let what every model computes of a trace take empty batches, and give numbers alone."""
         super().__init_subclass__()
-        if "force" in cls.__dict__:
-            cls.force = checked(cls.force)  # type: ignore[method-assign]
-        if "travel" in cls.__dict__:
-            cls.travel = checked(cls.travel)  # type: ignore[method-assign]
-        if "end" in cls.__dict__:
-            cls.end = of_trace(cls.end)  # type: ignore[method-assign]
+        for name in ("force", "travel", "end"):
+            if name in cls.__dict__:
+                setattr(cls, name, _checked(cls.__dict__[name]))
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of theta's columns."""
         return tuple(quantity.name for quantity in self.quantities)
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Parameters that `scales` may hold: those that follow the actuation."""
+        return (*self.laws, *self.tied_laws)
 
     def force(
         self,
@@ -117,33 +121,12 @@ class Model:
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
         check_trace("trace", trace, FitError)
-        values = self._finite(theta)
-        check_start(start, len(values))
-        return travel_since_turn(values, trace)
-
-    def vectors(self, theta: ArrayLike) -> Array:
-        """Theta as numbers, (n, p), or a FitError that says what does not fit.
-
-        Of a table with named columns, such as a DataFrame, those of `parameters` are taken.
-        """
-        values = columns_in_order("theta", theta, self.parameters)
-        width = len(self.parameters)
-        if values.ndim != 2 or values.shape[1] != width:
-            raise FitError(
-                f"theta must have shape (n, {width}) for {self.name}, got {values.shape}"
-            )
-        return values
-
-    def _finite(self, theta: ArrayLike) -> Array:
-        """As `vectors`, of finite numbers alone."""
-        values = self.vectors(theta)
-        if not np.all(np.isfinite(values)):
-            raise FitError(f"theta must hold finite numbers alone for {self.name}")
-        return values
-
-    def _sound(self, theta: ArrayLike) -> int:
-        """Number of vectors of theta, or a FitError that says which is none of a damper."""
-        return len(self._finite(theta))
+        n = _count(self.columns(theta))
+        check_start(start, n)
+        path = trace.path
+        turns = np.concatenate([path.displacement[:1], path.displacement[path.turning_points]])
+        since_turn = np.abs(trace.displacement - turns[path.stretch])
+        return np.broadcast_to(since_turn, (n, trace.samples))
 
     def end(
         self,
@@ -171,10 +154,9 @@ class Model:
         if self.has_gap:
             raise FitError(f"the model {self.name} does not say where in its gap a motion ends")
         check_trace("trace", trace, FitError)
-        n = self._sound(theta)
+        n = _count(self.columns(theta))
         check_start(start, n)
-        if scales is not None:
-            shares_along(scales, trace, n, (*self.laws, *self.tied_laws))
+        self.factors(trace, n, scales)
         return np.full(n, 0.5)
 
     def start_at(
@@ -196,6 +178,15 @@ class Model:
             differ.
         """
         return place
+
+    def stages(
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
+    ) -> NDArray[np.int8] | None:
+        """Stage of every parameter vector at each sample, (n, T); None without a gap.
+
+        1 slip, 2 stick, 3 build-up, 4 in the gap, where the model tells it from stick.
+        """
+        return None
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p), of values by name, (n,) each."""
@@ -228,19 +219,162 @@ class Model:
         """
         return None
 
-    def stages(
-        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
-    ) -> NDArray[np.int8] | None:
-        """Stage of every parameter vector at each sample, (n, T); None without a gap.
+    def vectors(self, theta: ArrayLike) -> Array:
+        """Theta as numbers, (n, p), or a FitError that says what does not fit.
 
-        1 slip, 2 stick, 3 build-up, 4 in the gap, where the model tells it from stick.
+        Of a table with named columns, such as a DataFrame, those of `parameters` are taken.
         """
-        return None
+        values = columns_in_order("theta", theta, self.parameters)
+        width = len(self.parameters)
+        if values.ndim != 2 or values.shape[1] != width:
+            raise FitError(
+                f"theta must have shape (n, {width}) for {self.name}, got {values.shape}"
+            )
+        return values
+
+    def columns(self, theta: ArrayLike) -> Columns:
+        """Theta's columns by name, (n,) each, within the limits of their quantities.
+
+        Raises
+        ------
+        FitError
+            When the shape does not fit, or a value lies outside its limits.
+        """
+        values = np.array(self.vectors(theta).T, order="C")  # not the caller's
+        columns = dict(zip(self.parameters, values, strict=True))
+        known = {quantity.name: (quantity.least, quantity.most) for quantity in self.quantities}
+        limits = np.array([known.get(name, (-np.inf, np.inf)) for name in columns])
+        zero = np.array([name in self.positive for name in columns])
+        good = (values >= limits[:, :1]) & (values <= limits[:, 1:]) & np.isfinite(values)
+        good &= ~(zero[:, None] & (values == 0.0))
+        if not good.all():
+            row, vector = np.argwhere(~good)[0]
+            name, (least, most) = self.parameters[row], limits[row]
+            words = "positive" if zero[row] else "not negative" if least == 0.0 else ""
+            words = f"in [{least:g}, {most:g}]" if np.isfinite(most) else words
+            words = words or (f"at least {least:g}" if np.isfinite(least) else "")
+            words = f"finite and {words}" if words else "finite"
+            raise FitError(f"parameter {name} must be {words}, got {values[row, vector]}")
+        return columns
+
+    def factors(self, trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None) -> Columns:
+        """Factors of the parameters that follow the actuation, by name; none where it is constant.
+
+        (T, n) or (T, 1) each, at the samples. Without `scales` those whose law is proportional
+        follow it, and what is tied to them: one test cannot tell the slope of another law.
+
+        Raises
+        ------
+        FitError
+            When a name, a shape or a value in `scales` does not fit.
+        """
+        if scales is not None:
+            shapes = ((n, trace.samples), (1, trace.samples))
+            return {k: f.T for k, f in check_scales(scales, shapes, self.actuated).items()}
+        if not trace.varying:
+            return {}
+        return self.proportional(np.asarray(trace.actuation)[:, None], trace.reference_actuation)
+
+    def proportional(self, actuation: Array, reference: float | None) -> Columns:
+        """Factors of the parameters that are in proportion to the actuation, by name."""
+        names = [n for n in self.actuated if self.laws.get(n, "proportional") == "proportional"]
+        return dict.fromkeys(names, actuation / (reference or 1.0))
 
 
-def travel_since_turn(theta: ArrayLike, trace: Trace) -> Array:
-    """Travel since the last turning point, (n, T), in: that of a device without a gap."""
-    path = trace.path
-    turns = np.concatenate([path.displacement[:1], path.displacement[path.turning_points]])
-    travel = np.abs(trace.displacement - turns[path.stretch])
-    return np.broadcast_to(travel, (len(np.asarray(theta)), trace.samples))
+def _count(columns: Columns) -> int:
+    """Number of vectors n of some columns."""
+    return next(iter(columns.values())).size
+
+
+def _checked(compute: Callable[..., Array]) -> Callable[..., Array]:
+    """A model's method of theta and a trace that takes no vector too, and gives finite numbers.
+
+    The method itself is its `__wrapped__`.
+    """
+
+    @wraps(compute)
+    def found(model: Any, theta: ArrayLike, trace: Trace, *args: Any, **options: Any) -> Array:
+        vectors = columns_in_order("theta", theta, model.parameters)
+        check_trace("trace", trace, FitError)
+        if vectors.ndim == 2 and len(vectors) == 0:
+            return compute(model, np.ones((1, vectors.shape[1])), trace)[:0]
+        try:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                values = compute(model, vectors, trace, *args, **options)
+        except (ArithmeticError, IndexError) as error:  # of a place that is not a number
+            what = f"the {compute.__name__} is no finite number for these parameters"
+            raise FitError(what) from error
+        finite = np.isfinite(values)
+        if not finite.all():
+            at = int(np.argmin(finite.reshape(len(values), -1).all(axis=1)))
+            raise FitError(f"the {compute.__name__} of parameter vector {at} is no finite number")
+        return values
+
+    return found
+
+
+def check_start(start: ArrayLike | None, n: int) -> Array:
+    """Place in the gap at the first sample, (n,), checked; its middle where none is given.
+
+    Raises
+    ------
+    FitError
+        When it is no fraction of the gap, or its shape does not fit.
+    """
+    if start is None:
+        return np.full(n, 0.5)
+    w0 = real_numbers("start", start, FitError)
+    if w0.shape not in ((), (n,)) or not np.all((w0 >= 0) & (w0 <= 1)):
+        raise FitError(f"start must be a fraction of the gap in [0, 1] with shape ({n},)")
+    return np.broadcast_to(w0, (n,)).copy()  # a state must not change with the caller's array
+
+
+def check_scales(
+    scales: Any, shapes: tuple[tuple[int, ...], ...], names: tuple[str, ...]
+) -> Columns:
+    """Factors by name, checked: names, shapes, and that they are finite and not negative.
+
+    Raises
+    ------
+    FitError
+        When one does not fit.
+    """
+    if not isinstance(scales, Mapping):
+        kind = type(scales).__name__
+        raise FitError(f"scales must be a mapping from names of parameters to factors, got {kind}")
+    factors = {}
+    for name, values in scales.items():
+        factor = factors[name] = real_numbers(f"scales of {name}", values, FitError)
+        if name not in names or factor.shape not in shapes:
+            expected = " or ".join(map(str, shapes))
+            raise FitError(
+                f"scales may hold {' and '.join(names)} with shape {expected}, "
+                f"got {name} with {factor.shape}"
+            )
+        if not np.all(np.isfinite(factor) & (factor >= 0)):
+            raise FitError(f"scales of {name} must be finite and not negative")
+    return factors
+
+
+def through_vertices(
+    trace: Trace,
+) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Motion of a trace with the vertex of every turn, however small: no hysteresis matters.
+
+    Returns
+    -------
+    time, displacement : (P,), s, in
+    nearest : (P,), int
+        The sample of the trace at or beside each.
+    samples : (T,), int
+        Which of them are the trace's.
+    """
+    t, x, every = trace.time, trace.displacement, np.arange(trace.samples)
+    left, share, vertex = vertices(t, x, trace.velocity)
+    at = left + 1
+    return (
+        np.insert(t, at, t[left] + share * (t[at] - t[left])),
+        np.insert(x, at, vertex),
+        np.insert(every, at, np.where(share < 0.5, left, at)),
+        every + np.searchsorted(at, every, side="right"),
+    )

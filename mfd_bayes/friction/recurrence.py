@@ -1,137 +1,108 @@
-"""Linear recurrences in time, for many vectors at once in few numpy calls."""
+"""Linear recurrences in time, for many vectors at once in few numpy calls, and memory for them."""
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.arrays import aligned, rows_of
-
 Array = NDArray[np.float64]
 
 SHORT = 24
-"""Up to this many steps are one block."""
+"""Up to this many steps are taken one after the other."""
 
 
-@lru_cache(maxsize=4096)
-def _layout(steps: int) -> tuple[int, int]:
-    """Rows of N steps in blocks of blocks, as few as can be, and steps of the largest blocks."""
-    if steps <= SHORT:
-        return steps, steps
-    usual = 2.0 * steps ** (1 / 3) if steps > SHORT**2 else steps ** (1 / 2)
-    lengths = range(round(0.8 * usual), round(1.2 * usual) + 1)
-    return min((length * _layout(-(-steps // length))[0], length) for length in lengths)
+class _Memory(threading.local):
+    def __init__(self) -> None:
+        self.room = np.empty(0)
+
+
+_memory = _Memory()
+
+
+def scratch(count: int, rows: int, n: int) -> list[Array]:
+    """Uninitialised arrays (rows, n), valid until this thread's next call of `scratch`.
+
+    Every call returns the same memory: to be given new pages by the system takes as long as the
+    computation. Each array begins with a line of the cache.
+    """
+    size = -(-rows * n // 8) * 8
+    if _memory.room.size < count * size + 8:
+        _memory.room = np.empty(count * size + 8)
+    begin = -(_memory.room.ctypes.data // 8) % 8
+    return [
+        _memory.room[begin + i * size : begin + i * size + rows * n].reshape(rows, n)
+        for i in range(count)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """N steps in blocks of consecutive steps, stored with the j-th steps of all blocks together.
 
-    In this order one numpy call takes a step in all blocks at once, on contiguous memory. The
-    blocks themselves stand in the order of `ends`, so that their ends are solved where they are.
+    In this order one numpy call takes a step in all blocks at once, on contiguous memory.
 
     Attributes
     ----------
     length, count : int
         Steps of a block, and number of blocks.
-    order : (rows,), int
-        Step in each row. Rows that fill up the blocks repeat the last step.
+    order : (length count,), int
+        Step in each row. Rows that fill up the last block repeat the last step.
     place : (N,), int
         Row of each step.
-    ends : Blocks, optional
-        The ends of the blocks, in blocks of their own; None of a single block.
-    before : (count,), int
-        Place of the block before each block; the first has none, and any will do.
     """
 
     length: int
     count: int
     order: NDArray[np.intp]
     place: NDArray[np.intp]
-    ends: Blocks | None
-    before: NDArray[np.intp]
 
     @staticmethod
     @lru_cache(maxsize=64)
     def of(steps: int) -> Blocks:
-        """Blocks of N steps, about 2 N^(1/3) in each."""
-        if steps <= SHORT:
-            every = np.arange(steps)
-            return Blocks(steps, 1, every, every, None, every[:1])
-        _, length = _layout(steps)
-        ends = Blocks.of(-(-steps // length))
-        order = np.add.outer(np.arange(length), ends.order * length).ravel()
+        """Blocks of N steps, of a length that needs few calls."""
         step = np.arange(steps)
-        place = step % length * ends.rows + ends.place[step // length]
-        before = ends.place[np.maximum(ends.order - 1, 0)]
-        return Blocks(length, ends.rows, np.minimum(order, steps - 1), place, ends, before)
+        if steps <= SHORT:
+            return Blocks(steps, 1, step, step)
+        length = round(1.3 * steps ** (1 / 3) if steps > SHORT**2 else steps**0.5)
+        count = -(-steps // length)
+        order = np.add.outer(np.arange(length), np.arange(count) * length).ravel()
+        return Blocks(
+            length, count, np.minimum(order, steps - 1), step % length * count + step // length
+        )
 
-    @property
-    def rows(self) -> int:
-        """Number of rows of the arrays given to `relax` and `solve`, at least N."""
-        return self.order.size
-
-    def relax(self, decay: Array, state: Array, first: Array) -> None:
-        """Overwrite s in `state` with z_k = s_k + decay_k (z_{k−1} − s_k), which tends to s.
+    def solve(self, decay: Array, state: Array, first: Array) -> None:
+        """Overwrite the drive in `state` with z_k = decay_k z_{k−1} + drive_k.
 
         Parameters
         ----------
-        decay, state : (rows, n)
+        decay, state : (length count, n)
             In the order of the blocks; both are overwritten.
         first : (n,)
             z before the first step.
         """
-        if self.ends is None:
-            state -= decay * state
-            self.solve(decay, state, first)
+        if self.count == 1:
+            work = np.empty(first.shape)
+            for a, z in zip(decay, state, strict=True):
+                first = np.add(z, np.multiply(a, first, work), z)
             return
-        a, z, work = self._views(decay, state)
-        last_a, last_z = a[0], z[0]
-        last_z -= np.multiply(last_a, last_z, out=work)
-        for next_a, next_z in zip(a[1:], z[1:], strict=True):
-            np.subtract(last_z, next_z, work)
-            np.multiply(work, next_a, work)
-            np.add(next_z, work, next_z)
-            np.multiply(next_a, last_a, next_a)
-            last_a, last_z = next_a, next_z
-        self._join(a, z, first, work)
-
-    def solve(self, decay: Array, state: Array, first: Array) -> None:
-        """Overwrite the drive in `state` with z_k = decay_k z_{k−1} + drive_k; see `relax`."""
-        if self.ends is None:
-            z, work = first, np.empty(first.shape)
-            for a, drive in zip(decay, state, strict=True):
-                z = np.add(drive, np.multiply(a, z, work), drive)
-            return
-        a, z, work = self._views(decay, state)
+        shape = (self.length, self.count, first.size)
+        a, z, work = decay.reshape(shape), state.reshape(shape), np.empty(shape[1:])
         last_a, last_z = a[0], z[0]
         for next_a, next_z in zip(a[1:], z[1:], strict=True):
             np.add(next_z, np.multiply(next_a, last_z, work), next_z)
             np.multiply(next_a, last_a, next_a)
             last_a, last_z = next_a, next_z
-        self._join(a, z, first, work)
-
-    def _views(self, decay: Array, state: Array) -> tuple[Array, Array, Array]:
-        shape = (self.length, self.count, state.shape[1])
-        return decay.reshape(shape), state.reshape(shape), aligned(*shape[1:])
-
-    def _join(self, decay: Array, state: Array, first: Array, work: Array) -> None:
-        """Add to each block, solved from 0, the decayed state from the end of the block before."""
-        if self.ends is not None:
-            faded, last = aligned(*work.shape), aligned(*work.shape)
-            faded[:], last[:] = decay[-1], state[-1]
-            self.ends.solve(faded, last, first)
-            rows_of(last, self.before, out=work)
-        work[0] = first
-        decay *= work
-        state += decay
+        work[0], work[1:] = first, solve(last_a, last_z, first)[:-1]
+        a *= work
+        z += a
 
 
 def solve(decay: Array, drive: Array, first: Array) -> Array:
-    """States after each of N steps, (N, n).
+    """States z_k = decay_k z_{k−1} + drive_k after each of N steps, (N, n).
 
     Parameters
     ----------
@@ -140,10 +111,6 @@ def solve(decay: Array, drive: Array, first: Array) -> Array:
         z before the first step.
     """
     blocks = Blocks.of(len(decay))
-    if blocks.ends is None:
-        states = drive.copy()
-        blocks.solve(decay, states, first)
-        return states
-    states = drive[blocks.order]
-    blocks.solve(decay[blocks.order], states, first)
-    return states[blocks.place]
+    states = drive.take(blocks.order, axis=0)
+    blocks.solve(decay.take(blocks.order, axis=0), states, first)
+    return states if blocks.count == 1 else states.take(blocks.place, axis=0)

@@ -4,31 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.bristles import friction_of, slip_force
+from mfd_bayes.friction.banks import State
 from mfd_bayes.friction.columns import named_columns
-from mfd_bayes.friction.evaluation import check_start
-from mfd_bayes.friction.gap import follow, place_at_end, travel
-from mfd_bayes.friction.paper import ACTUATED, PARAMETERS, actuate, check_theta, quantities_of
+from mfd_bayes.friction.gap import (
+    SATURATED,
+    Gap,
+    along,
+    blend,
+    dragged,
+    edges_along,
+    gap_of,
+    turned,
+)
+from mfd_bayes.friction.lugre import PaperModel
+from mfd_bayes.friction.model import Array, Columns, check_start
+from mfd_bayes.friction.parameters import PARAMETERS, quantities_of
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.stepping import Damper, State, Stepped
-from mfd_bayes.friction.transitions import Gap, Transitions, blend
-from mfd_bayes.friction.yield_shares import shares_along
+from mfd_bayes.friction.recurrence import scratch
 from mfd_bayes.records.trace import Trace
 
-Array = NDArray[np.float64]
-
-
-FEW = 1 << 12
-"""Of fewer numbers, preparing the blend would take longer than blending."""
+PIECE = 1 << 15
+"""Size of the arrays that are blended at a time, in numbers: they stay in the cache."""
 
 
 @dataclass(frozen=True)
-class ThreeStage(Stepped):
+class ThreeStage(PaperModel):
     """Friction damper with a gap (Cao et al., Eqs. 1 to 4; model.md sections 2 to 4)."""
 
     name: ClassVar[str] = "three_stage"
@@ -46,19 +51,38 @@ class ThreeStage(Stepped):
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
         """Force of every parameter vector (n, 14), (n, T), kip; see `Model.force`."""
-        columns = check_theta(self, theta)
-        n = columns["k2"].shape[1]
-        w0 = check_start(start, n)
-        columns = actuate(columns, trace, scales)
-        return _force(columns, trace, w0).T
+        columns, path = self.columns(theta), trace.path
+        n = columns["k2"].size
+        w0, c = check_start(start, n), gap_of(columns)
+        slip = self.slip_along(columns, trace, scales)
+        gap = along(c, path, w0, slip[path.turning_points])
+        force, x, stretch = slip.take(path.samples, axis=0), trace.displacement, path.stretch
+        # elsewhere the force is F1: the carried force has faded, and the gap is crossed
+        far = SATURATED * c["ell"]
+        low, high = (gap.edge - far).min(axis=1), (gap.edge + (c["width"] + far)).max(axis=1)
+        (near,) = ((x >= low[stretch]) & (x <= high[stretch])).nonzero()
+        length = max(PIECE // max(n, 1), 1)
+        for begin in range(0, near.size, length):
+            rows = near[begin : begin + length]
+            room = scratch(8, rows.size, n)
+            for table, out in zip((gap.side, gap.origin, gap.carry), room, strict=False):
+                table.take(stretch[rows], axis=0, out=out, mode="clip")
+            side, y, carry, slip = room[:4]
+            force.take(rows, axis=0, out=slip, mode="clip")
+            np.subtract(x[rows, None], y, out=y)
+            force[rows] = blend(c, side, y, carry, slip, room[4:])
+        return force.T
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel u since the last slip of every parameter vector, (n, T), in.
 
         From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
         """
-        columns = check_theta(self, theta)
-        return travel(_gap(columns), trace.path, check_start(start, columns["k2"].shape[1])).T
+        columns = self.columns(theta)
+        w0 = check_start(start, columns["k2"].size)
+        gap, *_ = edges_along(gap_of(columns), trace.path, w0)
+        own = trace.path.stretch
+        return (gap.side[own] * (trace.displacement[:, None] - gap.origin[own])).T
 
     def end(
         self,
@@ -75,11 +99,14 @@ class ThreeStage(Stepped):
         takes the side that its first direction leads away from. All that is forgotten at its
         first turn after slip.
         """
-        columns = check_theta(self, theta)
-        w0 = check_start(start, columns["k2"].shape[1])
-        if scales is not None:
-            shares_along(scales, trace, w0.size, ACTUATED)
-        return place_at_end(_gap(columns), trace.path, w0)
+        columns = self.columns(theta)
+        w0, c = check_start(start, columns["k2"].size), gap_of(columns)
+        self.factors(trace, w0.size, scales)
+        gap, *_ = edges_along(c, trace.path, w0)
+        last = trace.path.displacement[-1]
+        width, edge = c["width"], dragged(c, gap.edge[-1], last)
+        place = np.divide(last - edge, width, out=np.full(edge.shape, 0.5), where=width > 0)
+        return np.asarray(np.clip(place, 0.0, 1.0))
 
     def start_at(
         self,
@@ -100,51 +127,47 @@ class ThreeStage(Stepped):
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
     ) -> NDArray[np.int8]:
         """Stage at each sample, (n, T): 1 slip, 2 stick, 3 build-up; see `Model.stages`."""
-        travel = self.travel(theta, trace, start)
-        d2, d3 = self.vectors(theta).T[[PARAMETERS.index(name) for name in ("d2", "d3")], :, None]
+        travel, columns = self.travel(theta, trace, start), self.columns(theta)
+        d2, d3 = columns["d2"][:, None], columns["d3"][:, None]
         return np.select([travel >= d2 + d3, travel >= d2], [1, 3], 2).astype(np.int8)
 
-    def start(
-        self,
-        theta: ArrayLike,
-        start: ArrayLike | None = None,
-        *,
-        direction: int | None = None,
-        reference_actuation: float | None = None,
-    ) -> State:
-        """State of every parameter vector before the first sample of a motion.
+    def constants(self, theta: ArrayLike) -> dict[str, Any]:
+        """See `SteppedModel`."""
+        own = super().constants(theta)
+        return own | gap_of(own)
 
-        Parameters
-        ----------
-        theta, start
-            As in `force`.
-        direction : int, optional
-            +1 or -1, that of the first motion; by default that of the first velocity.
-        reference_actuation : float, ksi or kip, optional
-            Actuation to which theta belongs; by default that of the first step.
-        """
-        columns = check_theta(self, theta)
-        w0 = check_start(start, columns["k2"].shape[1])
-        damper = Damper(friction_of(columns), _gap(columns), w0, direction, reference_actuation)
-        return State.at_rest(damper)
+    def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
+        """Undeflected bristles, and the gap at a share of its width."""
+        memory = super().begin(state, start, direction)
+        gap = Gap.begun(state.constants, state.displacement, memory["direction"], start)
+        return memory | gap._asdict()
+
+    def advance(
+        self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
+    ) -> Columns:
+        """Bristles after a straight way, and gaps of those that turned before it."""
+        memory = super().advance(state, displacement, velocity, dt, scales)
+        back = memory["direction"] != state.memory["direction"]
+        if back.any():
+            c, x, direction = state.constants, state.displacement, memory["direction"]
+            before = _gap(state)
+            after = turned(c, before, x, state.memory["slip"], direction)
+            moved = state.memory["moved"]
+            if not moved.all():  # the direction was assumed, and was the other one
+                begun = Gap.begun(c, x, direction, memory["start"])
+                pairs = zip(after, begun, strict=True)
+                after = Gap(*(np.where(moved, new, first) for new, first in pairs))
+            pairs = zip(before, after, strict=True)
+            memory |= Gap(*(np.where(back, new, old) for old, new in pairs))._asdict()
+        return memory
+
+    def total(self, state: State) -> Array:
+        """Force of the three stages, (n,), kip."""
+        gap = _gap(state)
+        y = state.displacement - gap.origin
+        return blend(state.constants, gap.side, y, gap.carry, state.memory["slip"])
 
 
-def _gap(columns: dict[str, Array]) -> Gap:
-    k2, k3, d2, d3 = (columns[name][0] for name in ("k2", "k3", "d2", "d3"))
-    return Gap(k2, k3, d2, d3, (columns["gamma2"] / columns["gamma1"])[0])
-
-
-def _force(columns: dict[str, Array], trace: Trace, start: Array) -> Array:
-    """Force with time first, (T, n), kip."""
-    path = trace.path
-    force, at_turns = slip_force(friction_of(columns), path)
-    gap = _gap(columns)
-    crossing = follow(gap, path, start, at_turns)
-    near = crossing.near(gap, trace.displacement, path.stretch)
-    if near.size * start.size < FEW:
-        part = force[near]
-        blend(gap, crossing, path.stretch[near], trace.displacement[near], part)
-        force[near] = part
-    else:
-        Transitions.of(gap, crossing).blend(path.stretch, trace.displacement, near, force)
-    return force
+def _gap(state: State) -> Gap:
+    """Where the gaps of a state are."""
+    return Gap(*(state.memory[name] for name in Gap._fields))

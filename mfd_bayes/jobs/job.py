@@ -61,6 +61,8 @@ class Progress:
     seconds: float
     share: float = math.nan
     """Estimated fraction of the needed steps that is done; NaN where it is unknown."""
+    missing: str = ""
+    """The targets that are not reached yet, in words; none where it ends."""
 
     @property
     def measured(self) -> bool:

@@ -14,7 +14,7 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.crossvalidation import check_parts, leave_out_parts
-from mfd_bayes.pipeline.outputs import Output, check_outputs, table_with
+from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import left_out_shown, write_report
 from mfd_bayes.reporting.tables import (
@@ -43,9 +43,8 @@ def compare(
     out : Path
         OUT/MODEL, OUT/NOISE or OUT/MODEL_NOISE hold the runs; OUT/comparison.csv is written last.
     models : sequence of str
-        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash", each also with
-        "+weakening" after it; with `noises` in the options also one, or none for
-        the campaign's own.
+        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash"; with `noises` in the
+        options also one, or none for the campaign's own.
     options : Options
         `model` and `noise` are ignored; with `by`, each run is also cross-validated, as by
         `crossvalidate`.
@@ -102,14 +101,14 @@ def _plan_models(
 ) -> dict[str, Plan]:
     """Plan of a campaign under each candidate, checked for what the comparison needs."""
     plans: dict[str, Plan] = {}
-    table = Output(out / "comparison.csv", table_with("test", "model", "cycles", "elpd"))
-    check_outputs([table], [campaign], force=options.force)
+    table, replace_it = [out / "comparison.csv"], options.force or options.resume
+    check_outputs(table, [campaign], force=replace_it)
     for one in chosen:
         own = replace(options, model=one.model, noise=one.noise)
         plans[one.name] = plan = plan_campaign(campaign, own)
         if options.by:
             check_parts(plan)
-        check_outputs([table], [t.path for t in plan.campaign.tests], force=options.force)
+        check_outputs(table, [t.path for t in plan.campaign.tests], force=replace_it)
         for task in plan.tasks:
             check_cycles(task)
         folder = out / one.name

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.response.building import Building, Device
-from mfd_bayes.response.choice import Choice
-from mfd_bayes.response.draws import draw_dampers
-from mfd_bayes.response.equivalent import Equivalent, equivalents
+from mfd_bayes.response.device_draws import Choice, draw_dampers
+from mfd_bayes.response.opensees import Equivalent, equivalents
 from mfd_bayes.response.schema import Limits
 from mfd_bayes.runs.folder import POPULATION
 from mfd_bayes.runs.opening import open_run
@@ -64,14 +64,7 @@ def export(out: Path, asked: Export) -> Exported:
         tested and is not asked for expressly, or the folder is not this command's.
     """
     folder = asked.folder
-    used = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
-    if used and not (folder / ABOUT).is_file() and not asked.force:
-        raise StoreError(
-            f"{folder} exists, and this command did not write it: give another name with -o, or "
-            "--force to write into it"
-        )
-    if (folder / "manifest.json").exists():
-        raise StoreError(f"{folder} is a run folder: give a folder of its own")
+    check_folder(folder, force=asked.force)
     run = open_run(out)
     level = _level(run, asked.actuation)
     remarks = _remarks(run, level, asked)

@@ -15,9 +15,9 @@ from mfd_bayes.assessment.next_test import (
 )
 from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.pipeline.outputs import Output, check_outputs, is_marked, table_with, write_picture
-from mfd_bayes.planning.advice import Advice
+from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.planning.candidate import Candidate
+from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.regular import why_no_file
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE
@@ -26,7 +26,7 @@ from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import System
-from mfd_bayes.store.files import json_text, write_text
+from mfd_bayes.store.files import json_text, write_bytes, write_text
 
 SHOWN = 10
 """Candidates that are shown on a terminal."""
@@ -138,17 +138,12 @@ def _files(table: Path, wish: Wish) -> list[Path]:
     if table.suffix.lower() in (".json", ".png"):
         raise StoreError(f"{table} must not end in {table.suffix}: JSON and PNG go beside it")
     files = [table, table.with_suffix(".json"), table.with_suffix(".png")]
-    own = table_with("candidate", "expected_reduction"), _is_advice, is_marked
-    outputs = [Output(path, ours) for path, ours in zip(files, own, strict=True)]
-    if wish.draft is not None:
-        outputs.append(Output(wish.draft, lambda content: content.startswith(_DRAFT.encode())))
     inputs = [Path(wish.candidates)] if _is_path(wish.candidates) else []
-    check_outputs(outputs, inputs, force=wish.force)
+    if wish.table is not None:  # else they are the run's own
+        check_outputs(files, inputs, force=wish.force)
+    if wish.draft is not None:
+        check_outputs([wish.draft], inputs, force=wish.force)
     return files
-
-
-def _is_advice(content: bytes) -> bool:
-    return content.startswith(b'{\n  "goal": ')
 
 
 def _candidates(text: str) -> str | list[str] | None:
@@ -190,7 +185,7 @@ def _write(run: Run, advice: Advice, files: list[Path], system: System) -> None:
     write_text(files[0], next_csv(advice, *units))
     write_text(files[1], json_text(advice_content(advice, *units), indent=2) + "\n")
     title = f"Next test: {candidate_words(advice[0].candidate, *units)}"
-    write_picture(files[2], to_png(draw_next(advice, system, run.actuation_unit, title)))
+    write_bytes(files[2], to_png(draw_next(advice, system, run.actuation_unit, title)))
 
 
 def _drafted(advice: Advice, wish: Wish, system: System, unit: str) -> str:

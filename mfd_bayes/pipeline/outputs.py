@@ -1,146 +1,65 @@
-"""Guards what a command writes where its user says: nothing else is replaced."""
+"""Guards what a command writes where its user says: nothing is replaced without --force."""
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs.folder import is_of_run, name_in_run
-from mfd_bayes.store.files import cannot_remove, check_place, write_bytes
-
-_PNG = b"\x89PNG\r\n\x1a\n"
-_MARK = b"Software\0mfd-bayes"
-_HEAD = 64 * 1024  # bytes of a file in which it shows what wrote it
+from mfd_bayes.runs.folder import MANIFEST, is_of_run, name_in_run
+from mfd_bayes.store.files import check_place
 
 
-@dataclass(frozen=True)
-class Output:
-    """A file that a command writes where its user says.
-
-    Attributes
-    ----------
-    path : Path
-    ours : callable
-        Whether the beginning of a file is that of one which this program wrote here before.
-    """
-
-    path: Path
-    ours: Callable[[bytes], bool]
-
-
-def table_with(*columns: str) -> Callable[[bytes], bool]:
-    """Function that knows a CSV table by its first columns, behind any lines of comments."""
-    head = ",".join(columns).encode()
-
-    def ours(content: bytes) -> bool:
-        lines = content.splitlines()
-        first = next((line for line in lines if not line.startswith(b"#")), b"")
-        return first.startswith(head)
-
-    return ours
-
-
-def is_picture(content: bytes) -> bool:
-    """Whether a PNG is marked, or bare with a table of colours, as older versions wrote it."""
-    kinds = dict(_chunks(content))
-    bare = content[25:26] == b"\x03" and set(kinds) <= {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
-    return is_marked(content) or (bool(kinds) and bare)
-
-
-def is_marked(content: bytes) -> bool:
-    """Whether a PNG has the mark of `write_picture`."""
-    return (b"tEXt", _MARK) in _chunks(content)
-
-
-def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Kinds and contents of the chunks of a PNG; none where it is no PNG."""
-    at = len(_PNG) if content.startswith(_PNG) else len(content)
-    while at + 8 <= len(content):
-        size, kind = struct.unpack(">I4s", content[at : at + 8])
-        yield kind, content[at + 8 : at + 8 + size]
-        at += 12 + size
-
-
-def write_picture(path: Path, png: bytes) -> None:
-    """Write a PNG with a mark by which it is known when it is written again."""
-    end = len(_PNG) + 25  # of the header, which is always first
-    chunk = b"tEXt" + _MARK
-    packed = struct.pack(">I", len(_MARK)) + chunk + struct.pack(">I", zlib.crc32(chunk))
-    write_bytes(path, png[:end] + packed + png[end:])
-
-
-def check_outputs(outputs: Sequence[Output], inputs: Iterable[Path], *, force: bool) -> None:
-    """Refuse outputs that would replace what this command did not write.
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool) -> None:
+    """Refuse outputs that exist, but for `force`, and what must never be replaced.
 
     Parameters
     ----------
-    outputs : sequence of Output
+    outputs : iterable of Path
+        Files that the command is to write.
     inputs : iterable of Path
         Files that the command reads.
     force : bool
-        Whether a file of another program may be replaced.
+        Whether files that exist may be replaced.
 
     Raises
     ------
     StoreError
         When an output names no file, is an input, a file of a run, a device, a pipe or a link out
-        of its folder; or exists, is not of this program, and `force` is not given.
+        of its folder; or exists, and `force` is not given.
     """
     read = list(inputs)
-    for output in outputs:
-        path = output.path
+    for path in outputs:
         if path.name in ("", ".."):
             raise StoreError(f"cannot write {path}: give the name of a file")
         check_place(path)
         try:
             if path.is_dir():
                 raise StoreError(f"cannot write {path}: it is a folder; give the name of a file")
-            _check_free(output, read, force=force)
+            for one in read:
+                both = path.exists() and one.exists()
+                if path.resolve() == one.resolve() or (both and path.samefile(one)):
+                    raise StoreError(f"cannot write {path}: it is an input of this command, {one}")
+            name = name_in_run(path)
+            if name is not None and is_of_run(name):
+                raise StoreError(f"cannot write {path}: it is a file of the run in that folder")
+            if path.exists() and not force:
+                raise StoreError(f"{path} exists: give another name, or --force to replace it")
         except (OSError, RuntimeError, ValueError) as error:
             raise StoreError(f"cannot write {path}: {error}") from error
 
 
-def known(output: Output) -> bool:
-    """Whether an output exists and is one that this program wrote there."""
-    return output.path.is_file() and output.ours(_beginning(output.path))
-
-
-def remove_known(output: Output) -> None:
-    """Remove an output that this program wrote there, if there is one.
+def check_folder(folder: Path, *, force: bool) -> None:
+    """Refuse a folder of outputs that holds something, but for `force`, and run folders.
 
     Raises
     ------
     StoreError
-        When it cannot be removed.
+        When it is a file or a run folder, or is not empty and `force` is not given.
     """
-    try:
-        if known(output):
-            output.path.unlink()
-    except OSError as error:
-        raise cannot_remove(output.path, error) from error
-
-
-def _check_free(output: Output, inputs: Iterable[Path], *, force: bool) -> None:
-    path = output.path
-    for read in inputs:
-        both = path.exists() and read.exists()
-        if path.resolve() == read.resolve() or (both and path.samefile(read)):
-            raise StoreError(f"cannot write {path}: it is an input of this command, {read}")
-    ours = known(output)
-    name = name_in_run(path)
-    if name is not None and is_of_run(name) and not ours and (path.exists() or len(name.parts) < 2):
-        raise StoreError(f"cannot write {path}: it is a file of the run in that folder")
-    if path.is_file() and not ours and not force:
-        raise StoreError(
-            f"{path} exists, and this command did not write it: give another name, or --force "
-            "to replace it"
-        )
-
-
-def _beginning(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.read(_HEAD)
+    if folder.exists() and not folder.is_dir():
+        raise StoreError(f"cannot write {folder}: it is a file, and a folder is expected")
+    if (folder / MANIFEST).exists():
+        raise StoreError(f"{folder} is a run folder: give a folder of its own")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise StoreError(f"{folder} is not empty: give another name, or --force to write into it")

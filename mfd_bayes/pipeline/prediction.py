@@ -12,7 +12,6 @@ from mfd_bayes.assessment.derived_rows import measured_rows, predicted_rows
 from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings, draws_of
 from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.pipeline.outputs import remove_known, write_picture
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES
@@ -25,7 +24,7 @@ from mfd_bayes.runs.reading import reading
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import far_sentences
-from mfd_bayes.store.files import write_text
+from mfd_bayes.store.files import remove_file, write_bytes, write_text
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 
@@ -175,16 +174,16 @@ def _write(question: Question, drawn: Trace, answer: Answer, told: Trace) -> Non
     derived = predicted_csv(answer.derived, question.actuation, question.probability)
     write_text(question.beside("derived.csv"), derived)
     if answer.design:
-        write_text(question.bounds.path, design_csv(answer.design, question.actuation))
+        write_text(question.bounds, design_csv(answer.design, question.actuation))
     else:
-        remove_known(question.bounds)  # it is of an earlier question
+        remove_file(question.bounds)  # it is of an earlier question
     fans = [convert_fan(_fan(band), system.factor("kip"))]
     loops = draw_loops(title, convert_trace(drawn, system), fans, system)
-    write_picture(question.picture, to_png(loops))
+    write_bytes(question.picture, to_png(loops))
     given = band.given.window if band.given else None
     shown = convert_trace(_with_given(drawn, told, band), system)
     history = draw_history(title, shown, fans, system, Marks(given=given))
-    write_picture(question.beside("history.png"), to_png(history))
+    write_bytes(question.beside("history.png"), to_png(history))
 
 
 def _with_given(drawn: Trace, told: Trace, band: Band) -> Trace:

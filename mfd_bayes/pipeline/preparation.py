@@ -19,7 +19,7 @@ from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.pipeline.findings import findings_together, tested_of
-from mfd_bayes.pipeline.outputs import Output, check_outputs, is_picture, write_picture
+from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.inspection import Inspection, inspect_record
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
@@ -27,7 +27,7 @@ from mfd_bayes.records.scales import scales_of
 from mfd_bayes.records.together import Tested
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
 from mfd_bayes.runs.systems import System, named_system, system_of
-from mfd_bayes.store.files import write_text
+from mfd_bayes.store.files import write_bytes, write_text
 
 
 def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
@@ -98,7 +98,7 @@ def inspect(
     """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
 
     Its sentences are in the units of a system, "us" or "si"; by default the records' own. With
-    `force`, a file of another program in the place of a PNG is replaced.
+    `force`, a PNG that exists is replaced.
 
     Raises
     ------
@@ -115,14 +115,14 @@ def inspect(
     from mfd_bayes.reporting.figures import draw_inspection, to_png
 
     places = [folder / f"{name}_inspect.png" for _, name in found]
-    check_outputs([Output(place, is_picture) for place in places], [path], force=force)
+    check_outputs(places, [path], force=force)
     pictures = []
     for (inspection, _), record, picture in zip(found, records, places, strict=True):
         title = f"{inspection.name}: as read"
         inspection = _reworded(inspection, record, system)
         trace = convert_trace(inspection.trace, system)
         figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
-        write_picture(picture, to_png(figure))
+        write_bytes(picture, to_png(figure))
         pictures.append((inspection, picture))
     return pictures
 
@@ -205,7 +205,7 @@ class PriorCheck:
 def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "") -> PriorCheck:
     """Prior predictive loops compared with the data of every test, with a PNG each in `folder`.
 
-    With `force`, a file of another program in the place of a PNG is replaced.
+    With `force`, a PNG that exists is replaced.
 
     Raises
     ------
@@ -217,8 +217,8 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
     from mfd_bayes.reporting.figures import draw_loops, to_png
 
     places = {test.id: folder / f"{path.stem}_{test.id}_prior.png" for test in campaign.tests}
-    outputs = [Output(place, is_picture) for place in places.values()]
-    check_outputs(outputs, [path, *(test.path for test in campaign.tests)], force=force)
+    inputs = [path, *(test.path for test in campaign.tests)]
+    check_outputs(places.values(), inputs, force=force)
     found, traces = [], {}
     records = {test.id: test.read() for test in campaign.tests}
     system = system_of_records(records.values(), units)
@@ -229,7 +229,7 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
         fan = prior_fan(campaign, priors, trace)
         shown = convert_trace(trace, system), [convert_fan(fan, system.factor("kip"))]
         figure = draw_loops(f"{test.id}: data over what the priors allow", *shown, system)
-        write_picture(places[test.id], to_png(figure))
+        write_bytes(places[test.id], to_png(figure))
         share = share_inside(fan, trace)
         found.append((test.id, share, places[test.id]))
         traces[test.id] = trace

@@ -8,19 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.pipeline.outputs import (
-    Output,
-    check_outputs,
-    is_marked,
-    is_picture,
-    known,
-    table_with,
-)
+from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.harmonic import parse_sine
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import SMALL_SYSTEMS, SYSTEMS
 from mfd_bayes.units import parse_quantity
 
 MOST = 40_000
@@ -96,9 +88,9 @@ class Question:
         return self.bands.with_suffix(".png")
 
     @property
-    def bounds(self) -> Output:
+    def bounds(self) -> Path:
         """Table of mean and bounding properties."""
-        return Output(self.beside("design.csv"), table_with("property", "unit", "basis"))
+        return self.beside("design.csv")
 
     def beside(self, name: str) -> Path:
         """File beside the table, such as "bands_derived.csv" for "derived.csv"."""
@@ -106,7 +98,7 @@ class Question:
 
 
 def check_question(question: Question) -> None:
-    """Refuse to write over anything but what an earlier prediction wrote there.
+    """Refuse to write over what exists, but for `force`.
 
     Raises
     ------
@@ -114,28 +106,9 @@ def check_question(question: Question) -> None:
         When one of the files may not be written.
     """
     inputs = [] if question.motion is None else [question.motion]
-    bands = Output(question.bands, _is_bands)
-    check_outputs([bands], inputs, force=question.force)
-    again = known(bands)
-    outputs = [
-        Output(question.picture, is_picture if again else is_marked),
-        Output(question.beside("history.png"), is_marked),
-        Output(question.beside("derived.csv"), table_with("quantity", "unit", "mean")),
-    ]
-    if question.design:
-        outputs.append(question.bounds)
+    names = ("history.png", "derived.csv", "design.csv")
+    outputs = [question.bands, question.picture, *map(question.beside, names)]
     check_outputs(outputs, inputs, force=question.force)
-
-
-def _is_bands(content: bytes) -> bool:
-    """Whether a table is one of bands, in either system of units, with a measured force or not."""
-    return any(
-        table_with("time_s", f"displacement_{system.length}", *force, f"lower_{system.force}")(
-            content
-        )
-        for system in (*SYSTEMS, *SMALL_SYSTEMS)
-        for force in ((), (f"force_{system.force}",))
-    )
 
 
 def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:

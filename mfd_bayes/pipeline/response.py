@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError, StoreError, UnitError
+from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.errors import BuildingError, MfdError, UnitError
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.pipeline.outputs import Output, known
-from mfd_bayes.pipeline.response_files import MARKER, write_response
+from mfd_bayes.pipeline.outputs import check_folder
+from mfd_bayes.pipeline.response_files import write_response
 from mfd_bayes.reporting.response_page import ResponseView
 from mfd_bayes.reporting.sweep_words import sweep_sentence
-from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.example import example_building, example_ground
-from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.influence import Shares, influence
-from mfd_bayes.response.measures import parse_acceleration
+from mfd_bayes.response.building import Building, example_building, read_building
+from mfd_bayes.response.ground import Ground, example_ground, parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
+from mfd_bayes.response.variance_shares import Shares, variance_shares
 from mfd_bayes.runs.asked import use_of_run, use_word
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.reading import reading
@@ -94,17 +93,12 @@ def init_building(path: Path, *, force: bool = False) -> Path:
     Raises
     ------
     BuildingError
-        When one exists and `force` is not given, or this command did not write it; nothing is
-        written then.
+        When one exists and `force` is not given; nothing is written then.
     """
     target = path / "building.toml" if path.is_dir() or path.suffix != ".toml" else path
     ground = target.with_name("ground.AT2")
-    texts = {target: example_building(), ground: example_ground()}
-    for place, text in texts.items():
-        if place.exists() and not known(Output(place, _begins_as(text))):
-            raise BuildingError(
-                f"{place} exists, and this command did not write it: give another name"
-            )
+    texts = {target: _with_actuation(example_building(), target.parent), ground: example_ground()}
+    for place in texts:
         if place.exists() and not force:
             raise BuildingError(f"{place} exists: give --force to replace it")
     for place, text in texts.items():
@@ -112,10 +106,14 @@ def init_building(path: Path, *, force: bool = False) -> Path:
     return target
 
 
-def _begins_as(text: str) -> Callable[[bytes], bool]:
-    """Function that knows a file by the first line of a text."""
-    first = text.splitlines()[0].encode()
-    return lambda content: content.startswith(first)
+def _with_actuation(text: str, folder: Path) -> str:
+    """The text of a building with an actuation of the campaign beside it, if there is one."""
+    try:
+        tests = load_campaign(folder / "campaign.toml").tests
+    except MfdError:  # none, or one that is not complete
+        return text
+    levels = [test.actuation for test in tests if test.actuation]
+    return text.replace('"1000 psi"', f'"{levels[len(levels) // 2]}"') if levels else text
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +136,7 @@ def prepare(out: Path, query: Query) -> Prepared:
         When the run, the building or a ground motion cannot be used, or the folder is not this
         command's.
     """
-    _check_folder(query)
+    check_folder(query.folder, force=query.force)
     if not query.sweep and (query.quantity, query.goal) != (Query.quantity, Query.goal):
         raise BuildingError("--minimise and --by say what a sweep makes small: give --sweep too")
     levels = parse_sweep(query.sweep) if query.sweep else None
@@ -202,20 +200,6 @@ def _swept(
     return sweep, sweep.remarks
 
 
-def _check_folder(query: Query) -> None:
-    folder = query.folder
-    if folder.exists() and not folder.is_dir():
-        raise StoreError(f"cannot write {folder}: it is a file, and a folder is expected")
-    used = folder.is_dir() and any(folder.iterdir())
-    if (folder / "manifest.json").exists():
-        raise StoreError(f"{folder} is a run folder: give a folder of its own for the response")
-    if used and not (folder / MARKER).is_file() and not query.force:
-        raise StoreError(
-            f"{folder} is not empty, and this command did not write it: give another name, or "
-            "--force to write into it"
-        )
-
-
 def _grounds(query: Query) -> list[Ground]:
     meant = query.scale is not None or bool(query.peak)
     grounds = grounds_of(list(query.grounds), unit=query.unit, meant=meant)
@@ -251,7 +235,7 @@ def view_of(
     )
     imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
     shares = (
-        Shares(name, ground.name, influence(response, name, g))
+        Shares(name, ground.name, variance_shares(response, name, g))
         for name in ("drift", "acceleration")
         for g, ground in enumerate(response.grounds)
     )
@@ -314,7 +298,7 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
             continue
         by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
         low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
-        bare = response.bare[g].drift
+        bare = response.bare.drift[0, g]
         without = by * float(np.max(bare / response.building.heights if ratios else bare))
         found.append(
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "

@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.pipeline.outputs import Output, is_marked, remove_known, table_with, write_picture
 from mfd_bayes.reporting.response_page import ResponseView, render_response
 from mfd_bayes.reporting.response_tables import (
     draws_csv,
@@ -20,10 +19,10 @@ from mfd_bayes.reporting.response_tables import (
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.systems import SYSTEMS, US, System
-from mfd_bayes.store.files import write_text
+from mfd_bayes.store.files import remove_file, write_bytes, write_text
 
 MARKER = "response.json"
-"""A folder with this file was written by this command, and may be written again."""
+"""What the response is of, for other programs."""
 
 _SOMETIMES = re.compile(r"sweep\.(csv|png)|(history|loops)_\d+\.png")
 """Names of the files that not every response has."""
@@ -57,7 +56,7 @@ def write_response(
         for name, figure in figures_of(response, sweep, of):
             images[f"{name}_{of.name}"] = to_png(figure)
             if of is system:
-                write_picture(folder / f"{name}.png", images[f"{name}_{of.name}"])
+                write_bytes(folder / f"{name}.png", images[f"{name}_{of.name}"])
     write_text(
         folder / "report.html", render_response(replace(view, metric=system is not US), images)
     )
@@ -65,9 +64,6 @@ def write_response(
 
 def _remove_earlier(folder: Path) -> None:
     """Remove files of an earlier response that the next one may not have."""
-    if not (folder / MARKER).is_file():
-        return
-    for path in sorted(folder.iterdir()):
-        ours = is_marked if path.suffix == ".png" else table_with("actuation_")
+    for path in sorted(folder.glob("*")):
         if _SOMETIMES.fullmatch(path.name):
-            remove_known(Output(path, ours))
+            remove_file(path)

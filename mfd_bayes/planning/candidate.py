@@ -1,17 +1,21 @@
-"""Tests that could be made: what each is, what it costs, and what an actuator allows."""
+"""Tests that could be made: what each is, in words and in numbers, and those of a campaign."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
 
 import numpy as np
 
+from mfd_bayes.calibration.cycles import count_cycles
 from mfd_bayes.errors import CampaignError, UnitError
+from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.harmonic import MOST_CYCLES
+from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_kind,
@@ -30,19 +34,31 @@ MOST = 1000
 
 FORM = "a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
 
+BEYOND = 1.25
+"""How far candidates go beyond the largest tested actuation, amplitude and frequency."""
+
+LEVELS = 9
+"""Most actuations of candidates."""
+
+RANGE = 5
+"""Actuations over which the campaign's range is averaged."""
+
+ALIKE = 0.1
+"""A candidate within this share of a test's amplitude and frequency, at its level, repeats it."""
+
+NEAR, NEW = 0.005, 0.02
+"""Shares of its value by which a figure of a test that was made, or of a new one, is rounded."""
+
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
-_ALTERNATIVES = re.compile(r"\s*([^a-zA-Zµμ%°]*\|[^a-zA-Zµμ%°]*)(.*)", re.ASCII)
+_ALTERNATIVES = re.compile(r"([^a-zA-Zµμ%°]*\|[^a-zA-Zµμ%°]*)(.*)", re.ASCII)
 _LONGEST = 20_000
-
-
 _RANGES = {
-    "actuation": (0.0, np.inf),
-    "frequency": (0.0, np.inf),
-    "amplitude": (0.0, np.inf),
-    "cycles": (1.0, float(MOST_CYCLES)),
-    "price": (0.0, np.inf),
+    "actuation": (0.0, np.inf, False),
+    "frequency": (0.0, np.inf, True),
+    "amplitude": (0.0, np.inf, True),
+    "cycles": (1.0, float(MOST_CYCLES), False),
+    "price": (0.0, np.inf, False),
 }
-_ABOVE = ("frequency", "amplitude")
 
 
 @dataclass(frozen=True)
@@ -60,6 +76,11 @@ class Candidate:
         A triangle has one speed.
     price : float or None, h
         What it costs, where the user says so.
+
+    Raises
+    ------
+    CampaignError
+        When a number is none or out of its range, or the waveform is unknown.
     """
 
     actuation: float
@@ -70,17 +91,10 @@ class Candidate:
     price: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no test.
-
-        Raises
-        ------
-        CampaignError
-            When a number is none or out of its range, or the waveform is unknown.
-        """
-        for name, bounds in _RANGES.items():
+        for name, (low, high, inside) in _RANGES.items():
             value, what = getattr(self, name), f"{name} of a test"
             if name != "price" or value is not None:
-                number = real_number(what, value, CampaignError, bounds, inside=name in _ABOVE)
+                number = real_number(what, value, CampaignError, (low, high), inside=inside)
                 object.__setattr__(self, name, number)
         if self.waveform not in WAVEFORMS:
             raise CampaignError(
@@ -100,8 +114,8 @@ class Candidate:
     @property
     def speed(self) -> float:
         """Peak speed, in/s."""
-        around = 4.0 if self.waveform == "triangle" else 6.283185307179586
-        return around * self.frequency * self.amplitude
+        around = 4.0 if self.waveform == "triangle" else 2.0 * np.pi
+        return float(around * self.frequency * self.amplitude)
 
 
 @dataclass(frozen=True)
@@ -114,6 +128,11 @@ class Limits:
     stroke : float, in
         From one end of the motion to the other.
     force : float, kip
+
+    Raises
+    ------
+    CampaignError
+        When a value is no number above zero.
     """
 
     velocity: float | None = None
@@ -121,15 +140,14 @@ class Limits:
     force: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no limit, by a CampaignError."""
         for name, value in dict(vars(self)).items():
             if value is not None:
                 what, above = f"limit of the {name}", (0.0, np.inf)
                 number = real_number(what, value, CampaignError, above, inside=True)
                 object.__setattr__(self, name, number)
 
-    def allow(self, candidate: Candidate) -> bool:
-        """Whether its motion is within the limits; its force is known only once simulated.
+    def forbids(self, candidate: Candidate) -> str:
+        """The limit that its motion passes, or ""; its force is known only once simulated.
 
         Raises
         ------
@@ -138,33 +156,13 @@ class Limits:
         """
         if not isinstance(candidate, Candidate):
             raise CampaignError(f"candidate must be a Candidate, got {candidate!r}")
-        fast = self.velocity is not None and candidate.speed > self.velocity * (1 + 1e-9)
-        long = self.stroke is not None and candidate.stroke > self.stroke * (1 + 1e-9)
-        return not (fast or long)
+        sizes = {"velocity": candidate.speed, "stroke": candidate.stroke}
+        limits = {name: getattr(self, name) for name in sizes}
+        return next((n for n, m in limits.items() if m and sizes[n] > m * (1 + 1e-9)), "")
 
-
-def parse_limits(text: str, *, of: str = "--limits") -> Limits:
-    """Limits of ``"10 in/s, 6 in, 20 kip"``: velocity, stroke and force, in any order.
-
-    Raises
-    ------
-    CampaignError
-        When a part is none of these, stands there twice, or is not above zero.
-    """
-    found: dict[str, float] = {}
-    form = f"{of}: limits read '10 in/s, 6 in, 20 kip' (velocity, stroke, force)"
-    named = {"velocity": ("velocity", "velocity"), "length": ("stroke", "displacement")}
-    for part in text.split(","):
-        name, dimension = named.get(_measured(part) or "", ("force", "force"))
-        try:
-            value = parse_quantity(part, dimension)
-        except UnitError as error:
-            raise CampaignError(f"{form}, got {text!r}: {error}") from error
-        if name in found or not value > 0.0:
-            why = "is there twice" if name in found else "must be above zero"
-            raise CampaignError(f"{form}, got {text!r}: the {name} {why}")
-        found[name] = value
-    return Limits(**found)
+    def allow(self, candidate: Candidate) -> bool:
+        """Whether its motion is within the limits."""
+        return not self.forbids(candidate)
 
 
 @dataclass(frozen=True)
@@ -181,8 +179,31 @@ class Parts:
     def completed(self, typical: Candidate) -> Candidate:
         """The test, with the parts of a typical one where it has none."""
         given = {name: value for name, value in vars(self).items() if value is not None}
-        rest = {name: value for name, value in vars(typical).items() if name != "price"}
-        return Candidate(**(rest | given))
+        return Candidate(**(vars(typical) | {"price": None} | given))
+
+
+def parse_limits(text: str, *, of: str = "--limits") -> Limits:
+    """Limits of ``"10 in/s, 6 in, 20 kip"``: velocity, stroke and force, in any order.
+
+    Raises
+    ------
+    CampaignError
+        When a part is none of these, stands there twice, or is not above zero.
+    """
+    found: dict[str, float] = {}
+    form = f"{of}: limits read '10 in/s, 6 in, 20 kip' (velocity, stroke, force)"
+    named = {"velocity": ("velocity", "velocity"), "length": ("stroke", "displacement")}
+    for part in text.split(","):
+        name, dimension = named.get(_measured(part), ("force", "force"))
+        try:
+            value = parse_quantity(part, dimension)
+        except UnitError as error:
+            raise CampaignError(f"{form}, got {text!r}: {error}") from error
+        if name in found or not value > 0.0:
+            why = "is there twice" if name in found else "must be above zero"
+            raise CampaignError(f"{form}, got {text!r}: the {name} {why}")
+        found[name] = value
+    return Limits(**found)
 
 
 def parse_tests(
@@ -214,26 +235,18 @@ def parse_tests(
         raise CampaignError(f"{of}: longer than {_LONGEST} characters")
     found: list[Parts] = []
     for one in filter(str.strip, whole.split(";")):
-        for parts in _combinations(one, of):
+        choices = []
+        for part in map(str.strip, one.split(",")):
+            match = _ALTERNATIVES.fullmatch(part)
+            values, own = (match[1], f" {match[2]}") if match else (part, "")
+            choices.append([f"{value.strip()}{own}" for value in values.split("|")])
+        for parts in product(*choices):
             found.append(_parts(parts, unit, of))
             if len(found) > MOST:
                 raise CampaignError(f"{of}: more than {MOST} tests, the most of one question")
     if not found:
         raise CampaignError(f"{of}: {FORM}, got {whole[:80]!r}")
     return found
-
-
-def _combinations(text: str, of: str) -> Iterator[tuple[str, ...]]:
-    """Parts of a test, for each combination of the values that have bars between them."""
-    choices: list[list[str]] = []
-    for part in text.split(","):
-        if "|" in part and (match := _ALTERNATIVES.fullmatch(part)):
-            choices.append([f"{value.strip()} {match[2]}" for value in match[1].split("|")])
-        elif "|" in part:
-            choices.append([value.strip() for value in part.split("|")])
-        else:
-            choices.append([part.strip()])
-    return product(*choices)
 
 
 def _parts(texts: Sequence[str], unit: ActuationUnit, of: str) -> Parts:
@@ -259,28 +272,112 @@ def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
             f"{text!r} is no number with a unit, and no waveform ({', '.join(WAVEFORMS)})"
         )
     if match[2] in ("cycle", "cycles"):
-        return "cycles", _cycles(float(match[1]), text)
-    named = {"length": ("amplitude", "displacement"), "time": ("price", "time")}
-    measured = _measured(text)
-    if measured not in ("length", "time", "rate", None):
+        if not 1.0 <= float(match[1]) <= MOST_CYCLES:
+            raise UnitError(f"a test has 1 to {MOST_CYCLES} cycles, not {text!r}")
+        return "cycles", float(match[1])
+    if _measured(text) not in ("length", "time", "rate", None):
         level, own = parse_actuation(text)
         if own != unit:
             raise UnitError(f"the campaign's actuation is {actuation_kind(unit)}, {text!r} is not")
         return "actuation", level
-    name, dimension = named.get(measured or "", ("frequency", "rate"))
+    named = {"length": ("amplitude", "displacement"), "time": ("price", "time")}
+    name, dimension = named.get(_measured(text), ("frequency", "rate"))
     value = parse_quantity(text, dimension)
     if not 0.0 < value < 1e9:
         raise UnitError(f"{text!r} must be above zero, and not too large")
     return name, value / 3600.0 if name == "price" else value
 
 
-def _cycles(cycles: float, text: str) -> float:
-    if not 1.0 <= cycles <= MOST_CYCLES:
-        raise UnitError(f"a test has 1 to {MOST_CYCLES} cycles, not {text!r}")
-    return cycles
-
-
-def _measured(text: str) -> str | None:
-    """What the unit of a text measures; None where it has none that is known."""
+def _measured(text: str) -> str:
+    """What the unit of a text measures; "" where it has none that is known."""
     match = _NUMBER.fullmatch(text)
-    return measure(match[2]) if match else None
+    return (measure(match[2]) if match else None) or ""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Factors from internal units to those in which a campaign shows and rounds its tests."""
+
+    actuation: float = 1.0
+    length: float = 1.0
+
+
+def harmonic_of(trace: Trace, shown: Shown = Shown()) -> Candidate:
+    """The harmonic test with the actuation, half stroke and frequency of a record.
+
+    One of which most loops are not at full stroke has that of the same peak speed instead.
+    """
+    setting, loops = setting_of(trace), find_loops(trace)
+    amplitude = setting.covariates["amplitude"]
+    if 2 * np.count_nonzero(loops.strong) > loops.period.size:
+        frequency = float(1.0 / np.median(loops.period[loops.strong]))
+    else:  # an earthquake
+        frequency = setting.covariates["velocity"] / (2.0 * np.pi * amplitude)
+    return Candidate(
+        setting.actuation,
+        _round(frequency, NEAR),
+        _round(amplitude, NEAR, shown.length),
+        float(np.clip(count_cycles(trace), 1, 100)),
+    )
+
+
+def typical_of(tests: Sequence[Candidate]) -> list[Candidate]:
+    """The campaign's range: `RANGE` actuations, each with the tests' median motion."""
+    levels = [test.actuation for test in tests]
+    low, high = min(levels), max(levels)
+    many = RANGE if high > low * (1.0 + SAME_LEVEL) else 1
+    motions = [(test.frequency, test.amplitude, test.cycles) for test in tests]
+    frequency, amplitude, cycles = np.median(motions, axis=0).tolist()
+    return [
+        Candidate(level, frequency, amplitude, max(1.0, round(cycles)))
+        for level in np.linspace(low, high, many).tolist()
+    ]
+
+
+def grid_of(tests: Sequence[Candidate], shown: Shown = Shown()) -> list[Candidate]:
+    """Every test once more, and candidates from the campaign's range and a little beyond it."""
+    cycles, scale = typical_of(tests)[0].cycles, shown.actuation
+    # tested levels, one in the middle of each gap between them, and one beyond
+    own: list[float] = []
+    for level in sorted(test.actuation for test in tests):
+        if not own or not same_level(level, own[-1]):
+            own.append(level)
+    if len(own) > (most := (LEVELS - 1) // 2):
+        own = [own[k] for k in np.unique(np.linspace(0, len(own) - 1, most).round().astype(int))]
+    others = [0.5 * (a + b) for a, b in pairwise(own)] + [BEYOND * own[-1]]
+    others += [own[0] / BEYOND] if len(own) == 1 else []
+    levels = sorted({*own, *(_round(level, NEW, scale) for level in others)} - {0.0})
+    # smallest and largest tested value, and one beyond
+    motions = []
+    for name, by in (("frequency", 1.0), ("amplitude", shown.length)):
+        values = [getattr(test, name) for test in tests]
+        low, high = min(values), max(values)
+        near = [low] if low > 0.9 * high else [low, high]
+        motions.append([*near, _round(BEYOND * high, NEW, by)])
+    again: list[Candidate] = []
+    for test in tests:
+        if test.actuation > 0.0 and not repeats(test, again, NEW):
+            again.append(replace(test, cycles=cycles))
+    new = (Candidate(p, f, a, cycles) for p, f, a in product(levels, *motions))
+    return [*again, *(c for c in new if not repeats(c, again))]
+
+
+def repeats(candidate: Candidate, tests: Iterable[Candidate], within: float = ALIKE) -> bool:
+    """Whether a candidate is like a test that was made."""
+    return any(
+        same_level(candidate.actuation, test.actuation)
+        and candidate.waveform == test.waveform
+        and abs(candidate.frequency / test.frequency - 1.0) <= within
+        and abs(candidate.amplitude / test.amplitude - 1.0) <= within
+        for test in tests
+    )
+
+
+def _round(value: float, within: float, scale: float = 1.0) -> float:
+    """A value to two digits in the unit of a scale, as it is set on a frame; else to three.
+
+    Three where two are off by more than a share of the value.
+    """
+    own = scale * value
+    short = float(f"{own:.2g}")
+    return (short if abs(short - own) <= within * abs(own) else float(f"{own:.3g}")) / scale

@@ -1,4 +1,4 @@
-"""What is to be known better: a goal in the user's words."""
+"""What is to be known better: a goal in the user's words, and its draws."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import difflib
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.candidate import Candidate, Parts, parse_tests
@@ -73,9 +72,16 @@ class Goal:
         for name in ("quantity", "of", "kind", "session"):
             if not isinstance(value := getattr(self, name), str):
                 raise CampaignError(f"{name} of a goal must be text, got {value!r}")
-        bounds = 0.0, 1.0
+        bounds, at = (0.0, 1.0), self.at
         real_number("probability of a goal", self.probability, CampaignError, bounds, inside=True)
-        object.__setattr__(self, "at", _parts_of(self.at))
+        given = (at,) if isinstance(at, Parts | Candidate) else at
+        tests = isinstance(given, list | tuple)
+        if not tests or not all(isinstance(one, Parts | Candidate) for one in given):
+            raise CampaignError(
+                f"at of a goal must be tests, each a Candidate, got {at!r}: in words they are a "
+                "part of the goal's text, such as 'energy at 1000 psi, 0.5 Hz, 1 in'"
+            )
+        object.__setattr__(self, "at", tuple(Parts(**vars(one)) for one in given))
 
     def places(self, typical: Sequence[Candidate]) -> list[Candidate]:
         """Motions and actuations that it is about; the typical ones where it names none.
@@ -94,22 +100,14 @@ class Goal:
         """What it is, in words."""
         if self.quantity in OF_LAWS:
             return f"{self.quantity} of {self.of}"
-        return {"band": "band", GAP: "width of the gap"}.get(
-            self.quantity, AT_MOTIONS.get(self.quantity, self.quantity)
-        )
+        named = {**AT_MOTIONS, "band": "band", GAP: "width of the gap"}
+        return named.get(self.quantity, self.quantity)
 
-
-def _parts_of(at: Any) -> tuple[Parts, ...]:
-    """Motions and actuations of a goal, checked."""
-    given = (at,) if isinstance(at, Parts | Candidate) else at
-    if not isinstance(given, list | tuple) or not all(
-        isinstance(one, Parts | Candidate) for one in given
-    ):
-        raise CampaignError(
-            f"at of a goal must be tests, each a Candidate, got {at!r}: in words they are a part "
-            "of the goal's text, such as 'energy at 1000 psi, 0.5 Hz, 1 in'"
-        )
-    return tuple(one if isinstance(one, Parts) else Parts(**vars(one)) for one in given)
+    def unit(self, actuation_unit: str) -> str:
+        """Internal unit of the quantity."""
+        if self.quantity == "slope":
+            return f"{'kip/in' if self.of == 'sigma0' else 'kip'}/{actuation_unit}"
+        return {"exponent": "1", "energy": "kip*in", GAP: "in"}.get(self.quantity, "kip")
 
 
 def parse_goal(text: str, unit: ActuationUnit, *, of: str = "--goal") -> Goal:
@@ -126,13 +124,12 @@ def parse_goal(text: str, unit: ActuationUnit, *, of: str = "--goal") -> Goal:
     )
     if match is None:
         raise CampaignError(f"{form}, got {text[:80]!r}")
-    name = match["name"].removesuffix(" force").lower()
+    name, about = match["name"].removesuffix(" force").lower(), match["of"] or ""
     at = tuple(parse_tests(match["at"], unit, of=of)) if match["at"] else ()
-    kind = match["of"] if name == "band" and match["of"] else "device"
-    about = match["of"] or ""
-    goal = Goal(name, about if name in OF_LAWS else "", kind, at)
+    band, law = name == "band", name in OF_LAWS
+    goal = Goal(name, about if law else "", about if band and about else "device", at)
     check_goal(goal, of=of)
-    if about and name not in OF_LAWS and name != "band":
+    if about and not law and not band:
         raise CampaignError(f"{form}: 'of {about}' is for slope, exponent and band alone")
     return goal
 

@@ -1,28 +1,29 @@
-"""Candidates simulated, and judged one by one and together."""
+"""Candidates simulated, and judged one by one and together: the table of advice."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from functools import cache, cached_property
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.errors import CampaignError, FitError, NotThereError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.planning.advice import Advice, Row, Together
-from mfd_bayes.planning.asked import draw_goals, unit_of
-from mfd_bayes.planning.candidate import Candidate, Limits
-from mfd_bayes.planning.choice import Pool, choose, greedy
-from mfd_bayes.planning.devices import Devices
-from mfd_bayes.planning.gain import Gain, Goals, gain_of
-from mfd_bayes.planning.goal import Goal
-from mfd_bayes.planning.grid import repeats, typical_of
-from mfd_bayes.planning.loop import loop_of
-from mfd_bayes.planning.regression import Fit, directions_of, fit_left_out
-from mfd_bayes.planning.summaries import summarise
+from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of
+from mfd_bayes.planning.goal import GAP, OF_LAWS, Goal
+from mfd_bayes.planning.information_gain import (
+    Gain,
+    Goals,
+    directions_of,
+    fit_left_out,
+    gain_of,
+    greedy,
+)
+from mfd_bayes.planning.simulation import Devices, Loop
+from mfd_bayes.population.discrepancy import slip_force_of
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
@@ -30,7 +31,7 @@ from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 Array = NDArray[np.float64]
 
 TOGETHER = 3
-"""Largest set of tests that is optimised by exchange."""
+"""Largest of the best sets that are listed."""
 
 CURVE = 6
 """Number of further tests up to which the expected width is given."""
@@ -53,24 +54,151 @@ FEWEST = 200
 NO_GAP = 0.1
 """Length that stands for the gap of a model without one, in."""
 
+EVERY = 2
+"""Of the samples of a loop, every so many have a band whose width counts."""
+
 NEXT = "(the session of the next test)"
 """Session of candidates, where tests were made in several."""
+
+DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
+"""Marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
+shorter one for one with zeros at its end."""
+
+COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A candidate, what is expected of it, and whether it is like a test that was made."""
+
+    candidate: Candidate
+    gain: Gain
+    repeat: bool
+
+    @property
+    def reduction(self) -> float:
+        """Expected reduction of the goal's width, as a share of it."""
+        return self.gain.reduction
+
+    @property
+    def error(self) -> float:
+        """Standard error of the reduction."""
+        return self.gain.error
+
+    @property
+    def information(self) -> float:
+        """Expected information about the goal, nat."""
+        return self.gain.information
+
+    @property
+    def information_error(self) -> float:
+        """Standard error of the information."""
+        return self.gain.information_error
+
+    @property
+    def cost(self) -> float:
+        """What the candidate costs, h of frame time or as the user gave it."""
+        return self.candidate.cost
+
+    @property
+    def per_hour(self) -> float:
+        """Expected reduction by an hour of its cost; infinite where it costs nothing."""
+        return self.reduction / self.cost if self.cost > 0.0 else np.inf
+
+
+@dataclass(frozen=True)
+class Together:
+    """Tests that are good together, and what is expected of them."""
+
+    candidates: tuple[Candidate, ...]
+    gain: Gain
+
+
+@dataclass(frozen=True, eq=False)
+class Advice(Sequence[Row]):
+    """A table of candidates, the best first; `advice["reduction"]` is a column.
+
+    Attributes
+    ----------
+    goal : Goal
+    unit : str
+        Internal unit of the goal.
+    width : float
+        Mean width of the goal's bands as it is known now.
+    rows : tuple of Row
+    together : tuple of Together
+        The best test, then one more after another.
+    ruled_out : tuple of (Candidate, str)
+        Candidates that the limits forbid, and which limit.
+    tests : tuple of Candidate
+        The tests that were made.
+    draws : int
+        Draws of the population that all is computed from.
+    remarks : tuple of str
+        Where candidates that were asked for lie outside what was tested.
+    """
+
+    goal: Goal
+    unit: str
+    width: float
+    rows: tuple[Row, ...]
+    together: tuple[Together, ...]
+    ruled_out: tuple[tuple[Candidate, str], ...]
+    tests: tuple[Candidate, ...]
+    draws: int
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return COLUMNS
+
+    @property
+    def curve(self) -> Array:
+        """Expected width after 0, 1, 2, … further tests, in `unit`."""
+        return self.width * np.array([1.0, *(1.0 - t.gain.reduction for t in self.together)])
+
+    def __len__(self) -> int:
+        """Number of candidates."""
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Row]:
+        """Rows, the best first."""
+        return iter(self.rows)
+
+    @overload
+    def __getitem__(self, key: int) -> Row: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> tuple[Row, ...]: ...
+
+    @overload
+    def __getitem__(self, key: str) -> list[object]: ...
+
+    def __getitem__(self, key: int | slice | str) -> object:
+        """A row by its number, some rows, or a column by its name.
+
+        Raises
+        ------
+        NotThereError
+            When there is no such row or column.
+        """
+        if isinstance(key, str):
+            if key not in COLUMNS:
+                raise NotThereError(f"no column {key!r}: there are {', '.join(COLUMNS)}")
+            return [getattr(row, key) for row in self.rows]
+        try:
+            return self.rows[key]
+        except (IndexError, TypeError) as error:
+            raise NotThereError(
+                f"no row {key!r}: rows have the numbers 0 to {len(self.rows) - 1}, and columns the "
+                f"names {', '.join(COLUMNS)}"
+            ) from error
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What a campaign knows.
-
-    Attributes
-    ----------
-    population : Population
-    model : Model
-    noise : Noise
-    tests : tuple of Candidate
-        The tests that were made.
-    sessions : tuple of str
-        Their sessions.
-    """
+    """What a campaign knows: its population, and the tests that were made, with their sessions."""
 
     population: Population
     model: Model
@@ -91,6 +219,122 @@ class Effort:
         whole_number("seed", self.seed, 0, FitError)
 
 
+class _Study:
+    """One question about a campaign: draws of the device and of the goal, and simulated tests."""
+
+    def __init__(
+        self, situation: Situation, goal: Goal, candidates: Sequence[Candidate], effort: Effort
+    ) -> None:
+        self.candidates, self.seed, self.model = candidates, effort.seed, situation.model
+        population, known = situation.population, dict.fromkeys(situation.sessions)
+        levels = population.draws.z[..., : len(population.design.names)]
+        gap = self.model.gap(population.values(levels.reshape(population.size, -1)))
+        self.gap = NO_GAP if gap is None else float(np.median(gap))
+        now, self.session = goal.session, NEXT
+        if len(known) == 1:
+            now = self.session = next(iter(known))
+        places = goal.places(typical_of(situation.tests))
+        settings = [
+            setting_of(Loop.of(candidate, self.gap).trace, session)
+            for session, those in ((now, places), (self.session, candidates))
+            for candidate in those
+        ]
+        kinds, rng = (self.model, situation.noise), np.random.default_rng([self.seed, DEVICES])
+        self.devices = Devices.draw(population, kinds, settings, effort.draws, rng)
+        values = self._goal(goal, places, now)
+        size = np.maximum(np.abs(values).max(axis=0, initial=0.0), 1e-300)
+        varying = np.ptp(values, axis=0) > 1e-9 * size
+        self.goals = Goals(values[:, varying], goal.probability)
+        if not varying.any():
+            raise CampaignError(
+                f"the {goal.words} is the same in all draws of this run: its law or its prior "
+                "fixes it, and no test can make it better known"
+            )
+
+    def _goal(self, goal: Goal, places: Sequence[Candidate], session: str) -> Array:
+        """Draws of the goal, (n, m)."""
+        devices, population = self.devices, self.devices.predictor.population
+        if goal.quantity in OF_LAWS:
+            if goal.of not in population.design.laws:
+                known = ", ".join(population.design.laws) or "nothing"
+                raise CampaignError(
+                    f"no law of {goal.of!r} was inferred in this run: those that were are of "
+                    f"{known}"
+                )
+            if goal.quantity == "exponent":
+                return population.shapes(goal.of)[1].reshape(-1, 1)[devices.index]
+            levels = [place.actuation for place in places]
+            low, high = min(levels), max(levels)
+            low = 0.0 if not high > low else low
+            at = population.median(goal.of, np.array([low, high])).reshape(-1, 2)[devices.index]
+            return np.asarray(np.diff(at, axis=1) / (high - low))
+        found = []
+        for number, place in enumerate(places[:1] if goal.quantity == GAP else places):
+            loop, seed = Loop.of(place, self.gap), (self.seed, GOALS, number, 0)
+            if goal.quantity in ("slip", GAP):
+                rng = np.random.default_rng(seed)
+                drawn = devices.drawn(setting_of(loop.trace, session), rng)
+                values = devices.predictor.values(drawn)
+                own = slip_force_of(self.model, values)
+                if goal.quantity == GAP:
+                    gap = self.model.gap(values)
+                    if gap is None:
+                        raise CampaignError(f"the model {self.model.name} has no gap to be known")
+                    own = gap
+                found.append(own[:, None])
+                continue
+            scattered = goal.kind == "new_test"
+            force = devices.damper(loop, session, scattered=scattered, seed=seed)
+            backward, forward = (half.max(axis=1) for half in loop.halves(force))
+            columns = {
+                "band": list(force[:, loop.first :: EVERY].T),
+                "energy": [loop.energy(force)],
+                "peak_fwd": [forward],
+                "peak_bwd": [backward],
+                "peak": [forward, backward],
+            }
+            found.append(np.stack(columns[goal.quantity], axis=1))
+        return np.concatenate(found, axis=1)
+
+    def simulated(self, number: int, copy: int) -> tuple[Array, Array]:
+        """Largest forces of a copy of a candidate, (n,), kip, and directions of its summaries."""
+        candidate = self.candidates[number]
+        loop = Loop.of(candidate, self.gap)
+        seed = (self.seed, TESTS, number, copy)
+        force = self.devices.measured(loop, self.session, candidate.cycles, seed)
+        summaries = np.stack(list(loop.summaries(force, self.gap).values()), axis=1)
+        return np.abs(force).max(axis=1), directions_of(summaries)
+
+    def gain(self, directions: Array, *, curved: bool = True) -> Gain:
+        """Gain of tests whose summaries have these directions."""
+        left = fit_left_out(self.goals.values, directions, curved=curved)
+        return gain_of(self.goals, left, np.random.default_rng([self.seed, BOOTSTRAP]))
+
+    def gain_of_set(self, numbers: Sequence[int]) -> Gain:
+        """Gain of a set of candidates, by new copies of them.
+
+        Of many sets the best owes part of its worth to the chance in its copies, so that these
+        copies must not judge it too.
+        """
+        gains = []
+        for again in range(AFRESH):
+            first = COPIES + 1 + again * CURVE
+            tests = [self.simulated(n, first + place)[1] for place, n in enumerate(numbers)]
+            gains.append(self.gain(np.concatenate(tests, axis=1), curved=False))
+        return _mean(gains)
+
+
+def _mean(gains: Sequence[Gain]) -> Gain:
+    """Mean of gains, and of their errors: each is that of one copy."""
+    names = [field.name for field in fields(Gain)]
+    return Gain(*(float(np.mean([getattr(gain, name) for gain in gains])) for name in names))
+
+
+def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
+    """Draws of a goal as a campaign knows it now."""
+    return _Study(situation, goal, (), effort).goals
+
+
 def advise(
     situation: Situation,
     goal: Goal,
@@ -105,176 +349,49 @@ def advise(
     CampaignError
         When the limits leave no candidate, or the goal cannot be known better by any.
     """
-    study = _Study(situation, goal, _allowed(candidates, limits), effort)
-    judged = [study.judge(number, 0) for number in range(len(study.candidates))]
-    strong = {number for number, found in enumerate(judged) if found.force > _force(limits)}
-    if len(strong) == len(judged):
-        raise CampaignError(
-            f"the limit of the force, {limits.force:.4g} kip, forbids every candidate: give "
-            "candidates of less actuation, or check its unit"
-        )
-    fine = [number for number in range(len(judged)) if number not in strong]
-    order = sorted(fine, key=lambda number: -judged[number].gain.reduction)
-    copies = [(n, study.judge(n, k)) for n in order[:SHORTLIST] for k in range(1, COPIES + 1)]
-    # the first copy has put a candidate on the list: it must not judge it too
-    rows = [_row(study, n, [c for m, c in copies if m == n] or [judged[n]]) for n in order]
-    named = [*((n, judged[n]) for n in order), *copies]
-    return Advice(
-        goal=goal,
-        unit=unit_of(goal, situation.population.actuation_unit),
-        width=study.goals.width,
-        rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
-        together=study.together(named),
-        ruled_out=_ruled_out(candidates, limits, [study.candidates[n] for n in sorted(strong)]),
-        tests=situation.tests,
-        draws=study.devices.index.size,
-    )
-
-
-def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
-    """Draws of a goal as a campaign knows it now."""
-    return _Study(situation, goal, (), effort).goals
-
-
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """A simulated test: its gain, directions of its summaries, a high quantile of its peak."""
-
-    gain: Gain
-    directions: Array
-    force: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Study:
-    """One question about a campaign."""
-
-    situation: Situation
-    goal: Goal
-    candidates: Sequence[Candidate]
-    effort: Effort
-
-    @cached_property
-    def gap(self) -> float:
-        """About the width of the gap, in."""
-        population = self.situation.population
-        levels = population.draws.z[..., : len(population.design.names)]
-        values = population.values(levels.reshape(population.size, -1))
-        found = self.situation.model.gap(values)
-        return NO_GAP if found is None else float(np.median(found))
-
-    @cached_property
-    def places(self) -> list[Candidate]:
-        """Motions and actuations that the goal is about."""
-        return self.goal.places(typical_of(self.situation.tests))
-
-    @cached_property
-    def sessions(self) -> tuple[str, str]:
-        """Session that the goal is about, and session of the candidates."""
-        known = dict.fromkeys(self.situation.sessions)
-        if len(known) == 1:
-            return (next(iter(known)),) * 2
-        return self.goal.session, NEXT
-
-    @cached_property
-    def devices(self) -> Devices:
-        """Draws of the population for everything that is asked."""
-        now, then = self.sessions
-        asked = [
-            setting_of(loop_of(candidate, self.gap).trace, session)
-            for session, those in ((now, self.places), (then, self.candidates))
-            for candidate in those
-        ]
-        rng = np.random.default_rng([self.effort.seed, 0])
-        kinds = self.situation.model, self.situation.noise
-        return Devices.draw(self.situation.population, kinds, asked, self.effort.draws, rng)
-
-    @cached_property
-    def goals(self) -> Goals:
-        """Draws of the goal."""
-        return draw_goals(self.goal, self.places, self.devices, self.gap, self.sessions[0])
-
-    def judge(self, number: int, copy: int) -> _Judged:
-        """One copy of a candidate, simulated and judged."""
-        force, directions = self._simulated(number, copy)
-        fit = fit_left_out(self.goals.values, directions)
-        peaks = np.abs(force).max(axis=1)
-        return _Judged(self._gain(fit), directions, float(np.quantile(peaks, 1 - TOO_STRONG)))
-
-    def _simulated(self, number: int, copy: int) -> tuple[Array, Array]:
-        """Forces of a copy of a candidate, (n, T), kip, and directions of its summaries, (n, k)."""
-        candidate = self.candidates[number]
-        loop = loop_of(candidate, self.gap)
-        seed = (self.effort.seed, 1, number, copy)
-        force = self.devices.measured(loop, self.sessions[1], candidate.cycles, seed)
-        return force, directions_of(summarise(loop, force, self.gap))
-
-    def together(self, named: Sequence[tuple[int, _Judged]]) -> tuple[Together, ...]:
-        """The best sets of simulated tests, named by their candidates."""
-        pool = Pool(self.goals, [judged.directions for _, judged in named])
-        sets = choose(len(named), pool.reduction, TOGETHER)
-        sets += greedy(sets[-1], len(named), pool.reduction, CURVE)
-        numbers = [tuple(named[k][0] for k in chosen) for chosen in sets]
-        afresh = cache(lambda number, copy: self._simulated(number, copy)[1])
-        return tuple(
-            Together(tuple(self.candidates[n] for n in chosen), self._gain_of_set(chosen, afresh))
-            for chosen in numbers
-        )
-
-    def _gain_of_set(self, chosen: Sequence[int], afresh: Callable[[int, int], Array]) -> Gain:
-        """Gain of a set by new copies of its tests.
-
-        Of many sets the best owes part of its worth to the chance in its copies, so that these
-        copies must not judge it too.
-        """
-        gains = []
-        for again in range(AFRESH):
-            first = COPIES + 1 + again * CURVE
-            columns = [afresh(number, first + place) for place, number in enumerate(chosen)]
-            together = np.concatenate(columns, axis=1)
-            gains.append(self._gain(fit_left_out(self.goals.values, together, curved=False)))
-        return _mean(gains)
-
-    def _gain(self, fit: Fit) -> Gain:
-        return gain_of(self.goals, fit, np.random.default_rng([self.effort.seed, 2]))
-
-
-def _mean(gains: Sequence[Gain]) -> Gain:
-    """Mean of gains, and of their errors: each is that of one copy."""
-    return Gain(
-        **{f.name: float(np.mean([getattr(g, f.name) for g in gains])) for f in fields(Gain)}
-    )
-
-
-def _row(study: _Study, number: int, copies: Sequence[_Judged]) -> Row:
-    """Row of a candidate: the mean over its copies."""
-    candidate, gain = study.candidates[number], _mean([copy.gain for copy in copies])
-    return Row(candidate, gain, repeats(candidate, study.situation.tests))
-
-
-def _force(limits: Limits) -> float:
-    return np.inf if limits.force is None else limits.force
-
-
-def _allowed(candidates: Sequence[Candidate], limits: Limits) -> list[Candidate]:
-    found = [candidate for candidate in dict.fromkeys(candidates) if limits.allow(candidate)]
-    if not found:
+    every = list(dict.fromkeys(candidates))
+    ruled_out = {one: limit for one in every if (limit := limits.forbids(one))}
+    allowed = [one for one in every if one not in ruled_out]
+    if not allowed:
         raise CampaignError(
             "the limits of velocity and stroke forbid every candidate: give other candidates, or "
             "check the limits' units"
         )
-    return found
-
-
-def _ruled_out(
-    candidates: Sequence[Candidate], limits: Limits, strong: Sequence[Candidate]
-) -> tuple[tuple[Candidate, str], ...]:
-    """Candidates that the limits forbid, each with the limit that does."""
-    found: list[tuple[Candidate, str]] = []
-    for candidate in dict.fromkeys(candidates):
-        if candidate in strong:
-            found.append((candidate, "force"))
-        elif not limits.allow(candidate):
-            slow = limits.velocity is None or candidate.speed <= limits.velocity
-            found.append((candidate, "stroke" if slow else "velocity"))
-    return tuple(found)
+    study = _Study(situation, goal, allowed, effort)
+    tests: list[tuple[int, Array]] = []
+    gains: dict[int, Gain] = {}
+    for number, candidate in enumerate(allowed):
+        peaks, directions = study.simulated(number, 0)
+        if limits.force is not None and np.quantile(peaks, 1.0 - TOO_STRONG) > limits.force:
+            ruled_out[candidate] = "force"
+            continue
+        gains[number] = study.gain(directions)
+        tests.append((number, directions))
+    if not gains:
+        raise CampaignError(
+            f"the limit of the force, {limits.force:.4g} kip, forbids every candidate: give "
+            "candidates of less actuation, or check its unit"
+        )
+    tests.sort(key=lambda test: -gains[test[0]].reduction)
+    for number, _ in tests[:SHORTLIST]:
+        # the first copy has put a candidate on the list: it must not judge it too
+        copies = [study.simulated(number, copy)[1] for copy in range(1, COPIES + 1)]
+        gains[number] = _mean([study.gain(directions) for directions in copies])
+        tests += [(number, directions) for directions in copies]
+    chosen = greedy(study.goals, [directions for _, directions in tests], CURVE)
+    sets = [tuple(tests[k][0] for k in one) for one in chosen]
+    tested = situation.tests
+    rows = [Row(allowed[n], gain, repeats(allowed[n], tested)) for n, gain in gains.items()]
+    return Advice(
+        goal=goal,
+        unit=goal.unit(situation.population.actuation_unit),
+        width=study.goals.width,
+        rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
+        together=tuple(
+            Together(tuple(allowed[n] for n in numbers), study.gain_of_set(numbers))
+            for numbers in sets
+        ),
+        ruled_out=tuple((one, ruled_out[one]) for one in every if one in ruled_out),
+        tests=tested,
+        draws=study.devices.index.size,
+    )

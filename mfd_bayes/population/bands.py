@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +15,9 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
+from mfd_bayes.population.design import Design
 from mfd_bayes.population.discrepancy import slip_force_of
-from mfd_bayes.population.population import Numbers, Parts, Population
+from mfd_bayes.population.population import Particles, Parts, Population
 from mfd_bayes.population.settings import KIND_NAMES, KINDS, Setting, setting_of
 from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.numbers import MOST_DRAWS, real_number, whole_number
@@ -27,14 +28,9 @@ from mfd_bayes.units import percent
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-DRAWS = 500
-"""Draws of a band where no other number is asked for."""
-
-FEWEST = 10
-"""Fewest draws of a band."""
-
-SHARE_DRAWS = 300
-"""Most draws by which the shares of a band's variance are computed."""
+DRAWS = 500  # draws of a band where no other number is asked for
+FEWEST = 10  # fewest draws of a band
+SHARE_DRAWS = 300  # most draws by which the shares of a band's variance are computed
 
 
 @dataclass(frozen=True)
@@ -299,54 +295,9 @@ class Predictor:
             When the force is too large for a number.
         """
         rng = np.random.default_rng(forecast.seed)
-        drawn = self.begun(trace, forecast, self.draw(trace, forecast, rng))
+        drawn = self.draw(trace, forecast, rng)
         scatter = "" if forecast.kind == "device" else " with scatter"
         return self.finish(trace, forecast, drawn, rng, f"population laws{scatter}")
-
-    def draw(self, trace: Trace, forecast: Forecast, rng: np.random.Generator) -> Drawn:
-        """Drawn tests under a motion, with all but their noise, which follow no other test."""
-        setting = setting_of(trace, forecast.session)
-        index = self.population.draw_index(forecast.draws, setting.actuation, rng)
-        grid = self.population.grid(setting.actuation, trace.actuation if trace.varying else None)
-        numbers = self.population.draw_numbers(len(index), grid.size, rng)
-        knots = self.population.residual.draw_knots(rng, len(index))
-        scatter = forecast.kind != "device"
-        return self.drawn(trace, setting, index, numbers, knots, grid, scatter=scatter)
-
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def drawn(
-        self,
-        trace: Trace,
-        setting: Setting,
-        index: Index,
-        numbers: Numbers,
-        knots: Array,
-        grid: Array,
-        *,
-        scatter: bool = True,
-    ) -> Drawn:
-        """Tests of these draws of the population and numbers, with deviations on a grid (G,)."""
-        population, level = self.population, setting.actuation
-        effects = population.level_effects(index, setting.session, grid, numbers.level)
-        at = int(np.argmin(np.abs(grid - level)))
-        here = {name: value[:, at] for name, value in effects.items()}
-        parts = population.parts(setting, index, numbers, here, scatter=scatter)
-        x = parts.mean + parts.scatter
-        unshared = population.unshared(self.model, x, numbers.start, setting, trace)
-        scales = {}
-        if trace.varying:
-            history = np.asarray(trace.actuation)
-            scales = population.scales(self.model, history, index, level, (grid, effects))
-        return Drawn(parts, unshared, scales, knots)
-
-    def begun(self, trace: Trace, forecast: Forecast, drawn: Drawn) -> Drawn:
-        """Drawn tests that begin where the one before ended, if there is one."""
-        if forecast.before is None or not self.model.has_gap:
-            return drawn
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            theta = self.model.theta(self.values(drawn))
-            start = forecast.before.starts(self.model, theta, trace, forecast.seed)
-        return replace(drawn, unshared={**drawn.unshared, "start": start})
 
     def repeat(self, trace: Trace, forecast: Forecast, own: Mapping[str, Array]) -> Band:
         """Band of the force of one calibrated test under a motion: the kind `this_test`.
@@ -366,22 +317,63 @@ class Predictor:
         RecordError
             When the force is too large for a number.
         """
-        rng, population = np.random.default_rng(forecast.seed), self.population
+        rng, coordinates = np.random.default_rng(forecast.seed), self.population.design.coordinates
         pick = rng.choice(len(next(iter(own.values()))), size=forecast.draws)
-        taken = {name: values[pick] for name, values in own.items()}
-        coordinates = population.design.coordinates
-        x = coordinates.of({name: taken[name] for name in coordinates.names})
-        x = x[:, : len(population.design.names)]
-        setting = setting_of(trace, forecast.session)
-        index = population.draw_index(forecast.draws, setting.actuation, rng)
-        grid = population.grid(setting.actuation, trace.actuation if trace.varying else None)
-        numbers = population.draw_numbers(forecast.draws, grid.size, rng)
-        knots = population.residual.draw_knots(rng, forecast.draws)
-        drawn = self.drawn(trace, setting, index, numbers, knots, grid)
-        unshared = population.unshared(self.model, x, numbers.start, setting, trace)
-        drawn = replace(drawn, parts=Parts(x, np.zeros_like(x)), unshared=unshared)
-        drawn = self.begun(trace, forecast, drawn)
+        x = coordinates.of({name: own[name][pick] for name in coordinates.names})
+        drawn = self.draw(trace, forecast, rng, x[:, : len(self.population.design.names)])
         return self.finish(trace, forecast, drawn, rng, "posterior draws of this test")
+
+    def draw(
+        self, trace: Trace, forecast: Forecast, rng: np.random.Generator, x: Array | None = None
+    ) -> Drawn:
+        """Drawn tests under a motion, with all but their noise; of coordinates x (n, d) if given.
+
+        They begin where the test before ended, if there is one.
+        """
+        population, setting = self.population, setting_of(trace, forecast.session)
+        grid, n = population.grid_of(trace), forecast.draws
+        p = population.draw_tests(n, setting.actuation, grid, rng)
+        drawn = self.drawn(trace, setting, p, grid, scatter=forecast.kind != "device", x=x)
+        drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
+        if forecast.before is None or not self.model.has_gap:
+            return drawn
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            theta = self.model.theta(self.values(drawn))
+            start = forecast.before.starts(self.model, theta, trace, forecast.seed)
+        return replace(drawn, unshared={**drawn.unshared, "start": start})
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def drawn(
+        self,
+        trace: Trace,
+        setting: Setting,
+        p: Particles,
+        grid: Array,
+        *,
+        scatter: bool = True,
+        x: Array | None = None,
+        motion: Trace | None = None,
+    ) -> Drawn:
+        """Tests under a motion, with deviations on a grid of actuations (G,); δ is at its mean.
+
+        `x` (n, d) are their coordinates where these are given, and `motion` is the whole motion
+        where `trace` is a part of it.
+        """
+        population, level, (index, numbers) = self.population, setting.actuation, p
+        effects = population.level_effects(index, setting.session, grid, numbers.level)
+        at = int(np.argmin(np.abs(grid - level)))
+        here = {name: value[:, at] for name, value in effects.items()}
+        parts = population.parts(setting, index, numbers, here, scatter=scatter)
+        if x is not None:
+            parts = Parts(x, np.zeros_like(x))
+        x, motion = parts.mean + parts.scatter, motion or trace
+        unshared = population.unshared(self.model, x, numbers.start, setting, motion)
+        scales = {}
+        if trace.varying:
+            history = np.asarray(trace.actuation)
+            scales = population.scales(self.model, history, index, level, (grid, effects))
+        mean = population.residual.mean
+        return Drawn(parts, unshared, scales, np.broadcast_to(mean, (len(index), mean.size)))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def finish(
@@ -394,7 +386,7 @@ class Predictor:
     ) -> Band:
         """Band of drawn tests, with noise if it is asked for; what is no number is refused."""
         values = self.values(drawn)
-        if forecast.kind == "observation" and drawn.noise is None:
+        if forecast.kind == "observation":
             noise = self.population.residual.draw_noise(rng, trace, values["noise_sd"])
             drawn = replace(drawn, noise=noise)
         force = self.total(trace, drawn)
@@ -415,17 +407,21 @@ class Predictor:
         """Quantities of drawn tests, by name, (n,) each."""
         return {**self.population.values(drawn.parts.mean + drawn.parts.scatter), **drawn.unshared}
 
+    def model_force(
+        self, trace: Trace, values: Mapping[str, Array], scales: Mapping[str, Array]
+    ) -> Array:
+        """The model's force of quantities by name (n,) and factors (n, T), (n, T), kip."""
+        theta, start = self.model.theta(values), values.get("start")
+        check_magnitude("a predicted parameter", theta, RANGE)
+        along = {k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in scales.items()}
+        return np.asarray(self.model.force_unbounded(theta, trace, start, scales=along or None))
+
     def force(self, trace: Trace, drawn: Drawn) -> Array:
         """The damper's force with the discrepancy of the model, (n, T), kip."""
-        values, residual = self.values(drawn), self.population.residual
-        theta = self.model.theta(values)
-        check_magnitude("a predicted parameter", theta, RANGE)
-        scales = {
-            k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in drawn.scales.items()
-        }
-        start = values.get("start")
-        force = self.model.force_unbounded(theta, trace, start, scales=scales or None)
-        return force + residual.discrepancy(trace, slip_force_of(self.model, values), drawn.knots)
+        values = self.values(drawn)
+        slip = slip_force_of(self.model, values)
+        force = self.model_force(trace, values, drawn.scales)
+        return force + self.population.residual.discrepancy(trace, slip, drawn.knots)
 
     def total(self, trace: Trace, drawn: Drawn) -> Array:
         """Force of drawn tests, with noise and offset where they have noise, (n, T), kip."""
@@ -434,44 +430,42 @@ class Predictor:
             return force
         return np.asarray(force + self.values(drawn)["offset"][:, None] + drawn.noise)
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _shares(self, trace: Trace, drawn: Drawn) -> dict[str, float]:
-        """Share of each source in the mean variance: each varies by itself."""
-        sources, few = sources_of(self.population, drawn), slice(SHARE_DRAWS)
-        fixed = {name: at_mean(drawn, few) for name in sources}
+        """Share of each source in the mean variance: one varies, the others are at their means."""
+        few, parts, design = slice(SHARE_DRAWS), drawn.parts, self.population.design
+
+        def mean(values: Array) -> Array:
+            return np.broadcast_to(values.mean(axis=0), values[few].shape)
+
+        fixed = Drawn(
+            Parts(mean(parts.mean), np.zeros_like(parts.scatter[few])),
+            {name: np.full(v[few].shape, np.median(v)) for name, v in drawn.unshared.items()},
+            {name: mean(v) for name, v in drawn.scales.items()},
+            mean(drawn.knots),
+            None if drawn.noise is None else np.zeros_like(drawn.noise[few]),
+        )
         variances = {}
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for name, free in sources.items():
-                force = self.total(trace, free(fixed[name], few))
-                variances[name] = float(np.mean(np.var(force, axis=0)))
+        for name, (part, _, chosen) in SOURCES.items():
+            if drawn.noise is None and name in OF_MEASUREMENTS:
+                continue
+            if part == "start":
+                change: dict[str, Any] = {
+                    "unshared": {**fixed.unshared, part: drawn.unshared[part][few]}
+                }
+            elif part in ("knots", "noise"):
+                change = {part: getattr(drawn, part)[few]}
+            else:
+                columns = [chosen(design, quantity) for quantity in design.names]
+                values = np.where(columns, getattr(parts, part)[few], getattr(fixed.parts, part))
+                change = {"parts": replace(fixed.parts, **{part: values})}
+                if part == "mean":  # laws take their histories along
+                    change["scales"] = {k: v[few] for k, v in drawn.scales.items()}
+            force = self.total(trace, replace(fixed, **change))
+            variances[name] = float(np.mean(np.var(force, axis=0)))
         whole = sum(variances.values())
         return {k: v / whole for k, v in variances.items() if v > 1e-20} if whole > 1e-20 else {}
 
-
-def at_mean(drawn: Drawn, few: slice) -> Drawn:
-    """Some of the draws, with every source at its mean."""
-
-    def mean(values: Array) -> Array:
-        return np.broadcast_to(values.mean(axis=0), values[few].shape)
-
-    unshared = {name: np.full(v[few].shape, np.median(v)) for name, v in drawn.unshared.items()}
-    return Drawn(
-        Parts(mean(drawn.parts.mean), np.zeros_like(drawn.parts.scatter[few])),
-        unshared,
-        {name: mean(v) for name, v in drawn.scales.items()},
-        mean(drawn.knots),
-        None if drawn.noise is None else np.zeros_like(drawn.noise[few]),
-    )
-
-
-GROUPS: dict[str, tuple[str, ...]] = {
-    "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd"),
-    "backward slip force": ("Fc_bwd", "static_excess_bwd", "Fy_bwd"),
-    "gap": ("d2", "d3", "gap"),
-    "sigma0": ("sigma0",),
-    "stiffness beyond the gap": ("k_fwd", "k_bwd"),
-    "the offset": ("offset",),
-}
-"""Quantities whose scatter has a line of its own."""
 
 _REPEATS = (
     "If few tests were calibrated, more tests make it smaller. If many were, it is the true "
@@ -479,66 +473,63 @@ _REPEATS = (
     "bedding-in), or declare sessions. The kind this_test does not contain it."
 )
 
-ADVICE = {
-    **{f"test-to-test scatter of {name}": _REPEATS for name in GROUPS},
-    "test-to-test scatter of other quantities": _REPEATS,
-    "test-to-test scatter of the offset": (
-        "Zero the load cell before each test, or ask for the kind new_test, which leaves it out."
-    ),
-    "law, level and session effects": (
-        "Calibrate a test at or near this actuation, with such a stroke, in this session."
-    ),
-    "parameters": "Calibrate more tests, with larger strokes or several speeds.",
-    "start in the gap": (
-        "Begin the motion with a stroke that crosses the whole gap: that makes the start known."
-    ),
-    "discrepancy of the model": (
-        "Calibrate more tests with full strokes: it repeats in every cycle."
-    ),
-    "noise": "It is the record's, not the damper's: the kind new_test leaves it out.",
+_SCATTER = {
+    "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd"),
+    "backward slip force": ("Fc_bwd", "static_excess_bwd", "Fy_bwd"),
+    "gap": ("d2", "d3", "gap"),
+    "sigma0": ("sigma0",),
+    "stiffness beyond the gap": ("k_fwd", "k_bwd"),
+    "the offset": ("offset",),
 }
-"""What a user could do about each source of a band's width."""
-
-Free = Callable[[Drawn, slice], Drawn]
+_GROUP = {quantity: name for name, group in _SCATTER.items() for quantity in group}
 
 
-def sources_of(population: Population, drawn: Drawn) -> dict[str, Free]:
-    """Functions that let one source of draws vary, by its name in `ADVICE`."""
-    names = population.design.names
-    grouped = {n for group in GROUPS.values() for n in group}
-    rest = [n for n in names if n not in grouped and not n.startswith("noise_")]
-    laws = [k for k, name in enumerate(names) if name in population.design.laws]
+class Source(NamedTuple):
+    """A source of a band's width: a part of `Drawn`, what a user could do, which quantities."""
 
-    def of_scatter(group: tuple[str, ...]) -> Free:
-        own = [k for k, n in enumerate(names) if n in group]
-        return partial(_vary, source=drawn, part="scatter", columns=own)
-
-    found: dict[str, Free] = {
-        f"test-to-test scatter of {n}": of_scatter(g) for n, g in GROUPS.items()
-    }
-    found["test-to-test scatter of other quantities"] = of_scatter(tuple(rest))
-    if drawn.noise is None:
-        del found["test-to-test scatter of the offset"]
-    others = [k for k in range(len(names)) if k not in laws and names[k] != "offset"]
-    found["law, level and session effects"] = partial(
-        _vary, source=drawn, part="mean", columns=laws
-    )
-    found["parameters"] = partial(_vary, source=drawn, part="mean", columns=others)
-    found["start in the gap"] = lambda fixed, few: replace(
-        fixed, unshared={**fixed.unshared, "start": drawn.unshared["start"][few]}
-    )
-    found["discrepancy of the model"] = lambda fixed, few: replace(fixed, knots=drawn.knots[few])
-    if drawn.noise is not None:
-        noise = drawn.noise
-        found["noise"] = lambda fixed, few: replace(fixed, noise=noise[few])
-    return found
+    part: str
+    advice: str
+    chosen: Callable[[Design, str], bool] = lambda design, quantity: True
 
 
-def _vary(fixed: Drawn, few: slice, *, source: Drawn, part: str, columns: list[int]) -> Drawn:
-    """Fixed draws with some columns of a part as drawn; laws take their histories along."""
-    values = np.array(getattr(fixed.parts, part))
-    values[:, columns] = getattr(source.parts, part)[few][:, columns]
-    scales = fixed.scales
-    if part == "mean":
-        scales = {name: v[few] for name, v in source.scales.items()}
-    return replace(fixed, parts=replace(fixed.parts, **{part: values}), scales=scales)
+def _scatter(name: str, advice: str = _REPEATS) -> Source:
+    """Scatter of a group of quantities."""
+
+    def chosen(_: Design, n: str) -> bool:
+        return _GROUP.get(n, "" if n.startswith("noise_") else "other quantities") == name
+
+    return Source("scatter", advice, chosen)
+
+
+# what makes a band wide, and what could be done about it
+SOURCES = {
+    **{f"test-to-test scatter of {name}": _scatter(name) for name in _SCATTER},
+    "test-to-test scatter of the offset": _scatter(
+        "the offset",
+        "Zero the load cell before each test, or ask for the kind new_test, which leaves it out.",
+    ),
+    "test-to-test scatter of other quantities": _scatter("other quantities"),
+    "law, level and session effects": Source(
+        "mean",
+        "Calibrate a test at or near this actuation, with such a stroke, in this session.",
+        lambda design, n: n in design.laws,
+    ),
+    "parameters": Source(
+        "mean",
+        "Calibrate more tests, with larger strokes or several speeds.",
+        lambda design, n: n not in design.laws and n != "offset",
+    ),
+    "start in the gap": Source(
+        "start",
+        "Begin the motion with a stroke that crosses the whole gap: that makes the start known.",
+    ),
+    "discrepancy of the model": Source(
+        "knots", "Calibrate more tests with full strokes: it repeats in every cycle."
+    ),
+    "noise": Source(
+        "noise", "It is the record's, not the damper's: the kind new_test leaves it out."
+    ),
+}
+ADVICE = {name: source.advice for name, source in SOURCES.items()}
+# sources that the force of the damper does not have
+OF_MEASUREMENTS = ("test-to-test scatter of the offset", "noise")

@@ -20,8 +20,7 @@ from mfd_bayes.calibration.priors import Prior
 
 Array = NDArray[np.float64]
 
-DRAWS = 4000
-"""Prior draws by which the centre and the spread of the coordinates are found."""
+DRAWS = 4000  # prior draws by which the centre and the spread of the coordinates are found
 
 
 @dataclass(frozen=True)
@@ -46,30 +45,30 @@ class Coordinates:
     spread: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        rng = np.random.default_rng(0)
-        drawn = [p.coordinate(p.draw(rng, DRAWS)) for p in map(self.priors.get, self.names) if p]
-        q = self._from_own(np.stack(drawn, axis=1))
+        rng, priors = np.random.default_rng(0), [self.priors[name] for name in self.names]
+        drawn = [prior.coordinate(prior.draw(rng, DRAWS)) for prior in priors]
+        q = self._compared(np.stack(drawn, axis=1))
         object.__setattr__(self, "centre", q.mean(axis=0))
         object.__setattr__(self, "spread", q.std(axis=0))
 
     def _column(self, name: str) -> int | None:
         """Column of a quantity on the positive half line; None where there is none."""
-        found = name in self.names and self.priors[name].on_half_line
-        return self.names.index(name) if found else None
+        there = name in self.names and self.priors[name].on_half_line
+        return self.names.index(name) if there else None
 
     def _shifts(self, own: Array) -> list[tuple[int, Array]]:
         """Column of F_c and log of the slip force at `speed` over F_c, (n,), by direction."""
-        found = []
+        found, values = [], {}
         for side in ("fwd", "bwd"):
             excess, kinetic = f"static_excess_{side}", self._column(f"Fc_{side}")
-            if kinetic is not None and excess in self.names and "v_s" in self.names:
-                v_s = self.priors["v_s"].value(own[:, self.names.index("v_s")])
-                share = self.priors[excess].value(own[:, self.names.index(excess)])
-                stribeck = np.exp(-((self.speed / np.maximum(v_s, 1e-12)) ** 2))
-                found.append((kinetic, np.log1p(share * stribeck)))
+            if kinetic is not None and {excess, "v_s"} <= set(self.names):
+                for name in ("v_s", excess):
+                    values[name] = self.priors[name].value(own[:, self.names.index(name)])
+                stribeck = np.exp(-((self.speed / np.maximum(values["v_s"], 1e-12)) ** 2))
+                found.append((kinetic, np.log1p(values[excess] * stribeck)))
         return found
 
-    def _from_own(self, own: Array) -> Array:
+    def _compared(self, own: Array) -> Array:
         """Compared coordinates, of those of the priors, (n, D)."""
         q, d2, d3 = own.copy(), self._column("d2"), self._column("d3")
         for kinetic, shift in self._shifts(own):
@@ -79,7 +78,7 @@ class Coordinates:
             q[:, d3] = own[:, d3] - own[:, d2]
         return q
 
-    def own(self, x: Array) -> Array:
+    def of_priors(self, x: Array) -> Array:
         """Coordinates of the priors, (n, D), of x (n, D)."""
         q = self.centre + self.spread * x
         own, d2, d3 = q.copy(), self._column("d2"), self._column("d3")
@@ -92,19 +91,24 @@ class Coordinates:
 
     def values(self, x: Array) -> dict[str, Array]:
         """Quantities at x (n, D), by name, (n,) each, internal units."""
-        own = self.own(x)
-        return {name: self.priors[name].value(own[:, k]) for k, name in enumerate(self.names)}
+        q = self.of_priors(x)
+        return {name: self.priors[name].value(q[:, k]) for k, name in enumerate(self.names)}
+
+    def value(self, name: str, x: Array) -> Array:
+        """A quantity whose coordinate is its prior's, such as the noise, at x (..., D), (...)."""
+        k = self.names.index(name)
+        return self.priors[name].value(self.centre[k] + self.spread[k] * x[..., k])
 
     def of(self, values: Mapping[str, Array]) -> Array:
         """Coordinates x (n, D) of quantities by name, (n,) each; of a missing one, its median."""
         n = max(np.size(value) for value in values.values())
-        known = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
-        own = [self.priors[name].coordinate(np.atleast_1d(known[name])) for name in self.names]
-        return np.asarray((self._from_own(np.stack(own, axis=1)) - self.centre) / self.spread)
+        filled = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
+        q = [self.priors[name].coordinate(np.atleast_1d(filled[name])) for name in self.names]
+        return np.asarray((self._compared(np.stack(q, axis=1)) - self.centre) / self.spread)
 
     def log_prior(self, x: Array, columns: NDArray[np.bool_]) -> Array:
         """Log density of some coordinates of x (n, D) under their priors, in prior units, (n,)."""
-        own, total = self.own(x), np.zeros(len(x))
+        q, total = self.of_priors(x), np.zeros(len(x))
         for k in np.flatnonzero(columns):
-            total += self.priors[self.names[k]].log_density(own[:, k]) + np.log(self.spread[k])
+            total += self.priors[self.names[k]].log_density(q[:, k]) + np.log(self.spread[k])
         return total

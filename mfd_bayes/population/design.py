@@ -12,7 +12,8 @@ that are the same in all tests (`sparse` in the prior file) have no scatter and 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -38,38 +39,32 @@ from mfd_bayes.population.settings import (
     geometric_mean,
     levels_of,
     same_level,
-    varies,
     with_zeros,
 )
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Cell = tuple[str, float]
 
+# correlation length of a level's effect along the logarithm of the actuation
 ALIKE = float(np.log(2.0))
-"""Correlation length of a level's effect along the logarithm of the actuation."""
-
+# scale of the sd of a level's effect, over that of scatter: real levels lie farther from a law
+# than repeats from each other
 WIDER = 2.0
-"""Scale of the sd of a level's effect, over that of scatter: real levels lie farther from a law
-than repeats from each other."""
-
+# least and largest sd of a level's effect, over that at the reference actuation
 BOUNDS = (0.5, 2.0)
-"""Least and largest sd of a level's effect, over that at the reference actuation."""
-
-LEVELS = 3
-"""Fewest levels at which a deviation from a law can be told from the law."""
-
-TESTS = 4
-"""Fewest tests in which a dependence on a covariate is looked for."""
-
+LEVELS = 3  # fewest levels at which a deviation from a law can be told from the law
+TESTS = 4  # fewest tests in which a dependence on a covariate is looked for
+# Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared
 USUAL_SPEED = 2.0 / np.pi
-"""Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared."""
 
 
 class Effect(NamedTuple):
-    """Deviations that tests of a level or of a session have in common, with one sd.
+    """Random effect of levels or of sessions ("level", "session") on some quantities, with one sd.
 
-    A level's deviation is like that of a wrong actuation, wrong by as much at every level: in the
-    logarithm of a force its sd is in inverse proportion to the actuation.
+    `scale` is that of the half-normal prior of the sd. A level's effect is like that of a wrong
+    actuation, wrong by as much at every level: in the logarithm of a force its sd is in inverse
+    proportion to the actuation.
     """
 
     name: str
@@ -119,38 +114,26 @@ class Design:
     common: NDArray[np.bool_]
     reference: float
     leveled: bool = True
-    covariates: Mapping[str, float] = field(init=False)
-    cells: tuple[tuple[str, float], ...] = field(init=False)
-    sessions: tuple[str, ...] = field(init=False)
-    effects: tuple[Effect, ...] = field(init=False)
-    informs: NDArray[np.bool_] = field(init=False)
-    quantity: Index = field(init=False)
-    effect: Index = field(init=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def covariates(self) -> dict[str, float]:
+        """Geometric mean of each covariate over the tests."""
         used = {c for those in self.dependence.values() for c in those} | {"amplitude", "velocity"}
-        known = {c: [s.covariates.get(c, 0.0) for s in self.settings] for c in sorted(used)}
-        means = {c: geometric_mean(v) for c, v in known.items() if min(v) > 0}
-        self._set("covariates", means)
-        self._set("cells", tuple(dict.fromkeys(self.cell_of(s) for s in self.settings)))
-        self._set("sessions", tuple(dict.fromkeys(s.session for s in self.settings)))
-        self._set("informs", self._informs())
-        self._set("effects", (*self._effects("level"), *self._effects("session")))
-        quantity, effect = list(range(len(self.names))), [-1] * len(self.names)
-        for name, those in self.dependence.items():
-            quantity += [self.names.index(name)] * len(those)
-            effect += [-1] * len(those)
-        for e, one in enumerate(self.effects):
-            size = len(self.cells if one.name == "level" else self.sessions)
-            quantity += [k for k in one.members for _ in range(size)]
-            effect += [e] * size * len(one.members)
-        self._set("quantity", np.array(quantity))
-        self._set("effect", np.array(effect))
+        values = {c: [s.covariates.get(c, 0.0) for s in self.settings] for c in sorted(used)}
+        return {c: geometric_mean(v) for c, v in values.items() if min(v) > 0}
 
-    def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
+    @cached_property
+    def cells(self) -> tuple[Cell, ...]:
+        """Session and level of the tests, each once."""
+        return tuple(dict.fromkeys(self.cell_of(s) for s in self.settings))
 
-    def _informs(self) -> NDArray[np.bool_]:
+    @cached_property
+    def sessions(self) -> tuple[str, ...]:
+        """Sessions of the tests, each once."""
+        return tuple(dict.fromkeys(s.session for s in self.settings))
+
+    @cached_property
+    def informs(self) -> NDArray[np.bool_]:
         """Whether each test informs each quantity, (J, d).
 
         A law without an intercept says nothing of a test at zero actuation: there the quantity has
@@ -163,29 +146,49 @@ class Design:
                 found[zero, self.names.index(name)] = False
         return found
 
-    def considered(self, law: str) -> tuple[str, ...]:
-        """Laws that a name stands for; with tests at zero actuation those that hold there."""
-        if law != COMPARE:
-            return (law,)
-        zero = any(s.actuation == 0 for s in self.settings)
-        return tuple(name for name in LAWS if LAWS[name].intercept or not zero)
-
-    def _effects(self, name: str) -> list[Effect]:
-        """Effects of levels on what has a law, or of sessions on all that differs between tests."""
-        free = [k for k in range(len(self.names)) if not self.common[k]]
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of levels on what has a law, of sessions on all that differs between tests."""
+        found: dict[tuple[str, str], list[int]] = {}
         followers = [self.names.index(n) for n in self.laws] if self.leveled else []
-        likely = followers if name == "level" else free
-        by_group: dict[str, list[int]] = {}
-        for k in likely:
-            told = [s for s, tells in zip(self.settings, self.informs[:, k], strict=True) if tells]
-            kinds = len(levels_of(told)) if name == "level" else len({s.session for s in told})
-            if kinds >= (LEVELS if name == "level" else 2):
-                by_group.setdefault(self.groups[self.names[k]], []).append(k)
-        wider = WIDER if name == "level" else 1.0
-        return [
-            Effect(name, group, tuple(members), wider * float(self.scatter_sd[members[0]]))
-            for group, members in by_group.items()
-        ]
+        for name, members in (("level", followers), ("session", self.free.tolist())):
+            for k in members:
+                those = [self.settings[j] for j in np.flatnonzero(self.informs[:, k])]
+                sessions = len({s.session for s in those})
+                if len(levels_of(those)) >= LEVELS if name == "level" else sessions >= 2:
+                    found.setdefault((name, self.groups[self.names[k]]), []).append(k)
+        wider = {"level": WIDER, "session": 1.0}
+        return tuple(
+            Effect(name, group, tuple(members), wider[name] * float(self.scatter_sd[members[0]]))
+            for (name, group), members in found.items()
+        )
+
+    @cached_property
+    def _columns(self) -> Index:
+        """Quantity and effect (-1 for none) of each linear coefficient, (2, Z)."""
+        found = [(k, -1) for k in range(len(self.names))]
+        found += [(self.names.index(n), -1) for n, those in self.dependence.items() for _ in those]
+        for e, effect in enumerate(self.effects):
+            size = len(self.cells if effect.name == "level" else self.sessions)
+            found += [(k, e) for k in effect.members for _ in range(size)]
+        return np.array(found).T
+
+    @property
+    def quantity(self) -> Index:
+        """Quantity of each linear coefficient, (Z,)."""
+        return np.asarray(self._columns[0])
+
+    def columns(self, effect: int) -> Index:
+        """Numbers of the coefficients of an effect: (its quantities, cells or sessions)."""
+        own = np.flatnonzero(self._columns[1] == effect)
+        return own.reshape(len(self.effects[effect].members), -1)
+
+    @property
+    def z_sd(self) -> Array:
+        """Prior sd of the linear coefficients that are no effects: levels and slopes."""
+        sd = np.full(np.count_nonzero(self._columns[1] < 0), SENSITIVITY)
+        sd[: len(self.names)] = 1.0
+        return sd
 
     @property
     def free(self) -> Index:
@@ -197,14 +200,19 @@ class Design:
         """Quantity and shape of each shape that is inferred."""
         return tuple((name, s) for name, law in self.laws.items() for s in shapes_of(law))
 
-    def cell_of(self, setting: Setting) -> tuple[str, float]:
+    def considered(self, law: str) -> tuple[str, ...]:
+        """Laws that a name stands for; with tests at zero actuation those that hold there."""
+        if law != COMPARE:
+            return (law,)
+        zero = any(s.actuation == 0 for s in self.settings)
+        return tuple(name for name in LAWS if LAWS[name].intercept or not zero)
+
+    def cell_of(self, setting: Setting) -> Cell:
         """Session, and the actuation of calibrated tests at the setting's level, if any."""
         near = [s.actuation for s in self.settings if same_level(s.actuation, setting.actuation)]
         return setting.session, near[0] if near else setting.actuation
 
-    def level_covariance(
-        self, one: Sequence[tuple[str, float]], two: Sequence[tuple[str, float]]
-    ) -> Array:
+    def level_covariance(self, one: Sequence[Cell], two: Sequence[Cell]) -> Array:
         """Covariance of a level's effect between cells, for an sd of 1 at the reference.
 
         Matérn 3/2 over the logarithm of the actuation, within a session; zero actuation is far from
@@ -219,31 +227,8 @@ class Design:
         same = np.array([[a[0] == b[0] for b in two] for a in one])
         return np.asarray(np.outer(*sizes) * same * (1.0 + r) * np.exp(-r))
 
-    def row(self, setting: Setting, level: Array | None = None) -> Array:
-        """Weights of the linear coefficients z under a setting, (len(z),).
-
-        Column c belongs to quantity `quantity[c]`. Weights of level effects, `level` (cells,), are
-        those expected given the tested levels.
-        """
-        spread = self.spread
-        parts: list[Array] = [np.ones(len(self.names))]
-        for name, those in self.dependence.items():
-            k = self.names.index(name)
-            for c in those:
-                among = [s.covariates[c] for s in self.settings]
-                within = np.clip(setting.covariates[c], min(among), max(among))
-                parts.append(np.array([np.log(within / self.covariates[c]) / spread[k]]))
-        if level is None:
-            level, _ = self.krige([self.cell_of(setting)])
-            level = level[0]
-        session = np.array([float(setting.session == s) for s in self.sessions])
-        for effect in self.effects:
-            weights = level if effect.name == "level" else session
-            parts += [weights / spread[k] for k in effect.members]
-        return np.concatenate(parts)
-
-    def krige(self, cells: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
-        """Level effects of cells given those of the tests' cells.
+    def krige(self, cells: Sequence[Cell]) -> tuple[Array, Array]:
+        """Level effects of cells given those of the tests' cells (kriging).
 
         Returns
         -------
@@ -261,25 +246,51 @@ class Design:
         rest[tested], rest[:, tested] = 0.0, 0.0
         return weights, 0.5 * (rest + rest.T)
 
-    def law_shapes(self, h_shapes: Array, choice: Index) -> tuple[Array, Array]:
+    def row(self, setting: Setting, *, level_effects: bool = True) -> Array:
+        """Weights of the linear coefficients z under a setting, (Z,), of a tested level or none."""
+        parts: list[Array] = [np.ones(len(self.names))]
+        for name, those in self.dependence.items():
+            for c in those:
+                among = [s.covariates[c] for s in self.settings]
+                within = np.clip(setting.covariates[c], min(among), max(among))
+                slope = np.log(within / self.covariates[c]) / self.spread[self.names.index(name)]
+                parts.append(np.array([slope]))
+        cell = self.cell_of(setting) if level_effects else None
+        level = np.array([float(cell == one) for one in self.cells])
+        session = np.array([float(setting.session == s) for s in self.sessions])
+        for effect in self.effects:
+            weights = level if effect.name == "level" else session
+            parts += [weights / self.spread[k] for k in effect.members]
+        return np.concatenate(parts)
+
+    def linear(self, z: Array, rows: Array) -> Array:
+        """Levels, slopes and effects A z of coefficients (n, Z) and rows (m, Z), (n, m, d)."""
+        found = np.zeros((len(z), len(rows), len(self.names)))
+        for k in range(len(self.names)):
+            own = self.quantity == k
+            found[..., k] = z[:, own] @ rows[:, own].T
+        return found
+
+    def law_shapes(self, q: Array, choice: Index) -> tuple[Array, Array]:
         """Share and exponent of each law, (n, L) each.
 
         Parameters
         ----------
-        h_shapes : (n, S)
+        q : (n, S)
             Coordinates of `shapes`.
-        choice : (n, L) int
+        choice : (L,) or (n, L) int
             Number of the law of each quantity of `laws`.
         """
         found: list[Array] = []
         for shape in ("share", "exponent"):
             given = np.array([getattr(LAWS[law], shape) for law in LAW_NAMES], dtype=np.float64)
-            value: Array = given[choice]  # NaN where it is inferred
+            value: Array = given[np.broadcast_to(choice, (len(q), choice.shape[-1]))]
+            # NaN where it is inferred
             for column, name in enumerate(self.laws):
                 if (name, shape) in self.shapes:
-                    q = h_shapes[:, self.shapes.index((name, shape))]
-                    q = expit(q) if shape == "share" else q
-                    value[:, column] = np.where(np.isnan(value[:, column]), q, value[:, column])
+                    drawn = q[:, self.shapes.index((name, shape))]
+                    drawn = expit(drawn) if shape == "share" else drawn
+                    value[:, column] = np.where(np.isnan(value[:, column]), drawn, value[:, column])
             found.append(value)
         share, exponent = found
         return share, exponent
@@ -293,35 +304,6 @@ class Design:
             followed = ratio(actuation / self.reference, *shape)
             found[..., k] = np.log(np.maximum(followed, 1e-300)) / self.spread[k]
         return found
-
-    def under(self, laws: Mapping[str, str]) -> Design:
-        """The design with other laws."""
-        return replace(self, laws={**self.laws, **laws})
-
-    def restricted(
-        self, name: str, law: str, follows: Sequence[str] | None = None, *, leveled: bool = False
-    ) -> Design:
-        """The design of one quantity by itself, under a law and with covariates."""
-        k = [self.names.index(name)]
-        follows = self.dependence.get(name, ()) if follows is None else tuple(follows)
-        return replace(
-            self,
-            names=(name,),
-            spread=self.spread[k],
-            laws={name: law} if law else {},
-            dependence={name: follows} if follows else {},
-            scatter_sd=self.scatter_sd[k],
-            common=np.zeros(1, dtype=bool),
-            leveled=leveled,
-        )
-
-    @property
-    def z_sd(self) -> Array:
-        """Prior sd of the linear coefficients that are no effects; 1 for effects."""
-        dependent = sum(len(those) for those in self.dependence.values())
-        sd = np.ones(self.quantity.size)
-        sd[len(self.names) : len(self.names) + dependent] = SENSITIVITY
-        return sd
 
 
 def design_of(
@@ -354,8 +336,8 @@ def design_of(
         When a law's quantity can be negative, an actuation is negative, or all are zero.
     """
     quantities = known_quantities()
-    own = {f"{shape}_{law}": shape for law in default_laws() for shape in ("share", "exponent")}
-    pooled = (n for n in names if n not in own)
+    shapes = {f"{shape}_{law}": shape for law in default_laws() for shape in ("share", "exponent")}
+    pooled = (n for n in names if n not in shapes)
     shared = tuple(n for n in pooled if n not in quantities or quantities[n].pooled)
     chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in shared}
     for name in chosen:
@@ -368,9 +350,9 @@ def design_of(
     settings = with_zeros(settings)
     speeds = [s.covariates.get("velocity", 0.0) for s in settings]
     speed = geometric_mean([v for v in speeds if v > 0] or [1.0])
-    everything = (*shared, *(n for n in names if n == "start" or n in own))
-    known = {n: shape_prior(own[n]) if n in own else priors.parameters[n] for n in everything}
-    coordinates = Coordinates(everything, known, USUAL_SPEED * speed)
+    everything = (*shared, *(n for n in names if n == "start" or n in shapes))
+    each = {n: shape_prior(shapes[n]) if n in shapes else priors.parameters[n] for n in everything}
+    coordinates = Coordinates(everything, each, USUAL_SPEED * speed)
     return Design(
         names=shared,
         coordinates=coordinates,
@@ -383,15 +365,3 @@ def design_of(
         common=np.array([priors.scatter[home[n]].sparse for n in shared]),
         reference=geometric_mean([s.actuation for s in settings if s.actuation > 0]),
     )
-
-
-def usual_dependence(
-    slip_forces: Sequence[str], settings: Sequence[Setting]
-) -> dict[str, tuple[str, ...]]:
-    """Covariates that slip forces follow by default: the stroke, if it varies.
-
-    No friction model here knows of the stroke, and all of them know of the speed.
-    """
-    if len(settings) < TESTS or not varies(settings, "amplitude"):
-        return {}
-    return dict.fromkeys(slip_forces, ("amplitude",))

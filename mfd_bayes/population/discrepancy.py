@@ -25,17 +25,10 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-KNOTS = 16
-"""Knots of each direction."""
-
-FINE = 20.0
-"""Knots are even in log(1 + FINE · travel/stroke): finest after a turn."""
-
-LENGTH = 0.2
-"""Correlation length of δ, as a share of the range of the knots."""
-
-FEWEST = 8
-"""Fewest samples of a stroke whose mean counts."""
+KNOTS = 16  # knots of each direction
+FINE = 20.0  # knots are even in log(1 + FINE · travel/stroke): finest after a turn
+LENGTH = 0.2  # correlation length of δ, as a share of the range of the knots
+FEWEST = 8  # fewest samples of a stroke whose mean counts
 
 
 def strokes_of(trace: Trace) -> Index:

@@ -6,8 +6,9 @@ by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which le
 it is, and are accepted by the exact over the approximate likelihoods (Rudolf and Sprungk, 2018):
 
 1. the numbers of each test, each accepted by its own likelihood;
-2. those of z, with h from its draws under the approximation, accepted by all tests. The mean and
-   covariance of the numbers of the levels are learned while warming up, and then kept;
+2. those of z, with h from its draws under the approximation, accepted by all tests; then those of
+   z alone, in shorter steps. The mean and covariance of the numbers of the levels are learned while
+   warming up, and then kept;
 3. each coordinate of h given all tests, by random-walk Metropolis, which needs no force.
 
 With Gaussian likelihoods every move of the first two kinds is accepted.
@@ -15,58 +16,39 @@ With Gaussian likelihoods every move of the first two kinds is accepted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence, measure
+from mfd_bayes.jobs.likelihoods import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import JointFit
-from mfd_bayes.population.mixed_model import LARGEST, MixedModel
+from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Evaluate = Callable[[Iterable[tuple[int, "Array"]]], Iterator["Array"]]
 
-CHAINS = 4
-"""Groups of independent chains; R̂ is taken across groups."""
-
+CHAINS = 4  # groups of independent chains; R̂ is taken across groups
+# most numbers of the tests' coordinates that are held; of more, only some sweeps are kept
 STORED = 2**26
-"""Most numbers of the tests' coordinates that are held; of more, only some sweeps are kept."""
-
+# sweeps in which steps are tuned, in two halves, and sweeps between looks at the convergence
 WARM_UP, BLOCK = 80, 40
-"""Sweeps in which steps are tuned, in two halves, and sweeps between looks at the convergence."""
-
-TRUST, WIDER = 0.8, 1.1
-"""Weight of the covariance that is learned, against that of the approximation, and its factor."""
-
-ACCEPT = 0.3
-"""Share of moves that is to be accepted."""
-
-STEPS = (1.0, 0.3)
-"""Steps of z over the tuned one: long ones, and short ones that leave the tails."""
-
-EVERY = 4
-"""Sweeps between random walks of h, which moves in every sweep with the levels too."""
-
-RANDOM_WALK = 0.6
-"""Sd of the random walk of the coordinates of h."""
+# weight of the covariance that is learned, against that of the approximation, and its factor: a
+# wide one, since chains stay long where the reference has thinner tails than the posterior
+TRUST, WIDER = 0.8, 1.5
+ACCEPT = 0.3  # share of moves of the tests that is to be accepted
+ACCEPT_Z = (0.2, 0.5)  # the same of z, with another h and with its own
+EVERY = 3  # sweeps between random walks of h, which moves in every sweep with the levels too
+RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """All chains, n of them.
+class State(NamedTuple):
+    """All chains, n of them: h (n, dim), z (n, Z), and the tests' coordinates x (n, J, D).
 
-    Attributes
-    ----------
-    h, z : (n, dim), (n, Z)
-    e_z, e : (n, Z), (n, J, L)
-        Standard normal numbers of z, and of the tests' local coordinates.
-    x : (n, J, D)
-    excess : (n, J)
-        Exact less approximate log density of each test.
+    `e_z` (n, Z) and `e` (n, J, L) are standard normal numbers of z, and of the local coordinates;
+    `excess` (n, J) is the exact less the approximate log density of each test.
     """
 
     h: Array
@@ -85,13 +67,10 @@ class State:
             shape = (*accepted.shape, *[1] * (mine.ndim - accepted.ndim))
             return np.where(accepted.reshape(shape), its, mine)
 
-        return State(
-            *(choose(a, b) for a, b in zip(vars(self).values(), vars(other).values(), strict=True))
-        )
+        return State(*map(choose, self, other))
 
 
-@dataclass(frozen=True, eq=False)
-class Draws:
+class Draws(NamedTuple):
     """Kept draws, (chain, draw, …), ordered by walker, and their convergence.
 
     Attributes
@@ -100,10 +79,8 @@ class Draws:
     convergence : Convergence
         Of h and of the levels in z.
     sweeps : int
-    accepted : (2,)
+    accepted : (float, float)
         Shares of accepted moves of tests and of the population.
-    walkers : int
-        Chains of each group.
     """
 
     h: Array
@@ -112,7 +89,6 @@ class Draws:
     convergence: Convergence
     sweeps: int
     accepted: tuple[float, float]
-    walkers: int
 
 
 class ExactSampler:
@@ -122,7 +98,7 @@ class ExactSampler:
     ----------
     mixed : MixedModel
     fit : JointFit
-    own : (J, D) bool
+    unpooled : (J, D) bool
         Coordinates that do not follow the population: they have their own priors.
     choice : (n, L) int
         Laws of each chain.
@@ -137,26 +113,20 @@ class ExactSampler:
         self,
         mixed: MixedModel,
         fit: JointFit,
-        own: NDArray[np.bool_],
+        unpooled: NDArray[np.bool_],
         choice: Index,
-        pool: list[Array],
+        pool: Sequence[Array],
         rng: np.random.Generator,
-        evaluate: Evaluate | None = None,
+        evaluate: Evaluate[Array, Array] | None = None,
     ) -> None:
-        self.mixed, self.fit, self.own, self.choice, self.pool, self.rng = (
-            mixed, fit, own, choice, pool, rng,
-        )  # fmt: skip
-        self.evaluate = evaluate or (
-            lambda pairs: (fit.tests[j].log_likelihood(x) for j, x in pairs)
-        )
-        local = np.any(own, axis=0)
+        self.mixed, self.fit, self.unpooled, self.rng = mixed, fit, unpooled, rng
+        self.choice, self.pool, self.d = choice, pool, len(mixed.design.names)
+        self.evaluate = evaluate or in_turn([test.log_likelihood for test in fit.tests])
+        local = np.any(unpooled, axis=0)
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
-        self.scatters = np.searchsorted(
-            self.local, mixed.free
-        )  # places of the free among the local
-        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.4
-        self.rates: list[tuple[Array, float]] = []
+        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), np.array([0.8, 0.4])
+        self.rates: list[tuple[Array, Array]] = []  # accepted shares: tests, and moves of z
         n, z = len(choice), mixed.design.quantity.size
         self.shift, self.root = np.zeros(z), np.eye(z)  # of the reference of e_z
         h = self._fresh_h()
@@ -167,55 +137,50 @@ class ExactSampler:
         """Draws of h of every chain under the approximation."""
         return np.stack([pool[self.rng.integers(len(pool))] for pool in self.pool])
 
-    def _base(self, h: Array, z: Array) -> Array:
-        """What the population says of the tests' coordinates, (n, J, D); 0 for their own."""
-        d = len(self.mixed.design.names)
-        base = np.zeros((len(h), *self.own.shape))
-        base[..., :d] = self.mixed.offsets(h, self.choice) + self.mixed.fixed(z)
-        return np.where(self.own, 0.0, base)
+    def _linear(self, z: Array) -> Array:
+        """Levels, slopes and effects of the tests, (n, J, d)."""
+        return self.mixed.design.linear(z, self.mixed.rows)
 
-    def _local_sd(self, h: Array) -> Array:
-        """Prior sd of the local coordinates around the base, (n, J, L)."""
-        sd = np.ones((len(h), len(self.own), self.local.size))
-        sd[..., self.scatters] = self.mixed.tau(h)[:, None] / np.sqrt(self.mixed.weight)
-        return np.where(self.own[:, self.local], 1.0, sd)
+    def _sd(self, h: Array) -> Array:
+        """Scatter of the free quantities of the tests, (n, J, F)."""
+        return self.mixed.tau(h)[:, None] / np.sqrt(self.mixed.weight)
 
     def _conditional(self, h: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Base, and mean and factor of precision of the local coordinates, approximately."""
-        base, local = self._base(h, z), self.local
+        """Base (n, J, D), and mean and factor of precision of the local coordinates around it.
+
+        The base is what the population says of the tests' coordinates; 0 for the unpooled.
+        """
+        local, base = self.local, np.zeros((len(h), *self.unpooled.shape))
+        base[..., : self.d] = self.mixed.offsets(h, self.choice) + self._linear(z)
+        base = np.where(self.unpooled, 0.0, base)
+        sd = np.ones((len(h), len(self.unpooled), local.size))
+        sd[..., np.searchsorted(local, self.mixed.free)] = self._sd(h)
+        sd = np.where(self.unpooled[:, local], 1.0, sd)
         p = self.fit.precision[:, local]
-        inner = p[:, :, local] + self._local_sd(h)[..., None] ** -2.0 * np.eye(local.size)
+        inner = p[:, :, local] + sd[..., None] ** -2.0 * np.eye(local.size)
         pull = np.einsum("jla,nja->njl", p, self.fit.mean - base)
-        mean = np.asarray(np.linalg.solve(inner, pull[..., None])[..., 0])
-        return base, mean, np.asarray(np.linalg.cholesky(inner))
+        return base, forward(inner, pull), np.asarray(np.linalg.cholesky(inner))
 
     def _at(self, h: Array, e_z: Array, e: Array) -> State:
         """State of these numbers; the forces of all tests are computed."""
         gaussian = self.mixed.marginal(h, self.choice)[1]
-        turned = np.linalg.solve(np.swapaxes(gaussian.factor, 1, 2), e_z[..., None])[..., 0]
-        return self._of(h, gaussian.mean + turned, e_z, e)
+        return self._of(h, gaussian.mean + backward(gaussian.factor, e_z), e_z, e)
 
     def _of(self, h: Array, z: Array, e_z: Array, e: Array) -> State:
-        base, mean, factor = self._conditional(h, z)
-        x = base
-        x[..., self.local] += (
-            mean + np.linalg.solve(np.swapaxes(factor, -1, -2), e[..., None])[..., 0]
-        )
-        return State(h, z, e_z, e, x, self._excess(x))
-
-    def _excess(self, x: Array) -> Array:
-        """Exact less approximate log density of each test at x (n, J, D), (n, J)."""
+        """The same, where z is known."""
+        x, mean, factor = self._conditional(h, z)
+        x[..., self.local] += mean + backward(factor, e)
+        # exact less approximate log density of each test
         away = x - self.fit.mean
-        gaussian = -0.5 * np.einsum(
-            "nja,jab,njb->nj", away, self.fit.precision, away, optimize=True
-        )
+        pairs = "nja,jab,njb->nj"
+        gaussian = -0.5 * np.einsum(pairs, away, self.fit.precision, away, optimize=True)
         exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
-        found = np.stack(list(exact), axis=1) - gaussian
-        for j, own in enumerate(self.own):
-            if np.any(own):
-                found[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], own)
-                found[:, j] += 0.5 * np.sum(x[:, j][:, own] ** 2, axis=1)
-        return np.where(np.isnan(found), -np.inf, found)
+        excess = np.stack(list(exact), axis=1) - gaussian
+        for j, unpooled in enumerate(self.unpooled):
+            if np.any(unpooled):
+                excess[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)
+                excess[:, j] += 0.5 * np.sum(x[:, j][:, unpooled] ** 2, axis=1)
+        return State(h, z, e_z, e, x, np.where(np.isnan(excess), -np.inf, excess))
 
     def sweep(self) -> None:
         """One move of each kind."""
@@ -224,79 +189,71 @@ class ExactSampler:
         e = np.sqrt(1.0 - beta**2) * s.e + beta * rng.standard_normal(s.e.shape)
         new = self._of(s.h, s.z, s.e_z, e)
         accepted = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
-        self.state = s = s.where(accepted, new)
-        mine = np.linalg.solve(self.root, (s.e_z - self.shift).T).T
-        beta_z = self.beta_z * rng.choice(STEPS, size=(len(mine), 1))
-        moved = np.sqrt(1.0 - beta_z**2) * mine + beta_z * rng.standard_normal(mine.shape)
-        e_z = self.shift + moved @ self.root.T
-        new = self._at(self._fresh_h(), e_z, s.e)
-        better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
-        better -= 0.5 * np.sum(e_z**2 - moved**2 - s.e_z**2 + mine**2, axis=1)
-        together = np.log(rng.random(len(better))) < better
-        self.state = s.where(together, new)
-        self.rates.append((accepted.mean(axis=0), float(together.mean())))
+        self.state = s.where(accepted, new)
+        together = [self._move_z(beta, fresh=k == 0) for k, beta in enumerate(self.beta_z)]
+        self.rates.append((accepted.mean(axis=0), np.array(together)))
         if len(self.rates) % EVERY == 0:
             self._move_h()
+
+    def _move_z(self, beta: float, *, fresh: bool) -> float:
+        """Move z, and h to a fresh draw if asked for; gives the accepted share."""
+        s, rng = self.state, self.rng
+        mine = np.linalg.solve(self.root, (s.e_z - self.shift).T).T
+        moved = np.sqrt(1.0 - beta**2) * mine + beta * rng.standard_normal(mine.shape)
+        e_z = self.shift + moved @ self.root.T
+        new = self._at(self._fresh_h() if fresh else s.h, e_z, s.e)
+        better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
+        better -= 0.5 * np.sum(e_z**2 - moved**2 - s.e_z**2 + mine**2, axis=1)
+        accepted = np.log(rng.random(len(better))) < better
+        self.state = s.where(accepted, new)
+        return float(accepted.mean())
 
     def tune(self) -> None:
         """Step sizes by the shares of the last moves that were accepted."""
         tests, together = (np.mean(r, axis=0) for r in zip(*self.rates[-10:], strict=True))
         self.beta = np.clip(self.beta * np.exp(tests - ACCEPT), 0.05, 1.0)
-        self.beta_z = float(np.clip(self.beta_z * np.exp(together - ACCEPT), 0.02, 1.0))
+        self.beta_z = np.clip(self.beta_z * np.exp(together - ACCEPT_Z), 0.02, 1.0)
 
     def learn(self, history: list[Array]) -> None:
         """Take the mean and covariance of the levels' numbers from sweeps (n, Z)."""
-        d = len(self.mixed.design.names)
-        e = np.concatenate(history)[:, :d]
+        d, e = self.d, np.concatenate(history)[:, : self.d]
         covariance = TRUST * np.cov(e.T) + (1.0 - TRUST) * np.eye(d)
         self.shift[:d] = e.mean(axis=0)
         self.root[:d, :d] = np.linalg.cholesky(WIDER * covariance)
 
     def _move_h(self) -> None:
         """Random-walk Metropolis of each coordinate of h with z and x as they are."""
-        mixed, s, rng = self.mixed, self.state, self.rng
-        h, d = s.h.copy(), len(mixed.design.names)
-        without_law = s.x[..., :d] - mixed.fixed(s.z)
-        names = mixed.design.names
+        mixed, s, rng, v = self.mixed, self.state, self.rng, self.mixed.f + self.mixed.e
+        h, names = s.h.copy(), mixed.design.names
+        without_law = s.x[..., : self.d] - self._linear(s.z)
         shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
-        moving = np.flatnonzero([*[True] * (mixed.f + mixed.e), *shapes])
-        for i in moving.tolist():
+        for i in np.flatnonzero([*[True] * v, *shapes]).tolist():
             new = h.copy()
-            new[:, i] += (
-                RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < mixed.f + mixed.e else 0.3)
-            )
-            change = self._log_given_tests(new, s.z, without_law) - self._log_given_tests(
-                h, s.z, without_law
-            )
+            new[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < v else 0.3)
+            old = self._log_given_tests(h, s.z, without_law)
+            change = self._log_given_tests(new, s.z, without_law) - old
             accepted = np.log(rng.random(len(h))) < change
             h[accepted] = new[accepted]
-        self.state = self._renumbered(replace(s, h=h))
+        # the numbers that belong to it
+        gaussian = mixed.marginal(h, self.choice)[1]
+        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
+        base, mean, factor = self._conditional(h, s.z)
+        e = np.einsum("njab,nja->njb", factor, (s.x - base)[..., self.local] - mean)
+        self.state = s._replace(h=h, e_z=e_z, e=e)
 
     def _log_given_tests(self, h: Array, z: Array, without_law: Array) -> Array:
         """Log density of h given z and the tests' coordinates, (n,)."""
-        mixed, free = self.mixed, self.mixed.free
+        mixed, free, sd = self.mixed, self.mixed.free, self._sd(h)
         away = (without_law - mixed.offsets(h, self.choice))[..., free]
-        sd = mixed.tau(h)[:, None] / np.sqrt(mixed.weight)
-        terms = np.where(self.own[:, free], 0.0, -0.5 * (away / sd) ** 2 - np.log(sd))
+        terms = np.where(self.unpooled[:, free], 0.0, -0.5 * (away / sd) ** 2 - np.log(sd))
         total = mixed.log_prior(h) + terms.sum(axis=(1, 2))
         total += np.where(np.all(np.abs(h) < LARGEST, axis=1), 0.0, -np.inf)
         omega = mixed.omega(h)
-        for e, effect in enumerate(mixed.design.effects):
-            own = np.flatnonzero(mixed.design.effect == e).reshape(len(effect.members), -1)
-            level = effect.name == "level"
-            precision = mixed.level_precision if level else np.eye(own.shape[1])
-            u = z[:, own]
+        for e, precision in enumerate(mixed.effect_precision):
+            u = z[:, mixed.design.columns(e)]
             squares = np.einsum("nmc,cd,nmd->n", u, precision, u, optimize=True)
-            total += -own.size * np.log(omega[:, e]) - 0.5 * squares / omega[:, e] ** 2
+            total += -u[0].size * np.log(omega[:, e]) - 0.5 * squares / omega[:, e] ** 2
         return np.asarray(total)
-
-    def _renumbered(self, s: State) -> State:
-        """The state with the numbers e that belong to its h, z and x."""
-        gaussian = self.mixed.marginal(s.h, self.choice)[1]
-        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
-        base, mean, factor = self._conditional(s.h, s.z)
-        away = (s.x - base)[..., self.local] - mean
-        return replace(s, e_z=e_z, e=np.einsum("njab,nja->njb", factor, away))
 
     def run(
         self,
@@ -316,37 +273,29 @@ class ExactSampler:
             if step % (WARM_UP // 2) == 0:
                 self.learn(history[len(history) // 2 :])
         self.rates.clear()
-        walkers = len(self.choice) // CHAINS
         stride = max(1, self.state.x.size * limit // STORED)
-        h: list[Array] = []
-        z: list[Array] = []
-        x: list[Any] = []  # in single precision
+        h, z, x = [], [], []  # x in single precision
         while True:
             for _ in range(BLOCK):
                 self.sweep()
                 h.append(self.state.h)
                 z.append(self.state.z)
-                if len(h) % stride == 1 or stride == 1:
+                if (len(h) - 1) % stride == 0:
                     x.append(np.asarray(self.state.x, dtype=np.float32))
-            found = self._convergence(np.array(h), np.array(z))
+            # of the coordinates of h and of the levels, across groups of chains
+            every = np.concatenate([np.array(h), np.array(z)[..., : self.d]], axis=2)
+            grouped = every.reshape(len(h), CHAINS, every.shape[1] // CHAINS, -1)
+            found = measure(np.swapaxes(grouped, 0, 1))
             report(len(h), found)
             if found.reached(r_hat, ess) or len(h) >= limit:
                 break
-        steps = np.linspace(0, len(x) - 1, max(1, min(len(x), kept // walkers))).astype(int)
+        most = max(1, min(len(x), kept // (len(self.choice) // CHAINS)))
+        steps = np.linspace(0, len(x) - 1, most).astype(int)
 
-        def by_chain(history: list[Array]) -> Array:
+        def by_chain(history: Sequence[NDArray[Any]]) -> Array:
             some = np.stack([history[t] for t in steps], axis=1).astype(np.float64)
             return some.reshape(CHAINS, -1, *some.shape[2:])
 
         tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
-        h_kept, z_kept = by_chain(h[::stride]), by_chain(z[::stride])
-        rates = tests, together
-        return Draws(h_kept, z_kept, by_chain(x), found, len(h), rates, walkers)
-
-    def _convergence(self, h: Array, z: Array) -> Convergence:
-        """Of the coordinates of h and of the levels; (step, n, …) each."""
-        levels = z[..., : len(self.mixed.design.names)]
-        every = np.concatenate([h, levels], axis=2)
-        return measure(
-            np.swapaxes(every.reshape(len(h), CHAINS, every.shape[1] // CHAINS, -1), 0, 1)
-        )
+        kept_draws = by_chain(h[::stride]), by_chain(z[::stride]), by_chain(x)
+        return Draws(*kept_draws, found, len(h), (tests, together))

@@ -1,52 +1,49 @@
-"""Predictions of a test of which a first part is known, or arrives sample by sample.
+"""Predictions of a test of which a first part is given, or arrives sample by sample.
 
 Draws of the population are weighted by the likelihood of the known force. Where the weights of a
 few draws take over, the draws are resampled and moved by some Metropolis steps, and the force goes
-on to be taken in (iterated batch importance sampling: Chopin, 2002).
+on to be taken in (iterated batch importance sampling: Chopin, 2002). A test that runs, as in hybrid
+simulation, is stepped along with the model's own steps, so that an update costs the same however
+long the test has run.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
-from mfd_bayes.errors import FitError
-from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor
+from mfd_bayes.errors import FitError, RecordError
+from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
-from mfd_bayes.population.population import Numbers, Population
-from mfd_bayes.population.settings import Setting, setting_of
+from mfd_bayes.population.law_scores import LARGEST_K
+from mfd_bayes.population.population import Particles
+from mfd_bayes.population.settings import ZERO, Setting, setting_of
 from mfd_bayes.records.clock import checked_window
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.motion import HYSTERESIS
+from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.trace import Trace, check_magnitude, check_trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
-PARTICLES = 1500
-"""Draws of the population that take in a given part."""
-
-LEAST_EFFECTIVE = 0.3
-"""Share of effective draws below which they are resampled and moved."""
-
-MOVES = 5
-"""Metropolis steps after each resampling."""
-
-LARGEST_K = 0.7
-"""Pareto k above which weights cannot be trusted (Vehtari et al., 2024)."""
-
-FEWEST = 100
-"""Effective draws below which a band is said not to be reliable."""
-
-QUIET = 0.25
-"""Share of the slip force below which a device is taken to be in its gap."""
-
-SAMPLES = 3
-"""Fewest samples of a given part, at the rate of the calibrated tests."""
-
-ALLOWED = ("new_test", "observation")
-"""Kinds of bands of which a given part says something."""
+PARTICLES = 1500  # draws of the population that take in a given part
+LEAST_EFFECTIVE = 0.3  # share of effective draws below which they are resampled and moved
+MOVES = 5  # Metropolis steps after each resampling
+FEWEST = 100  # effective draws below which a band is said not to be reliable
+QUIET = 0.25  # share of the slip force below which a device is taken to be in its gap
+SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
+ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
+# samples at rest before the first of a test that is followed, so that any record has three
+AHEAD = 2
+# actuations over the planned one between which deviations from the laws are drawn
+EITHER_WAY = (0.25, 4.0)
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,7 @@ class Conditioned:
     stages: int = 0
     accepted: float = 1.0
 
-    def holds(self, time: Array) -> NDArray[np.bool_]:
+    def holds(self, time: Array) -> Mask:
         """Whether times (T,), s, are in the given part."""
         return (time >= self.window[0]) & (time <= self.window[1])
 
@@ -101,195 +98,150 @@ class Conditioned:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """Sums of standardised residuals over the strokes, of n draws: all that the likelihood needs.
+class Sums(NamedTuple):
+    """Sums of standardised residuals over the S strokes: all that the likelihood needs.
 
-    Attributes
-    ----------
-    count : (S,)
-        Independent samples of each stroke.
-    first, second : (n, S)
-        Sums of the residuals and of their squares, times the count of each sample.
+    `samples` (S,) are numbers of independent samples; `first` and `second` (n, S) are the sums of
+    the residuals and of their squares, each times the count of its sample.
     """
 
-    count: Array
+    samples: Array
     first: Array
     second: Array
 
     @classmethod
-    def of(cls, left: Array, count: Array, strokes: Index, size: int) -> Sums:
+    def of(cls, residuals: Array, count: Array, strokes: Index, size: int) -> Sums:
         """Of residuals (n, T) with counts (T,) in strokes (T,) of `size` strokes."""
         home = (strokes[:, None] == np.arange(size)) * count[:, None]
-        return cls(home.sum(axis=0), left @ home, left**2 @ home)
+        return cls(home.sum(axis=0), residuals @ home, residuals**2 @ home)
 
-    def __add__(self, other: Sums) -> Sums:
-        more = other.count.size - self.count.size
-        mine = [np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)]) for a in vars(self).values()]
-        return Sums(*(a + b for a, b in zip(mine, vars(other).values(), strict=True)))
+    def plus(self, other: Sums) -> Sums:
+        """Of the samples of both; the other may have more strokes."""
+        more = other.samples.size - self.samples.size
+        mine = [np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)]) for a in self]
+        return Sums(*(a + b for a, b in zip(mine, other, strict=True)))
 
     def log_likelihood(self, sd: Array, share: float) -> Array:
-        """Log likelihood for noise of sd (n,) with a random level of each stroke, (n,)."""
+        """Log likelihood for noise of sd (n,) with a random intercept of each stroke, (n,)."""
         rest, level = 1.0 - share**2, share**2
-        known = 1.0 + level * self.count / rest
+        factor = 1.0 + level * self.samples / rest
         first, second = self.first / sd[:, None], self.second / sd[:, None] ** 2
-        squares = second / rest - level / rest**2 * first**2 / known
-        log = np.log(known) + self.count * np.log(rest)
-        total = -0.5 * (squares + log).sum(axis=1) - self.count.sum() * np.log(sd)
+        squares = second / rest - level / rest**2 * first**2 / factor
+        log = np.log(factor) + self.samples * np.log(rest)
+        total = -0.5 * (squares + log).sum(axis=1) - self.samples.sum() * np.log(sd)
         return np.asarray(total)
 
 
 @dataclass(frozen=True, eq=False)
-class Particles:
-    """Draws of one test: numbers of draws of the population (n,), and standard normal numbers."""
+class PartialTest:
+    """A test of which a part is given, with deviations from the laws on a grid of actuations (G,).
 
-    index: Index
-    numbers: Numbers
-
-    def of(self, chosen: Index) -> Particles:
-        """Some of them."""
-        return Particles(self.index[chosen], replace(self.numbers, flat=self.numbers.flat[chosen]))
-
-
-@dataclass(frozen=True, eq=False)
-class KnownTest:
-    """A test of which a part is known.
-
-    Attributes
-    ----------
-    predictor : Predictor
-    setting : Setting
-    trace : Trace
-        Motion of the whole test, which says where it begins.
-    grid : (G,)
-        Actuations at which deviations from the laws are drawn.
+    `motion` is that of the whole test, which says where it begins; None where it is not known yet.
     """
 
     predictor: Predictor
     setting: Setting
-    trace: Trace | None
     grid: Array
+    motion: Trace | None = None
 
-    @property
-    def population(self) -> Population:
-        """The population that the test is of."""
-        return self.predictor.population
-
-    def begin(self, n: int, rng: np.random.Generator) -> Particles:
+    def draw(self, n: int, rng: np.random.Generator) -> Particles:
         """Particles of which nothing is known."""
-        index = self.population.draw_index(n, self.setting.actuation, rng)
-        return Particles(index, self.population.draw_numbers(n, self.grid.size, rng))
+        level = self.setting.actuation
+        return self.predictor.population.draw_tests(n, level, self.grid, rng)
 
     def drawn(self, p: Particles, part: Trace) -> Drawn:
-        """Tests of the particles under a part of the motion; δ is at its mean."""
-        mean = self.population.residual.mean
-        knots = np.broadcast_to(mean, (len(p.index), mean.size))
-        found = self.predictor.drawn(part, self.setting, p.index, p.numbers, knots, self.grid)
-        if self.trace is None or self.trace is part:
-            return found
-        x = found.parts.mean + found.parts.scatter
-        model = self.predictor.model
-        unshared = self.population.unshared(model, x, p.numbers.start, self.setting, self.trace)
-        return replace(found, unshared=unshared)
+        """Tests of the particles under a part of the motion."""
+        return self.predictor.drawn(part, self.setting, p, self.grid, motion=self.motion)
 
-    def log_likelihood(self, p: Particles, part: Trace, counted: NDArray[np.bool_]) -> Array:
+    def sums(
+        self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
+    ) -> list[Sums]:
+        """What the measured force says at samples `rows` (m,), in blocks of one independent sample.
+
+        `force` (n, m) is the model's there, kip, of particles with these quantities (n,). Of all
+        counted samples (T,) the first one counts as an independent sample.
+        """
+        residual, strokes = self.predictor.population.residual, strokes_of(trace)
+        slip, functions = slip_force_of(self.predictor.model, values), residual.basis(trace)
+        # before a full stroke a device far below slip is as quiet as in its gap
+        shape = np.exp(functions @ residual.log_shape)
+        quiet = np.abs(np.asarray(trace.force)) < QUIET * np.median(slip)
+        unknown = ~np.any(functions, axis=1) & quiet
+        shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
+        discrepancy = np.outer(slip / residual.slip_force, functions[rows] @ residual.mean)
+        residuals = np.asarray(trace.force)[rows] - force - discrepancy - values["offset"][:, None]
+        residuals = residuals / shape[rows]
+        residuals = np.where(np.isfinite(residuals), residuals, 1e6)
+        count = np.where(counted, residual.counts(trace), 0.0)
+        count[np.argmax(counted)] = 1.0
+        blocks = np.array_split(np.arange(rows.size), int(np.clip(count[rows].sum(), 1, 40)))
+        size = int(strokes[-1]) + 1
+        return [Sums.of(residuals[:, b], count[rows[b]], strokes[rows[b]], size) for b in blocks]
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
         """Log likelihood of the counted samples so far, at the end of each block, (n, blocks)."""
-        residual, size = self.population.residual, int(strokes_of(part)[-1]) + 1
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            drawn = self.drawn(p, part)
-            values = self.predictor.values(drawn)
-            left = np.asarray(part.force) - self.predictor.force(part, drawn)
-            slip = slip_force_of(self.predictor.model, values)
-            left = (left - values["offset"][:, None]) / noise_shape(residual, part, slip)
-            left = np.where(np.isfinite(left), left, 1e6)
-        count, sd, found = counts(residual, part, counted), values["noise_sd"], []
-        total: Sums | None = None
-        for block in np.array_split(np.flatnonzero(counted), blocks_of(count)):
-            sums = Sums.of(left[:, block], count[block], strokes_of(part)[block], size)
-            total = sums if total is None else total + sums
-            found.append(total.log_likelihood(sd, residual.stroke_share))
-        return np.stack(found, axis=1)
+        drawn, rows = self.drawn(p, part), np.flatnonzero(counted)
+        values, share = (
+            self.predictor.values(drawn),
+            self.predictor.population.residual.stroke_share,
+        )
+        force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
+        so_far = accumulate(self.sums(part, force, values, counted, rows), Sums.plus)
+        return np.stack([s.log_likelihood(values["noise_sd"], share) for s in so_far], axis=1)
+
+    def condition(
+        self, part: Trace, counted: Mask, n: int, rng: np.random.Generator
+    ) -> tuple[Particles, Array, Conditioned]:
+        """Particles given the counted samples of a part, with their log weights (n,)."""
+        population, level = self.predictor.population, self.setting.actuation
+        active = population.active(self.setting, self.grid)
+        p = self.draw(n, rng)
+        log, taken = self.log_likelihood(p, part, counted), np.zeros(n)
+        # the last block that the particles are drawn with
+        done, stages, accepted = -1, 0, np.ones(n, dtype=bool)
+        while done < log.shape[1] - 1:
+            weights = log[:, done + 1 :] - taken[:, None]
+            low = np.flatnonzero(effective_draws(weights) < LEAST_EFFECTIVE * n)
+            if not low.size:
+                break
+            last = max(int(low[0]) - 1, 0)
+            done += last + 1
+            p = p.of(systematic(weights[:, last], n, rng))
+            log = self.log_likelihood(p, part, counted)
+            for step in range(MOVES):  # a random walk, with other draws of the population in turn
+                index = population.draw_index(n, level, rng) if step % 2 else p.draw
+                scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
+                old, flat = p.numbers.flat, p.numbers.flat.copy()
+                spread = np.cov(old[:, active].T) + 1e-9 * np.eye(active.size)
+                walk = rng.standard_normal((n, active.size)) @ np.linalg.cholesky(spread).T
+                flat[:, active] += scale * walk
+                proposed = Particles(index, replace(p.numbers, flat=flat))
+                new = self.log_likelihood(proposed, part, counted)
+                prior = 0.5 * np.sum(old[:, active] ** 2 - flat[:, active] ** 2, axis=1)
+                accepted = np.log(rng.random(n)) < new[:, done] - log[:, done] + prior
+                rows = accepted[:, None]
+                numbers = replace(p.numbers, flat=np.where(rows, flat, old))
+                p = Particles(np.where(accepted, index, p.draw), numbers)
+                log = np.where(rows, new, log)
+            taken, stages = log[:, done].copy(), stages + 1
+        smooth, k = smoothed(log[:, -1] - taken)
+        conditioned = Conditioned(
+            window=(float(part.time[counted][0]), float(part.time[counted][-1])),
+            samples=int(counted.sum()),
+            pareto_k=k,
+            method="sampling" if stages else "weights",
+            effective=float(effective_draws(smooth[:, None])[0]),
+            stages=stages,
+            accepted=float(accepted.mean()),
+        )
+        return p, smooth, conditioned
 
 
-def counts(residual: Residual, part: Trace, counted: NDArray[np.bool_]) -> Array:
-    """Independent samples that each sample counts for, (T,): the first one that counts is one."""
-    count = np.where(counted, residual.counts(part), 0.0)
-    count[np.argmax(counted)] = 1.0
-    return count
-
-
-def blocks_of(count: Array) -> int:
-    """Number of blocks in which samples are taken in: of about one independent sample each."""
-    return int(np.clip(count.sum(), 1, 40))
-
-
-def noise_shape(residual: Residual, part: Trace, slip: Array) -> Array:
-    """Shape g, (T,): before a full stroke a device far below slip is as quiet as in its gap."""
-    functions = residual.basis(part)
-    shape = np.exp(functions @ residual.log_shape)
-    quiet = np.abs(np.asarray(part.force)) < QUIET * np.median(slip)
-    unknown = ~np.any(functions, axis=1) & quiet
-    shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
-    return np.asarray(shape)
-
-
-def take_in(
-    test: KnownTest, part: Trace, counted: NDArray[np.bool_], n: int, rng: np.random.Generator
-) -> tuple[Particles, Array, Conditioned]:
-    """Particles given the counted samples of a part, with their log weights (n,)."""
-    p = test.begin(n, rng)
-    log = test.log_likelihood(p, part, counted)
-    active, done, stages, accepted = test.population.active(test.setting, test.grid), -1, 0, 1.0
-    taken = np.zeros(n)  # log likelihood that the particles have been drawn with
-    while True:
-        weights = log[:, done + 1 :] - taken[:, None]
-        effective = effective_draws(weights)
-        low = np.flatnonzero(effective < LEAST_EFFECTIVE * n)
-        if not low.size:
-            break
-        done = done + 1 + max(int(low[0]) - 1, 0) if low[0] else done + 1
-        p = p.of(systematic(weights[:, max(int(low[0]) - 1, 0)], n, rng))
-        log = test.log_likelihood(p, part, counted)
-        for step in range(MOVES):
-            p, log, accepted = _move(test, part, counted, (p, log), done, active, step, rng)
-        taken, stages = log[:, done].copy(), stages + 1
-        if done == log.shape[1] - 1:
-            break
-    last = log[:, -1] - taken
-    smooth, k = psis(np.maximum(last, last.max() - 600.0))
-    window = float(part.time[counted][0]), float(part.time[counted][-1])
-    method = "sampling" if stages else "weights"
-    number = float(effective_draws(smooth[:, None])[0])
-    told = Conditioned(window, int(counted.sum()), k, method, number, stages, accepted)
-    return p, smooth, told
-
-
-def _move(
-    test: KnownTest,
-    part: Trace,
-    counted: NDArray[np.bool_],
-    known: tuple[Particles, Array],
-    done: int,
-    active: Index,
-    step: int,
-    rng: np.random.Generator,
-) -> tuple[Particles, Array, float]:
-    """A Metropolis step given the first blocks: a random walk, or other draws of the population."""
-    p, log = known
-    flat, index = p.numbers.flat.copy(), p.index
-    if step % 2:
-        index = test.population.draw_index(len(index), test.setting.actuation, rng)
-    scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
-    spread = np.cov(flat[:, active].T) + 1e-9 * np.eye(active.size)
-    walk = rng.standard_normal((len(flat), active.size)) @ np.linalg.cholesky(spread).T
-    flat[:, active] += scale * walk
-    new = Particles(index, replace(p.numbers, flat=flat))
-    found = test.log_likelihood(new, part, counted)
-    prior = 0.5 * np.sum(p.numbers.flat[:, active] ** 2 - flat[:, active] ** 2, axis=1)
-    accepted = np.log(rng.random(len(flat))) < found[:, done] - log[:, done] + prior
-    kept = np.where(accepted[:, None], flat, p.numbers.flat)
-    p = Particles(np.where(accepted, index, p.index), replace(p.numbers, flat=kept))
-    return p, np.where(accepted[:, None], found, log), float(accepted.mean())
+def smoothed(log_weights: Array) -> tuple[Array, float]:
+    """Pareto-smoothed log weights, (n,), and Pareto k."""
+    least = np.nanmax(log_weights) - 600.0
+    return psis(np.maximum(np.nan_to_num(log_weights, nan=-np.inf), least))
 
 
 def effective_draws(log_weights: Array) -> Array:
@@ -303,6 +255,31 @@ def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> Index:
     edges = np.cumsum(np.exp(log_weights - log_weights.max()))
     places = (rng.random() + np.arange(n)) / n * edges[-1]
     return np.asarray(np.minimum(np.searchsorted(edges, places), len(edges) - 1))
+
+
+def check_kind(forecast: Forecast) -> None:
+    """Refuse kinds of which a given part says nothing."""
+    if forecast.kind not in ALLOWED:
+        raise FitError(
+            f"given is for the kinds {' and '.join(ALLOWED)}, not for {forecast.kind}: a first "
+            "part shows the force of one new test"
+        )
+
+
+def usual_step(residual: Residual, setting: Setting) -> float:
+    """Time between samples, s, at which a motion of such a peak speed would be fitted."""
+    own = -residual.noise_time * np.log(residual.lag_one)
+    speed = setting.covariates["velocity"]
+    usual = 0.5 * np.pi * residual.travel / speed if speed > 0 else np.inf
+    return float(np.clip(usual, 0.25 * own, 4.0 * own))
+
+
+def block_size(own: float, step: float) -> int:
+    """Samples `own` s apart that are averaged, so that means are at most about `step` s apart."""
+    return max(1, int(step / own + 0.25))
+
+
+# --- a window -------------------------------------------------------------------------------------
 
 
 def predict_given(
@@ -328,38 +305,18 @@ def predict_given(
     check_kind(forecast)
     setting, population = setting_of(trace, forecast.session), predictor.population
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
-    rng = np.random.default_rng(forecast.seed)
-    grid = population.grid(setting.actuation, trace.actuation if trace.varying else None)
-    test = KnownTest(predictor, setting, trace, grid)
-    p, log_weights, told = take_in(test, part, counted, max(PARTICLES, forecast.draws), rng)
-    told = replace(told, window=checked_window(window, "given", FitError))
-    drawn = test.drawn(p.of(systematic(log_weights, forecast.draws, rng)), trace)
-    drawn = replace(drawn, knots=population.residual.draw_knots(rng, forecast.draws))
-    source = f"population laws with scatter, and {told.sentence}"
+    rng, n = np.random.default_rng(forecast.seed), forecast.draws
+    test = PartialTest(predictor, setting, population.grid_of(trace), trace)
+    p, log_weights, conditioned = test.condition(part, counted, max(PARTICLES, n), rng)
+    conditioned = replace(conditioned, window=checked_window(window, "given", FitError))
+    drawn = test.drawn(p.of(systematic(log_weights, n, rng)), trace)
+    drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
+    source = f"population laws with scatter, and {conditioned.sentence}"
     band = predictor.finish(trace, forecast, drawn, rng, source)
-    return replace(band, given=told, remarks=(*band.remarks, *told.remarks))
+    return replace(band, given=conditioned, remarks=(*band.remarks, *conditioned.remarks))
 
 
-def check_kind(forecast: Forecast) -> None:
-    """Refuse kinds of which a given part says nothing."""
-    if forecast.kind not in ALLOWED:
-        raise FitError(
-            f"given is for the kinds {' and '.join(ALLOWED)}, not for {forecast.kind}: a first "
-            "part shows the force of one new test"
-        )
-
-
-def usual_step(residual: Residual, setting: Setting) -> float:
-    """Time between samples, s, at which a motion of such a peak speed would be fitted."""
-    own = -residual.noise_time * np.log(residual.lag_one)
-    speed = setting.covariates["velocity"]
-    usual = 0.5 * np.pi * residual.travel / speed if speed > 0 else np.inf
-    return float(np.clip(usual, 0.25 * own, 4.0 * own))
-
-
-def given_part(
-    trace: Trace, window: tuple[float, float], step: float
-) -> tuple[Trace, NDArray[np.bool_]]:
+def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[Trace, Mask]:
     """The motion up to the end of a window, as means over about `step` s, and which count, (T,).
 
     It goes on to the second turn, so that its first direction is known.
@@ -386,7 +343,7 @@ def given_part(
             f"the given part {words} holds {inside.size} samples, too few: at least "
             f"{SAMPLES * size} are expected"
         )
-    if not np.any(np.asarray(trace.force)[inside]):
+    if not np.any(trace.force[inside]):
         raise FitError(
             f"the force is zero in the whole given part {words}: expected a measured force"
         )
@@ -394,28 +351,309 @@ def given_part(
     stop = max(int(inside[-1]), int(turns[1]) if turns.size > 1 else trace.samples - 1) + 1
     edges = np.unique([0, *range(int(inside[0]) % size, stop, size)])
     edges = edges[edges + size <= stop]
-    part = block_means(trace, edges, int(edges[-1]) + size)
-    return part, (edges >= inside[0]) & (edges + size <= inside[-1] + 1)
-
-
-def block_size(own: float, step: float) -> int:
-    """Samples `own` s apart that are averaged, so that means are at most about `step` s apart."""
-    return max(1, int(step / own + 0.25))
-
-
-def block_means(trace: Trace, edges: Index, stop: int) -> Trace:
-    """Means of a trace over the samples from each edge to the next, up to sample `stop`."""
+    stop = int(edges[-1]) + size
     sizes = np.diff([*edges.tolist(), stop])
 
     def mean(values: ArrayLike) -> Array:
         return np.asarray(np.add.reduceat(np.asarray(values)[:stop], edges) / sizes)
 
-    actuation = mean(trace.actuation) if trace.varying else trace.actuation
-    return Trace.from_arrays(
+    part = Trace.from_arrays(
         mean(trace.time),
         mean(trace.displacement),
-        actuation,
-        mean(np.asarray(trace.force)),
+        mean(trace.actuation) if trace.varying else trace.actuation,
+        mean(trace.force),
         mean(trace.velocity),
         hysteresis=trace.hysteresis,
     )
+    return part, (edges >= inside[0]) & (edges + size <= inside[-1] + 1)
+
+
+# --- samples that arrive --------------------------------------------------------------------------
+
+
+class Forecaster:
+    """Predicts a test while it runs; made by `Run.follow`.
+
+    Attributes
+    ----------
+    complete : callable
+        Called with each band and with the motion from the first sample to the band's last; gives
+        the band with what the run says of such a motion.
+    """
+
+    complete: Callable[[Band, Trace], Band]
+
+    def __init__(
+        self, predictor: Predictor, setting: Setting, forecast: Forecast, *, refresh: bool = True
+    ) -> None:
+        check_kind(forecast)
+        check_flag("refresh", refresh)
+        model, population = predictor.model, predictor.population
+        if not (hasattr(model, "step") and hasattr(model, "start")):
+            raise FitError(f"the model {model.name} has no steps, which following a test needs")
+        self.complete = lambda band, motion: band
+        self._predictor, self._forecast, self._may_refresh = predictor, forecast, refresh
+        self._model: Any = model
+        self._residual, self._level = population.residual, setting.actuation
+        tested = [one.actuation for one in population.design.settings]
+        self._zero = ZERO * max(tested)
+        reached = [self._level * way for way in EITHER_WAY] + [p for p in tested if p > 0.0]
+        self._test = PartialTest(predictor, setting, population.grid(self._level, reached))
+        self._rng = np.random.default_rng(forecast.seed)
+        self._step = usual_step(self._residual, setting)
+        self._play = HYSTERESIS * setting.covariates["amplitude"]
+        self._waiting, self._rows = np.empty((4, 0)), np.empty((4, 0))
+        self._first, self._last, self._resting, self._size = np.nan, np.nan, 0, 0
+        psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
+        self._begin(self._test.draw(forecast.draws, self._rng))
+        self._conditioned: Conditioned | None = None
+
+    @property
+    def time(self) -> float:
+        """Time of the last sample, s; NaN before the first."""
+        return self._last
+
+    @property
+    def pareto_k(self) -> float:
+        """Pareto k of the draws' weights; above 0.7 they cannot be trusted."""
+        return self._weights()[1]
+
+    def update(
+        self,
+        time: ArrayLike,
+        displacement: ArrayLike,
+        actuation: ArrayLike | None,
+        force: ArrayLike,
+    ) -> None:
+        """Take in the samples that were measured since the last update.
+
+        They are averaged to about the rate of the calibrated tests; what is left of a block waits
+        for the next update.
+
+        Parameters
+        ----------
+        time : (m,), s
+            Increasing, and after all samples before.
+        displacement : (m,), in
+        actuation : scalar or (m,), ksi or kip, or None
+            None where it is the one that `Run.follow` was given.
+        force : (m,), kip
+
+        Raises
+        ------
+        RecordError
+            When shapes do not fit, a value is not finite, time does not increase, or a test that
+            was planned without actuation has one.
+        """
+        level = self._level if actuation is None else actuation
+        self._check_actuation(level)
+        rows = _checked_rows(time=time, displacement=displacement, actuation=level, force=force)
+        late = np.diff(rows[0], prepend=self._last) <= 0
+        if np.any(late):
+            at = int(np.argmax(late))
+            raise RecordError(
+                f"time must increase; it does not at sample {at} of the update "
+                f"(t = {rows[0, at]:g} s)"
+            )
+        if not rows.size:
+            return
+        self._first = rows[0, 0] if np.isnan(self._first) else self._first
+        self._last = float(rows[0, -1])
+        self._waiting = np.concatenate([self._waiting, rows], axis=1)
+        if not self._size and self._waiting.shape[1] > 1:
+            self._size = block_size(float(np.median(np.diff(self._waiting[0]))), self._step)
+        blocks = self._waiting.shape[1] // self._size if self._size else 0
+        if blocks:
+            used = blocks * self._size
+            means = self._waiting[:, :used].reshape(4, blocks, self._size).mean(axis=2)
+            self._waiting = self._waiting[:, used:]
+            self._add(means)
+
+    def _add(self, means: Array) -> None:
+        """Take in means (4, m); those at rest are one, with their mean force."""
+        if not self._rows.size:
+            self._rows = np.repeat(means[:, :1], AHEAD, axis=1)
+            self._rows[0] += self._step * np.arange(-AHEAD, 0)
+        means[1] = self._without_play(means[1])
+        moving = self._state is not None
+        rest = 0 if moving else int(np.argmax([*(means[1] != self._rows[1, -1]), True]))
+        if rest:
+            before = self._rows[3, AHEAD] if self._resting else 0.0
+            mean = means[:, rest - 1].copy()
+            mean[3] = (self._resting * before + means[3, :rest].sum()) / (self._resting + rest)
+            self._resting += rest
+            self._rows = np.concatenate([self._rows[:, :AHEAD], mean[:, None]], axis=1)
+        begin = self._rows.shape[1]
+        self._rows = np.concatenate([self._rows, means[:, rest:]], axis=1)
+        if self._rows.shape[1] > begin:
+            self._advance(begin if moving else AHEAD)
+
+    def _without_play(self, displacement: Array) -> Array:
+        """Displacement that follows the measured one as through a small play, (m,), in."""
+        here, found = float(self._rows[1, -1]), np.empty(displacement.size)
+        for i, x in enumerate(displacement.tolist()):
+            here = min(max(here, x - self._play), x + self._play)
+            found[i] = here
+        return found
+
+    def _check_actuation(self, actuation: ArrayLike) -> None:
+        """Refuse an actuation where the laws say nothing of it."""
+        given = real_numbers("actuation", actuation, RecordError)
+        if self._level <= 0.0 and np.any(given > self._zero):
+            raise RecordError(
+                "the test was planned without actuation, and now has one: give run.follow the "
+                "actuation of the test"
+            )
+
+    def _begin(self, p: Particles) -> None:
+        """Particles before the first sample, of even weights."""
+        still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
+        self._particles, self._log_prior = p, np.zeros(len(p.draw))
+        self._values = self._predictor.values(self._test.drawn(p, still))
+        self._state: Any = None
+        none = np.empty((len(p.draw), 0))
+        self._sums = Sums(none[0], none, none)
+
+    def _advance(self, begin: int) -> None:
+        """Step the particles along the means from `begin` on, and add up what their force says."""
+        trace = _trace(self._rows)
+        rows, counted = np.arange(begin, trace.samples), np.arange(trace.samples) >= AHEAD
+        force, self._state = self._stepped(trace, rows, self._state)
+        for sums in self._test.sums(trace, force, self._values, counted, rows):
+            self._sums = self._sums.plus(sums)
+
+    def _stepped(self, trace: Trace, rows: Index, state: Any) -> tuple[Array, Any]:
+        """Forces at samples of a trace (n, m), kip, and the state after them."""
+        model, index = self._model, self._particles.draw
+        if state is None:
+            state = model.start(
+                model.theta(self._values),
+                self._values["start"],
+                direction=trace.path.direction,
+                reference_actuation=self._level or None,
+            )
+        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[rows]
+        scales = {}
+        if np.any(np.abs(actuation - self._level) > 1e-9 * self._level) and self._level > 0:
+            population, grid = self._predictor.population, self._test.grid
+            session, numbers = self._test.setting.session, self._particles.numbers
+            effects = population.level_effects(index, session, grid, numbers.level)
+            scales = population.scales(model, actuation, index, self._level, (grid, effects))
+        before = np.diff(trace.time, prepend=trace.time[0])
+        force = np.empty((len(index), rows.size))
+        for i, at in enumerate(rows.tolist()):
+            sample = (float(a[at]) for a in (trace.displacement, trace.velocity, before))
+            given = {name: factors[:, i] for name, factors in scales.items()} or None
+            force[:, i], state = model.step(state, *sample, scales=given)
+        return force, state
+
+    def _weights(self) -> tuple[Array, float]:
+        """Smoothed log weights of the particles, (n,), and Pareto k."""
+        return smoothed(self._log_prior + self._log_likelihood())
+
+    def _log_likelihood(self) -> Array:
+        """Log likelihood of the force so far, (n,)."""
+        return self._sums.log_likelihood(self._values["noise_sd"], self._residual.stroke_share)
+
+    def refresh(self) -> None:
+        """Take in all samples so far anew, in some seconds; nothing before the first motion."""
+        if self._state is None:
+            return
+        trace, n = _trace(self._rows), self._forecast.draws
+        counted = np.arange(trace.samples) >= AHEAD
+        p, weights, self._conditioned = self._test.condition(
+            trace, counted, max(n, 1000), self._rng
+        )
+        self._begin(p.of(systematic(weights, n, self._rng)))
+        self._advance(AHEAD)
+        self._log_prior = -self._log_likelihood()
+
+    def band(self, trace: Trace) -> Band:
+        """Band of the force in the motion that follows, given all samples so far.
+
+        Where the weights cannot be trusted, `refresh` comes first; with `refresh=False` in
+        `Run.follow` a remark of the band says so instead.
+
+        Parameters
+        ----------
+        trace : Trace
+            Its first sample is after the last one measured. Its actuation, if it has one, may
+            differ.
+
+        Raises
+        ------
+        FitError
+            When it is no trace, begins before the last sample, or too few have come in.
+        RecordError
+            When a test that was planned without actuation shall have one.
+        """
+        check_trace("trace", trace, FitError)
+        if not self._rows.size:
+            raise FitError(
+                f"a band needs some samples: a forecaster averages them over {self._step:.3g} s, "
+                "and no such mean is complete"
+            )
+        if not trace.time[0] > self._last:
+            raise FitError(
+                f"the trace must begin after the last sample, at {self._last:g} s, got "
+                f"{trace.time[0]:g} s"
+            )
+        self._check_actuation(np.nan_to_num(np.asarray(trace.actuation)))
+        log_weights, k = self._weights()
+        if k > LARGEST_K and self._may_refresh:
+            self.refresh()
+            log_weights, k = self._weights()
+        forecast, residual, rng = self._forecast, self._residual, self._rng
+        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
+        planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
+        future = np.stack([trace.time, trace.displacement, planned, np.zeros(trace.samples)])
+        rows = np.concatenate([self._waiting, future], axis=1)
+        rows[1] = self._without_play(rows[1])
+        joined = _trace(np.concatenate([self._rows, rows], axis=1))
+        first = self._rows.shape[1] if self._state is not None else AHEAD
+        force, _ = self._stepped(joined, np.arange(first, joined.samples), self._state)
+        chosen = systematic(log_weights, forecast.draws, rng)
+        values = {name: value[chosen] for name, value in self._values.items()}
+        slip, last = slip_force_of(self._model, values), slice(-trace.samples, None)
+        knots = residual.draw_knots(rng, len(chosen))
+        force = force[chosen, last] + residual.discrepancy(joined, slip, knots)[:, last]
+        if forecast.kind == "observation":
+            noise = residual.draw_noise(rng, joined, values["noise_sd"])
+            force = force + values["offset"][:, None] + noise[:, last]
+        effective = float(effective_draws(log_weights[:, None])[0])
+        window, samples = (self._first, self._last), self._rows.shape[1] - AHEAD
+        given = Conditioned(window, samples, k, "weights", effective)
+        if (past := self._conditioned) is not None:
+            given = replace(given, method="sampling", stages=past.stages, accepted=past.accepted)
+        source = f"population laws with scatter, and {given.sentence}"
+        shown = self._predictor.shown(values)
+        band = Band.of(joined.time[last], force, forecast, source, shown)
+        return self.complete(replace(band, given=given, remarks=given.remarks), joined)
+
+
+def _trace(rows: Array) -> Trace:
+    """Trace of time, displacement, actuation and force, (4, T)."""
+    time, displacement, actuation, force = rows
+    level = actuation if np.ptp(actuation) > 0 else float(actuation[0])
+    # backward difference of second order: samples that are still to come do not change it
+    step = np.diff(time, prepend=time[0] - 1.0)
+    speed = np.diff(displacement, prepend=displacement[0]) / step
+    speed[1:] += np.diff(speed) * step[1:] / (step[1:] + step[:-1])
+    return Trace.from_arrays(time, displacement, level, force, speed, hysteresis=0.0)
+
+
+def _checked_rows(**columns: ArrayLike) -> Array:
+    """Samples that came in, (4, m), checked."""
+    rows = {name: real_numbers(name, column) for name, column in columns.items()}
+    size = rows["time"].size
+    for name, column in rows.items():
+        if column.shape != (size,) and not (name == "actuation" and column.ndim == 0):
+            raise RecordError(
+                f"{name} of an update must have shape ({size},) as time, got {column.shape}"
+            )
+        if not np.all(np.isfinite(column)):
+            raise RecordError(f"{name} of an update must be finite")
+        check_magnitude(name, column)
+    if np.any(rows["actuation"] < 0):
+        raise RecordError("actuation of an update must not be negative")
+    return np.stack([np.broadcast_to(column, (size,)) for column in rows.values()])

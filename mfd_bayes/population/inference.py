@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.effort import Effort, find_effort
+from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.quantities import intervals_of
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.calibration.shown import intervals_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.likelihoods import several_processes
-from mfd_bayes.population.design import LEVELS, Design, design_of, usual_dependence
-from mfd_bayes.population.exact import CHAINS, Draws, ExactSampler
-from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
+from mfd_bayes.population.design import LEVELS, TESTS, Design, design_of
+from mfd_bayes.population.exact import CHAINS, ExactSampler
+from mfd_bayes.population.joint_fit import TestLikelihood, fit_jointly
 from mfd_bayes.population.law_scores import (
     DependenceScore,
     LawScore,
@@ -32,33 +33,24 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
 )
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
-from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import levels_of, setting_of
+from mfd_bayes.population.settings import levels_of, setting_of, varies
 from mfd_bayes.population.starts import Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# sd of an actuation, over its mean, below which slip forces are taken in proportion to it
 STEADY = 0.02
-"""Sd of an actuation, over its mean, below which slip forces are taken in proportion to it."""
-
-ALTERNATIVES = 400
-"""Draws under all laws together, for actuations beyond the tested levels."""
-
-POOL = 4000
-"""Draws of the variance parameters."""
-
+ALTERNATIVES = 400  # draws under all laws together, for actuations beyond the tested levels
+POOL = 4000  # draws of the variance parameters
+# largest number of sweeps of the exact sampler
 SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
-"""Largest number of sweeps of the exact sampler."""
-
+# with more tests than this there are fewer chains: laws and variances are then known well
 MANY = 60
-"""With more tests than this there are fewer chains: laws and variances are then known well."""
-
-WALKERS, FEW_WALKERS = 8, 2
-"""Chains of each group, and with many tests."""
-
+WALKERS, FEW_WALKERS = 8, 2  # chains of each group, and with many tests
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
 
@@ -158,30 +150,78 @@ def _inferred(
 ) -> Inference:
     rng, effort = np.random.default_rng(list(settings.seed)), find_effort(settings.effort)
     design, likelihoods = _likelihoods(tests, priors, settings)
-    start = np.concatenate([_start(design, test) for test in tests.values()])
-    own = _own(design)
-    fit = _fit(likelihoods, start, design, settings.jobs)
-    y, precision = _reduced(fit, own, len(design.names))
-    mixed = MixedModel(design, y, precision)
-    levels = np.median(fit.mean, axis=0)[: len(design.names)]
-    gaussians = TestGaussians.given_common(design, y, precision, levels)
+    coordinates, d = design.coordinates, len(design.names)
+
+    # Gaussians of the tests near the joint mode; what a test has to itself is integrated out
+    medians = [test.intervals or intervals_of(test.stored.values()) for test in tests.values()]
+    start = [coordinates.of({k: np.array([v[0]]) for k, v in each.items()}) for each in medians]
+    unpooled = np.ones((len(likelihoods), len(coordinates.names)), dtype=bool)
+    unpooled[:, :d] = ~design.informs
+    common = np.zeros(len(coordinates.names), dtype=bool)
+    common[:d] = design.common
+    with several_processes([one.linearised for one in likelihoods], settings.jobs) as evaluate:
+        begin = np.clip(np.concatenate(start), -6.0, 6.0)
+        fit = fit_jointly(likelihoods, begin, common, evaluate)
+    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, unpooled, strict=True)]
+    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
+    mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
+
+    # weights of the laws, by levels that are left out
+    levels = np.median(fit.mean, axis=0)[:d]
+    gaussians = TestGaussians.given_common(design, mixed.y, mixed.p, levels)
     scores = compare_laws(gaussians)
     weights = {name: _weights(design, name, scores) for name in design.laws}
-    walkers = WALKERS if len(y) <= MANY else FEW_WALKERS
+
+    # chains of the exact posterior, each under laws drawn by their weights
+    walkers = WALKERS if len(likelihoods) <= MANY else FEW_WALKERS
     choice = _choices(design, weights, CHAINS * walkers)
-    mixed.set_apart(choice[0])
-    pool = _pools(mixed, choice, rng)
-    draws = _sampled(ExactSampler(mixed, fit, own, choice, pool, rng), settings, effort, report)
-    shapes = draws.h.shape[:2]
-    chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shapes[1] // walkers, axis=1)
-    population = _population(
-        mixed, fit, draws, chosen, weights, gaussians, rng, priors, settings.actuation_unit
+    mixed.find_outliers(choice[0])
+    kinds, kind = np.unique(choice, axis=0, return_inverse=True)
+    pools = [mixed.sample(one, rng, POOL) for one in kinds]
+    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
+
+    def tell(sweeps: int, found: Convergence) -> None:
+        seconds = time.perf_counter() - began
+        share = found.share(effort.r_hat, effort.ess)
+        worst = found.worst_r_hat, found.worst_ess
+        report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
+
+    with several_processes([one.log_likelihood for one in fit.tests], settings.jobs) as evaluate:
+        pool = [pools[k] for k in kind.ravel()]
+        sampler = ExactSampler(mixed, fit, unpooled, choice, pool, rng, evaluate)
+        draws = sampler.run(effort.r_hat, effort.ess, limit, effort.kept // 4, tell)
+
+    # the population
+    shape, v = draws.h.shape[:2], mixed.f + mixed.e
+    chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
+    drawn = mixed.shapes(draws.h.reshape(-1, mixed.dim), chosen.reshape(-1, len(design.laws)))
+    share, exponent = (part.reshape(chosen.shape) for part in drawn)
+    alternatives, alternative_weight = _alternatives(mixed, weights, gaussians, rng)
+    posterior = likelihoods[0].posterior
+    prior_of = dict(posterior.priors)
+    if posterior.model.has_gap and "start" in priors.parameters:
+        prior_of.setdefault("start", priors.parameters["start"])
+    starts = Starts.of(prior_of.get("start"))
+    if "start" in coordinates.names and starts.fixed is None:
+        starts = _starts(starts, likelihoods, draws.x, prior_of["start"])
+    population = Population(
+        design=design,
+        draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
+        choice=chosen,
+        law_weights=weights,
+        alternatives=alternatives,
+        alternative_weight=alternative_weight,
+        residual=fit.residual,
+        starts=starts,
+        priors=prior_of,
+        actuation_unit=settings.actuation_unit,
+        walkers=walkers,
+        convergence=draws.convergence,
     )
-    population = replace(population, starts=_starts(likelihoods, draws, population))
+    exponents, dependence = free_exponents(gaussians), compare_dependence(gaussians)
     return Inference(
-        population, draws.x, scores, free_exponents(gaussians), compare_dependence(gaussians),
-        draws.sweeps, draws.accepted,
-    )  # fmt: skip
+        population, draws.x, scores, exponents, dependence, draws.sweeps, draws.accepted
+    )
 
 
 def _likelihoods(
@@ -189,28 +229,29 @@ def _likelihoods(
 ) -> tuple[Design, list[TestLikelihood]]:
     """Design of the population, and likelihoods of the tests without discrepancy."""
     some = next(iter(tests.values())).posterior
+    model = some.model
     under = [setting_of(t.trace, settings.sessions.get(name, "")) for name, t in tests.items()]
     noise = set(some.noise.parameters) - {"noise_sd"}
     names = [name for name in some.names if name not in noise]
-    slips = [name for name in some.model.slip_forces if name in names]
-    dependence: dict[str, Sequence[str]] = dict(usual_dependence(slips, under))
-    dependence |= {name: tuple(those) for name, those in settings.dependence.items() if those}
+    slips = [name for name in model.slip_forces if name in names]
+    # slip forces follow the stroke, if it varies: no friction model here knows of it
+    stroke = len(under) >= TESTS and varies(under, "amplitude")
+    dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
+    dependence |= {name: those for name, those in settings.dependence.items() if those}
     design = design_of(priors, names, under, settings.laws, dependence)
-    changing = [swings(design, some.model, test.trace) for test in tests.values()]
+    changing = [swings(design, model, test.trace) for test in tests.values()]
     if any(changing):
         # a test need not follow the law that others tell: it has shapes to itself
         shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
         design = design_of(priors, [*names, *shapes], under, settings.laws, dependence)
+    followed = {n: n for n in design.laws if n in model.parameters}
+    followed |= {n: o for n, o in model.tied_laws.items() if o in followed}
+    laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
     found = []
     for test, changes in zip(tests.values(), changing, strict=True):
         start, trace = "mask" if test.posterior.first else "sample", test.trace
-        posterior = Posterior(trace, priors, "iid", some.model, start=start)
-        relative, laws = None, {}
-        if changes:
-            relative = np.asarray(trace.actuation) / trace.reference_actuation
-            followed = {n: n for n in design.laws if n in some.model.parameters}
-            followed |= {n: o for n, o in some.model.tied_laws.items() if o in followed}
-            laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
+        posterior = Posterior(trace, priors, "iid", model, start=start)
+        relative = np.asarray(trace.actuation) / trace.reference_actuation if changes else None
         found.append(TestLikelihood(posterior, design.coordinates, relative, laws))
     return design, found
 
@@ -222,38 +263,6 @@ def swings(design: Design, model: Model, trace: Trace) -> bool:
         return False
     laws = [design.laws.get(name, "proportional") for name in model.slip_forces]
     return any(law != "proportional" for law in laws)
-
-
-def _start(design: Design, test: TestResult) -> Array:
-    """Medians of a test's posterior draws in prior units, (1, D)."""
-    medians = test.intervals or intervals_of(test.stored.values())
-    values = {name: np.array([median]) for name, (median, _, _) in medians.items()}
-    return np.clip(design.coordinates.of(values), -6.0, 6.0)
-
-
-def _own(design: Design) -> NDArray[np.bool_]:
-    """Coordinates of the tests that do not follow the population, (J, D)."""
-    own = np.zeros((len(design.settings), len(design.coordinates.names)), dtype=bool)
-    own[:, len(design.names) :] = True
-    own[:, : len(design.names)] = ~design.informs
-    return own
-
-
-def _fit(
-    likelihoods: Sequence[TestLikelihood], start: Array, design: Design, jobs: int
-) -> JointFit:
-    """Joint fit, with slopes of the tests computed by several processes."""
-    common = np.zeros(start.shape[1], dtype=bool)
-    common[: len(design.names)] = design.common
-    with several_processes([one.linearised for one in likelihoods], jobs) as evaluate:
-        return fit_jointly(likelihoods, start, common, evaluate)
-
-
-def _reduced(fit: JointFit, own: NDArray[np.bool_], d: int) -> tuple[Array, Array]:
-    """Gaussians of the shared coordinates, (J, d), (J, d, d), the tests' own integrated out."""
-    pairs = [without(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
-    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
-    return y[:, :d], precision[:, :d, :d]
 
 
 def _weights(design: Design, name: str, scores: Sequence[LawScore]) -> dict[str, float]:
@@ -268,85 +277,12 @@ def _weights(design: Design, name: str, scores: Sequence[LawScore]) -> dict[str,
 def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int) -> Index:
     """Numbers of the laws of n chains in proportion to the weights, (n, L); no random numbers."""
     choice = np.zeros((n, len(design.laws)), dtype=np.intp)
-    for column, (name, law) in enumerate(design.laws.items()):
-        share = weights.get(name) or {"power" if law == COMPARE else law: 1.0}
-        edges = np.cumsum([share.get(one, 0.0) for one in LAW_NAMES])
+    for column, name in enumerate(design.laws):
+        edges = np.cumsum([weights[name].get(one, 0.0) for one in LAW_NAMES])
         # a low-discrepancy sequence for each quantity, so that their laws are independent
         place = (0.5 + np.arange(n) * np.sqrt(_PRIMES[column % len(_PRIMES)])) % 1.0
         choice[:, column] = np.searchsorted(edges / edges[-1], place, side="right")
     return choice
-
-
-def _pools(mixed: MixedModel, choice: Index, rng: np.random.Generator) -> list[Array]:
-    """Draws of h for each chain, of the laws that it has."""
-    kinds, kind = np.unique(choice, axis=0, return_inverse=True)
-    found = [mixed.sample(one, rng, POOL) for one in kinds]
-    return [found[k] for k in kind.ravel()]
-
-
-def _sampled(
-    sampler: ExactSampler,
-    settings: InferenceSettings,
-    effort: Effort,
-    report: Callable[[Progress], None],
-) -> Draws:
-    """Draws of the exact posterior."""
-    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
-
-    def tell(sweeps: int, found: Convergence) -> None:
-        seconds = time.perf_counter() - began
-        share = found.share(effort.r_hat, effort.ess)
-        worst = found.worst_r_hat, found.worst_ess
-        report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
-
-    kept = effort.kept // 4
-    functions = [test.log_likelihood for test in sampler.fit.tests]
-    with several_processes(functions, settings.jobs) as evaluate:
-        if evaluate is not None:
-            sampler.evaluate = evaluate
-        return sampler.run(effort.r_hat, effort.ess, limit, kept, tell)
-
-
-def _population(
-    mixed: MixedModel,
-    fit: JointFit,
-    draws: Draws,
-    choice: Index,
-    weights: Mapping[str, Mapping[str, float]],
-    gaussians: TestGaussians,
-    rng: np.random.Generator,
-    priors: PriorFile,
-    actuation_unit: str,
-) -> Population:
-    design, v = mixed.design, mixed.f + mixed.e
-    flat = draws.h.reshape(-1, mixed.dim)
-    share, exponent = design.law_shapes(flat[:, v:], choice.reshape(len(flat), -1))
-    shape = (*draws.h.shape[:2], len(design.laws))
-    posterior = fit.tests[0].posterior
-    known = dict(posterior.priors)
-    if posterior.model.has_gap and "start" in priors.parameters:
-        known.setdefault("start", priors.parameters["start"])
-    other, other_weight = _alternatives(mixed, weights, gaussians, rng)
-    begun = None
-    if "start" in design.coordinates.names:
-        k = design.coordinates.names.index("start")
-        q = design.coordinates.centre[k] + design.coordinates.spread[k] * draws.x[..., k]
-        begun = known["start"].value(q.reshape(-1)).reshape(q.shape)
-    return Population(
-        design=design,
-        draws=LawDraws(draws.h[..., :v], draws.z, share.reshape(shape), exponent.reshape(shape)),
-        choice=choice,
-        weights=weights,
-        alternatives=other,
-        alternative_weight=other_weight,
-        residual=fit.residual,
-        starts=Starts.of(known.get("start")),
-        begun=begun,
-        priors=known,
-        actuation_unit=actuation_unit,
-        walkers=draws.walkers,
-        convergence=draws.convergence,
-    )
 
 
 def _alternatives(
@@ -357,50 +293,41 @@ def _alternatives(
 ) -> tuple[LawDraws, Array]:
     """Draws under all laws, for actuations beyond the tested levels, and their weights."""
     design = mixed.design
-    slips = [n for n in gaussians.design.laws if n != "sigma0"]
+    slips = [n for n in design.laws if n != "sigma0"]
     many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
     considered = design.considered(COMPARE) if many else ("affine", "power")
-    named = {name: law for name, law in design.laws.items() if law != COMPARE}
-    laws = list(dict.fromkeys([*(named[n] for n in slips if n in named), *considered]))
-    share = extrapolation_weights(gaussians, slips, laws)
+    named = [design.laws[n] for n in slips if design.laws[n] != COMPARE]
+    laws = list(dict.fromkeys([*named, *considered]))
     found, weight = [], []
-    for law, w in zip(laws, share, strict=True):
+    for law, w in zip(laws, extrapolation_weights(gaussians, slips, laws), strict=True):
         if w == 0.0:
             continue
-        other = MixedModel(design.under(dict.fromkeys(slips, law)), mixed.y, mixed.p)
-        other.weight = mixed.weight
-        choice = _choices(other.design, {**weights, **{n: {law: 1.0} for n in slips}}, 1)
-        n, v = max(int(np.ceil(ALTERNATIVES * w)), 20), other.f + other.e
-        h = other.laplace(choice[0], rng, n)
-        rows = np.broadcast_to(choice, (n, choice.shape[1]))
-        parts = [other.marginal(a, b)[1].draw(rng) for a, b in _some(h, rows)]
-        shapes = other.design.law_shapes(h[:, v:], rows)
-        found.append((h[:, :v], np.concatenate(parts), *shapes))
+        under = replace(design, laws={**design.laws, **dict.fromkeys(slips, law)})
+        other = MixedModel(under, mixed.y, mixed.p, mixed.weight)
+        choice = _choices(under, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
+        n = max(int(np.ceil(ALTERNATIVES * w)), 20)
+        mode, root = other.laplace(choice)
+        h = other.of_numbers(mode + rng.standard_normal((n, other.dim)) @ root.T)
+        few = np.array_split(h, max(n // 32, 1))  # to bound the memory
+        z = np.concatenate([other.marginal(part, choice)[1].draw(rng) for part in few])
+        found.append((h[:, : other.f + other.e], z, *other.shapes(h, choice)))
         weight.append(np.full(n, w / n))
-    h, z, shares, exponents = (np.concatenate(part) for part in zip(*found, strict=True))
-    return LawDraws(h, z, shares, exponents), np.concatenate(weight)
+    return LawDraws(*map(np.concatenate, zip(*found, strict=True))), np.concatenate(weight)
 
 
-def _some(h: Array, rows: Index) -> list[tuple[Array, Index]]:
-    """A few rows at a time, to bound the memory."""
-    parts = np.array_split(np.arange(len(h)), max(len(h) // 32, 1))
-    return [(h[part], rows[part]) for part in parts]
-
-
-def _starts(likelihoods: Sequence[TestLikelihood], draws: Draws, population: Population) -> Starts:
-    """Density of starts, learned from where the tests began."""
-    begun, prior = population.begun, population.priors.get("start")
-    if begun is None or prior is None or population.starts.fixed is not None:
-        return population.starts
+def _starts(
+    starts: Starts, likelihoods: Sequence[TestLikelihood], x: Array, prior: Prior
+) -> Starts:
+    """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
     left, free = [], []
     even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
     for j, one in enumerate(likelihoods):
-        model, x = one.posterior.model, draws.x[:, :, j].reshape(-1, draws.x.shape[-1])
-        values = one.values(x)
-        middle = {name: np.array([np.median(v)]) for name, v in values.items()}
-        scales = one.scales(np.median(x, axis=0)[None])
-        left.append(place_left(model, model.theta(middle), one.posterior.trace, scales or None))
+        model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
+        values = one.values(own)
+        scales = one.scales(np.median(own, axis=0)[None])
+        left.append(place_left(model, values, one.posterior.trace, scales or None))
         free.append(without_load(model, values) if even else None)
-    known = [place for place in left if place is not None]
-    places = np.array(known) if len(known) == len(left) else None
-    return population.starts.learned(begun.reshape(-1, begun.shape[-1]), places, free)
+    there = [place for place in left if place is not None]
+    places = np.array(there) if len(there) == len(left) else None
+    begun = likelihoods[0].coordinates.value("start", x)
+    return starts.learned(begun.reshape(-1, len(likelihoods)), places, free)

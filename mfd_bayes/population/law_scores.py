@@ -9,11 +9,12 @@ sampling with a fixed seed: the scores are always the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
+from scipy.stats import qmc
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.population.design import LEVELS, TESTS, Design
@@ -25,15 +26,9 @@ from mfd_bayes.store.schema import Figure
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-POINTS = 1024
-"""Points at which scatter and shapes are integrated."""
-
-FOLDS = 10
-"""Most parts of the tests that are left out in turn to score a covariate."""
-
-LARGEST_K = 0.7
-"""Pareto k above which a score cannot be trusted, and its law is not weighed."""
-
+POINTS = 1024  # points at which scatter and shapes are integrated
+FOLDS = 10  # most parts of the tests that are left out in turn to score a covariate
+LARGEST_K = 0.7  # Pareto k above which a score cannot be trusted, and its law is not weighed
 COVARIATES = ("velocity", "amplitude")
 
 
@@ -123,29 +118,63 @@ class TestGaussians:
         return cls(design, mean, variance)
 
     def densities(
-        self, design: Design, folds: Sequence[Sequence[int]], law: str
-    ) -> tuple[Array, Array, Index]:
-        """Log densities of all tests and without each fold, (n, 1 + folds), h and its laws."""
-        k = self.design.names.index(design.names[0])
-        informs = design.informs[:, 0]
-        precision = np.where(informs, 1.0 / self.variance[:, k], 0.0)
-        mixed = MixedModel(design, self.mean[:, [k]], precision[:, None, None])
-        choice = np.full((POINTS, len(design.laws)), LAW_NAMES.index(law))
-        h, weight = mixed.near_and_far(choice[0], POINTS)
-        every = range(len(self.mean))
-        kept = [list(every), *([j for j in every if j not in set(fold)] for fold in folds)]
-        found = np.stack([weight + mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)
+        self,
+        name: str,
+        law: str,
+        folds: Sequence[Sequence[int]],
+        follows: Sequence[str] | None = None,
+        *,
+        leveled: bool = False,
+    ) -> tuple[Array, Array]:
+        """Log densities of a quantity's tests, all and without each fold, under a law by itself.
+
+        They are (n, 1 + folds), with log weights that make their points h (n, dim) stand for the
+        prior. `follows` are covariates instead of those of the design.
+        """
+        k = [self.design.names.index(name)]
+        follows = self.design.dependence.get(name, ()) if follows is None else follows
+        design = replace(
+            self.design,
+            names=(name,),
+            spread=self.design.spread[k],
+            laws={name: law},
+            dependence={name: tuple(follows)} if follows else {},
+            scatter_sd=self.design.scatter_sd[k],
+            common=np.zeros(1, dtype=bool),
+            leveled=leveled,
+        )
+        y, variance, informs = self.mean[:, k], self.variance[:, k[0]], design.informs[:, 0]
+        precision = np.where(informs, 1.0 / variance, 0.0)
+        mixed = MixedModel(design, y, precision[:, None, None])
+        choice = np.array([LAW_NAMES.index(law)])
+        # half of the points are of the prior, and half of Laplace's Gaussian, half as wide again
+        mode, root = mixed.laplace(choice)
+        root, dim = 1.5 * root, mixed.dim
+        u = np.clip(qmc.Sobol(max(dim, 1), seed=0).random(POINTS)[:, :dim], 1e-9, 1.0 - 1e-9)
+        g = special.ndtri(u)
+        g[POINTS // 2 :] = mode + g[POINTS // 2 :] @ root.T
+        near = -0.5 * np.sum(np.linalg.solve(root, (g - mode).T) ** 2, axis=0)
+        near -= np.linalg.slogdet(root)[1]
+        prior = -0.5 * np.sum(g**2, axis=1)
+        h, weight = mixed.of_numbers(g), prior - np.logaddexp(prior, near) + np.log(2.0)
+        every = set(range(len(y)))
+        kept = [sorted(every - set(fold)) for fold in ((), *folds)]
+        log = np.stack([weight + mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)
         # where the law has no value the quantity has the prior of a test by itself, N(0, 1)
-        total = 1.0 + self.variance[:, k]
-        alone = -0.5 * (self.mean[:, k] ** 2 / total + np.log(total / self.variance[:, k]))
+        total = 1.0 + variance
+        alone = -0.5 * (y[:, 0] ** 2 / total + np.log(total / variance))
         alone[informs] = 0.0
-        return found + np.array([alone[tests].sum() for tests in kept]), h, choice
+        return log + np.array([alone[tests].sum() for tests in kept]), h
 
     def scores(
-        self, design: Design, folds: Sequence[Sequence[int]], law: str
+        self,
+        name: str,
+        law: str,
+        folds: Sequence[Sequence[int]],
+        follows: Sequence[str] | None = None,
     ) -> tuple[Array, float]:
         """Log predictive density of each fold given the others, (folds,), and Pareto k."""
-        log = self.densities(design, folds, law)[0]
+        log = self.densities(name, law, folds, follows)[0]
         sums = special.logsumexp(log, axis=0)
         return sums[0] - sums[1:], max(psis(column)[1] for column in log.T)
 
@@ -163,17 +192,14 @@ def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
     found = []
     allowed = [law in design.considered(COMPARE) for law in LAWS]
     for name in design.laws:
-        pairs = [tests.scores(design.restricted(name, law), folds, law) for law in LAWS]
-        terms, k = np.array([t for t, _ in pairs]), np.array([k for _, k in pairs])
-        trusted = np.array(allowed) & ~(k > LARGEST_K)
+        pairs = [tests.scores(name, law, folds) for law in LAWS]
+        trusted = np.array([not k > LARGEST_K for _, k in pairs]) & allowed
         weights = np.zeros(len(LAWS))
         if np.any(trusted):
-            weights[trusted] = stack(terms[trusted].T)
-        for law, levels, worst, weight in zip(LAWS, terms, k, weights, strict=True):
-            total, se = float(levels.sum()), _error(levels)
-            found.append(
-                LawScore(name, law, total, se, float(weight), tuple(levels.tolist()), float(worst))
-            )
+            weights[trusted] = stack(np.array([terms for terms, _ in pairs])[trusted].T)
+        for law, (terms, k), weight in zip(LAWS, pairs, weights, strict=True):
+            total, se, each = float(terms.sum()), _error(terms), tuple(terms.tolist())
+            found.append(LawScore(name, law, total, se, float(weight), each, float(k)))
     return tuple(found)
 
 
@@ -183,16 +209,12 @@ def extrapolation_weights(tests: TestGaussians, names: Sequence[str], laws: Sequ
     Stacking of the two folds, for some quantities together, with a prior worth one fold: two
     levels do not rule a law out. With fewer than `LEVELS` levels, equal weights.
     """
-    design = tests.design
-    levels = levels_of([s for s in design.settings if s.actuation > 0])
+    above = [j for j, s in enumerate(tests.design.settings) if s.actuation > 0]
+    levels = levels_of([tests.design.settings[j] for j in above])
     if len(levels) < LEVELS or not names:
         return np.full(len(laws), 1.0 / len(laws))
-    above = [j for j, s in enumerate(design.settings) if s.actuation > 0]
     ends = [[above[j] for j in levels[end]] for end in (0, -1)]
-    terms = [
-        np.concatenate([tests.scores(design.restricted(name, law), ends, law)[0] for name in names])
-        for law in laws
-    ]
+    terms = [np.concatenate([tests.scores(n, law, ends)[0] for n in names]) for law in laws]
     return stack(np.array(terms).T, prior=1.0)
 
 
@@ -207,19 +229,16 @@ def compare_dependence(tests: TestGaussians) -> tuple[DependenceScore, ...]:
     count = len(design.settings)
     if count < TESTS or not varied:
         return ()
-    folds = [list(range(i, count, min(count, FOLDS))) for i in range(min(count, FOLDS))]
+    parts = min(count, FOLDS)
+    folds = [range(i, count, parts) for i in range(parts)]
     found = []
     for name, law in design.laws.items():
         law = "power" if law == COMPARE else law
-        terms = {
-            c: tests.scores(design.restricted(name, law, [c] if c else []), folds, law)[0]
-            for c in ("", *varied)
-        }
+        terms = {c: tests.scores(name, law, folds, [c] if c else [])[0] for c in ("", *varied)}
         for c, values in terms.items():
             better = values - terms[""]
-            found.append(
-                DependenceScore(name, c, float(values.sum()), float(better.sum()), _error(better))
-            )
+            total, difference = float(values.sum()), float(better.sum())
+            found.append(DependenceScore(name, c, total, difference, _error(better)))
     return tuple(found)
 
 
@@ -235,13 +254,10 @@ def free_exponents(tests: TestGaussians) -> dict[str, tuple[float, float, float]
         return {}
     found = {}
     for name in (n for n, law in design.laws.items() if law == "proportional"):
-        restricted = design.restricted(name, "power", leveled=True)
-        log, h, choice = tests.densities(restricted, [], "power")
-        shapes = h[:, h.shape[1] - len(restricted.shapes) :]
-        exponent = restricted.law_shapes(shapes, choice)[1][:, 0]
-        order = np.argsort(exponent)
+        log, h = tests.densities(name, "power", [], leveled=True)
+        order = np.argsort(h[:, -1])  # the exponent
         mass = np.cumsum(special.softmax(log[:, 0])[order])
-        low, middle, high = np.interp([0.025, 0.5, 0.975], mass, exponent[order])
+        low, middle, high = np.interp([0.025, 0.5, 0.975], mass, h[order, -1])
         found[name] = (float(low), float(middle), float(high))
     return found
 
@@ -265,7 +281,7 @@ def stack(scores: Array, prior: float = 0.0) -> Array:
 
     starts = [np.zeros(laws), *(3.0 * np.eye(laws))]
     best = min((optimize.minimize(loss, start) for start in starts), key=lambda fit: fit.fun)
-    weights: Array = special.softmax(best.x)
+    weights = special.softmax(best.x)
     kept = np.where(weights < 0.01, 0.0, weights)
     return np.asarray(kept / kept.sum())
 

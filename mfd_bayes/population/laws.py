@@ -54,21 +54,15 @@ LAWS = {
 
 LAW_NAMES = tuple(LAWS)
 
+# in place of a law: all laws, weighted by how well they predict levels that were left out
 COMPARE = "compare"
-"""In place of a law: all laws, weighted by how well they predict levels that were left out."""
-
+# mean and sd of the normal prior of an exponent. That of a share is uniform from 0 to 1.
 EXPONENT = (1.0, 0.5)
-"""Mean and sd of the normal prior of an exponent. That of a share is uniform from 0 to 1."""
-
+# prior sd of a dependence: change of a parameter's coordinate per e-fold of a covariate
 SENSITIVITY = 0.1
-"""Prior sd of a dependence: change of a parameter's coordinate per e-fold of a covariate."""
-
-LARGEST = 1e100
-"""Largest ratio that a law gives, so that what is computed from it is finite."""
-
+LARGEST = 1e100  # largest ratio that a law gives, so that what is computed from it is finite
+# parameters that have the law of another, and which
 TIED = {name: other for m in models.MODELS.values() for name, other in m.tied_laws.items()}
-"""Parameters that have the law of another, and which."""
-
 INTERCEPTS = {"sigma0_0": "kip/in"} | {
     f"{name}_0": "kip" for name in ("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd")
 }

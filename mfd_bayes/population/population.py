@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,65 +24,44 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and
+# of speed or frequency, outside the tests
 STROKE, RATE = 0.2, 0.1
-"""Sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and of
-speed or frequency, outside the tests."""
-
+# factor of stroke within which a motion repeats a calibrated test, and so may begin as it did
 LIKE = 1.1
-"""Factor of stroke within which a motion repeats a calibrated test, and so may begin as it did."""
-
-LIKE_STROKES = 0.25
-"""Difference in the share of full strokes up to which motions are of one kind."""
-
-OCTAVE = 0.25
-"""Octaves between the actuations at which deviations along a history are drawn."""
+LIKE_STROKES = 0.25  # difference in the share of full strokes up to which motions are of one kind
+OCTAVE = 0.25  # octaves between the actuations at which deviations along a history are drawn
 
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """Standard normal numbers of n drawn tests of d quantities.
-
-    Attributes
-    ----------
-    flat : (n, m)
-    quantities, leveled, grid : int
-        d; M quantities with level effects; G actuations.
-    """
+    """Standard normal numbers (n, m) of n tests: d quantities, M level effects, G actuations."""
 
     flat: Array
     quantities: int
     leveled: int
     grid: int
 
-    @classmethod
-    def size(cls, quantities: int, leveled: int, grid: int) -> int:
-        """Numbers m of a test."""
-        return 3 * quantities + leveled * grid + 2
-
-    def _block(self, i: int) -> Array:
-        return self.flat[:, i * self.quantities : (i + 1) * self.quantities]
-
     @property
     def scatter(self) -> Array:
         """From test to test, (n, d)."""
-        return self._block(0)
+        return self.flat[:, : self.quantities]
 
     @property
-    def beyond(self) -> Array:
+    def extrapolation(self) -> Array:
         """Of a motion outside the tests, (n, d)."""
-        return self._block(1)
+        return self.flat[:, self.quantities : 2 * self.quantities]
 
     @property
     def session(self) -> Array:
         """Of a new session, (n, d)."""
-        return self._block(2)
+        return self.flat[:, 2 * self.quantities : 3 * self.quantities]
 
     @property
     def level(self) -> Array:
         """Of level effects, (n, M, G)."""
-        return self.flat[:, 3 * self.quantities : -2].reshape(
-            len(self.flat), self.leveled, self.grid
-        )
+        level = self.flat[:, 3 * self.quantities : -2]
+        return level.reshape(len(level), self.leveled, self.grid)
 
     @property
     def start(self) -> Array:
@@ -89,9 +69,20 @@ class Numbers:
         return self.flat[:, -2:]
 
 
+class Particles(NamedTuple):
+    """New tests: which draws of the population (n,), and their standard normal numbers."""
+
+    draw: Index
+    numbers: Numbers
+
+    def of(self, chosen: Index) -> Particles:
+        """Some of them."""
+        return Particles(self.draw[chosen], replace(self.numbers, flat=self.numbers.flat[chosen]))
+
+
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """What the coordinates of n tests are made of, in prior units, (n, d) each.
+    """What coordinates of tests are made of, in prior units, (n, d) each.
 
     `mean`: levels, laws, covariates and effects; `scatter`: from test to test.
     """
@@ -131,8 +122,8 @@ class Population:
         (chain, draw, …).
     choice : (chain, draw, L) int
         Number of the law of each quantity that follows the actuation.
-    weights : mapping of str to mapping of str to float
-        Weights of the laws of each such quantity.
+    law_weights : mapping of str to mapping of str to float
+        Weight of each law that was considered, by quantity.
     alternatives : LawDraws
         (m, …): draws under all laws, for actuations beyond the tested levels.
     alternative_weight : (m,)
@@ -140,8 +131,6 @@ class Population:
     residual : Residual
         Discrepancy and noise that the tests have in common.
     starts : Starts
-    begun : (chain, draw, J), or None
-        Places in the gap at which the calibrated tests began.
     priors : mapping of str to Prior
     actuation_unit : str
     walkers : int
@@ -153,26 +142,25 @@ class Population:
     design: Design
     draws: LawDraws
     choice: Index
-    weights: Mapping[str, Mapping[str, float]]
+    law_weights: Mapping[str, Mapping[str, float]]
     alternatives: LawDraws
     alternative_weight: Array
     residual: Residual
     starts: Starts
-    begun: Array | None
     priors: Mapping[str, Prior]
     actuation_unit: str
     walkers: int
     convergence: Convergence
 
     @property
-    def size(self) -> int:
-        """Number of draws of all chains."""
-        return int(np.prod(self.shape))
-
-    @property
     def shape(self) -> tuple[int, int]:
         """Numbers of chains, and of draws of each."""
         return self.draws.h.shape[0], self.draws.h.shape[1]
+
+    @property
+    def size(self) -> int:
+        """Number of draws of all chains."""
+        return self.shape[0] * self.shape[1]
 
     @cached_property
     def _all(self) -> LawDraws:
@@ -194,17 +182,14 @@ class Population:
 
         It is the sd of the logarithm of a positive quantity, and in kip for the offset.
         """
-        names = [self.design.names[k] for k in self.design.free]
-        return {name: np.exp(self.draws.h[..., i]) for i, name in enumerate(names)}
+        free = enumerate(self.design.free)
+        return {self.design.names[k]: np.exp(self.draws.h[..., i]) for i, k in free}
 
     @property
     def effect_sds(self) -> dict[str, Array]:
         """Sd of each effect, by "name_group", (chain, draw)."""
-        begin = self.design.free.size
-        return {
-            f"{effect.name}_{effect.group}": np.exp(self.draws.h[..., begin + i])
-            for i, effect in enumerate(self.design.effects)
-        }
+        effects = enumerate(self.design.effects, self.design.free.size)
+        return {f"{e.name}_{e.group}": np.exp(self.draws.h[..., i]) for i, e in effects}
 
     @property
     def scatter_scales(self) -> Array:
@@ -215,14 +200,9 @@ class Population:
     @property
     def dependences(self) -> dict[str, Array]:
         """Change of a quantity's coordinate per e-fold of a covariate, (chain, draw)."""
-        pairs = [(name, c) for name, those in self.design.dependence.items() for c in those]
+        pairs = [f"{name}_{c}" for name, those in self.design.dependence.items() for c in those]
         begin = len(self.design.names)
-        return {f"{name}_{c}": self.draws.z[..., begin + i] for i, (name, c) in enumerate(pairs)}
-
-    @property
-    def law_weights(self) -> dict[str, dict[str, float]]:
-        """Weight of each law that was considered, by quantity."""
-        return {name: dict(weights) for name, weights in self.weights.items()}
+        return {pair: self.draws.z[..., begin + i] for i, pair in enumerate(pairs)}
 
     def shapes(self, name: str) -> tuple[Array, Array]:
         """Share and exponent of a quantity's law, (chain, draw) each.
@@ -232,10 +212,10 @@ class Population:
         NotThereError
             When it has no law.
         """
-        if name not in self.design.laws:
-            known = ", ".join(self.design.laws) or "none"
-            raise NotThereError(f"no law of {name!r}: there are {known}")
-        column = list(self.design.laws).index(name)
+        laws = list(self.design.laws)
+        if name not in laws:
+            raise NotThereError(f"no law of {name!r}: there are {', '.join(laws) or 'none'}")
+        column = laws.index(name)
         return self.draws.share[..., column], self.draws.exponent[..., column]
 
     def ratio(self, name: str, actuation: ArrayLike, index: Index | None = None) -> Array:
@@ -251,18 +231,18 @@ class Population:
         FitError
             When an actuation is no number, 0 or more.
         """
-        at = np.atleast_1d(np.asarray(actuation, dtype=np.float64))
+        at, design = np.atleast_1d(np.asarray(actuation, dtype=np.float64)), self.design
         if not np.all((at >= 0.0) & np.isfinite(at)):
             raise FitError(f"actuation must be finite numbers of at least 0, got {actuation!r}")
-        name = TIED.get(name, name) if name not in self.design.names else name
-        if name not in self.design.names:
-            raise NotThereError(f"no quantity {name!r}: there are {', '.join(self.design.names)}")
+        name = TIED.get(name, name) if name not in design.names else name
+        if name not in design.names:
+            raise NotThereError(f"no quantity {name!r}: there are {', '.join(design.names)}")
         chosen = np.arange(self.size) if index is None else index
         found = np.ones((chosen.size, at.size))
-        if name in self.design.laws:
-            column = list(self.design.laws).index(name)
+        if name in design.laws:
+            column = list(design.laws).index(name)
             shape = (a[chosen, column, None] for a in (self._all.share, self._all.exponent))
-            found = ratio(at / self.design.reference, *shape)
+            found = ratio(at / design.reference, *shape)
         return found.reshape(*self.shape, -1) if index is None else found
 
     def median(self, name: str, actuation: ArrayLike) -> Array:
@@ -289,11 +269,8 @@ class Population:
         """
         found: dict[str, Array] = {}
         p0, laws = self.design.reference, self.design.laws
-        for name, slope in (
-            ("Fc_fwd", "K_c_fwd"),
-            ("Fc_bwd", "K_c_bwd"),
-            ("sigma0", "alpha_sigma0"),
-        ):
+        slopes = {"Fc_fwd": "K_c_fwd", "Fc_bwd": "K_c_bwd", "sigma0": "alpha_sigma0"}
+        for name, slope in slopes.items():
             if laws.get(name) not in ("proportional", "affine"):
                 continue
             zero, one = np.moveaxis(self.median(name, [0.0, p0]), -1, 0)
@@ -335,32 +312,40 @@ class Population:
         other = np.searchsorted(edges, rng.random(n))
         return np.where(other < edges.size, self.size + other, found)
 
-    @property
+    @cached_property
     def _leveled(self) -> list[tuple[int, int, Index]]:
-        """Effect, quantity and columns of z of each quantity with a level effect."""
-        found, design = [], self.design
-        for e, effect in enumerate(design.effects):
-            if effect.name == "level":
-                for k in effect.members:
-                    own = np.flatnonzero((design.effect == e) & (design.quantity == k))
-                    found.append((e, k, own))
-        return found
+        """Quantity, column of h and columns of z of each quantity with a level effect."""
+        design = self.design
+        return [
+            (k, design.free.size + e, own)
+            for e, effect in enumerate(design.effects)
+            if effect.name == "level"
+            for k, own in zip(effect.members, design.columns(e), strict=True)
+        ]
 
     def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
         """Numbers of n tests with a grid of so many actuations."""
-        sizes = len(self.design.names), len(self._leveled), grid
-        return Numbers(rng.standard_normal((n, Numbers.size(*sizes))), *sizes)
+        d, leveled = len(self.design.names), len(self._leveled)
+        return Numbers(rng.standard_normal((n, 3 * d + leveled * grid + 2)), d, leveled, grid)
+
+    def draw_tests(self, n: int, level: float, grid: Array, rng: np.random.Generator) -> Particles:
+        """New tests at a level, with deviations on a grid of actuations (G,)."""
+        index = self.draw_index(n, level, rng)
+        return Particles(index, self.draw_numbers(n, grid.size, rng))
 
     def active(self, setting: Setting, grid: Array) -> Index:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
-        design, d = self.design, len(self.design.names)
-        free = np.zeros(d, dtype=bool)
-        free[design.free] = True
-        new = free & (len(design.sessions) > 0 and setting.session not in design.sessions)
-        cells = [design.cell_of(Setting(float(p), setting.session)) for p in grid]
-        rest = np.any(np.abs(design.krige(cells)[1]) > 1e-9)
-        level = np.full(len(self._leveled) * grid.size, rest)
-        return np.flatnonzero([*free, *(self._beyond(setting) > 0), *new, *level, True, True])
+        free = ~self.design.common
+        new = free & (setting.session not in self.design.sessions)
+        untested = np.any(np.abs(self._kriged(setting.session, grid)[1]) > 1e-9)
+        level = np.full(len(self._leveled) * grid.size, untested)
+        outside = self._extrapolation_sd(setting) > 0
+        return np.flatnonzero([*free, *outside, *new, *level, True, True])
+
+    def _kriged(self, session: str, actuations: ArrayLike) -> tuple[Array, Array]:
+        """Weights of the tested cells' level effects at actuations (G,), and what they leave."""
+        levels = np.atleast_1d(actuations)
+        return self.design.krige([self.design.cell_of(Setting(float(p), session)) for p in levels])
 
     def level_effects(
         self, index: Index, session: str, actuations: ArrayLike, numbers: Array
@@ -370,16 +355,14 @@ class Population:
         Tested levels have those of the tests; others are drawn together, given these, by numbers
         (n, M, G).
         """
-        h, z = self._all.h, self._all.z
-        cells = [self.design.cell_of(Setting(float(p), session)) for p in np.atleast_1d(actuations)]
-        weights, rest = self.design.krige(cells)
-        values, vectors = np.linalg.eigh(rest)
+        weights, covariance = self._kriged(session, actuations)
+        values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         found = {}
-        for m, (e, k, own) in enumerate(self._leveled):
-            omega = np.exp(h[index, self.design.free.size + e])
+        for m, (k, e, own) in enumerate(self._leveled):
+            omega = np.exp(self._all.h[index, e])
             drawn = omega[:, None] * (numbers[:, m] @ root.T)
-            found[self.design.names[k]] = z[np.ix_(index, own)] @ weights.T + drawn
+            found[self.design.names[k]] = self._all.z[np.ix_(index, own)] @ weights.T + drawn
         return found
 
     def parts(
@@ -405,31 +388,25 @@ class Population:
             Whether to add the scatter from test to test, and what is unknown of a new session;
             without it, this is the mean property of the device.
         """
-        design, draws = self.design, self._all
-        h, z, spread, d = draws.h, draws.z, design.spread, len(design.names)
-        row = design.row(setting, level=np.zeros(len(design.cells)))
-        at = np.array([setting.actuation])
+        design, draws, at = self.design, self._all, np.array([setting.actuation])
+        row = design.row(setting, level_effects=False)[None]
         mean = design.offsets(draws.share[index], draws.exponent[index], at)[:, 0]
-        for k in range(d):
-            own = design.quantity == k
-            mean[:, k] += z[index][:, own] @ row[own]
+        mean += design.linear(draws.z[index], row)[:, 0]
         for name, value in effects.items():
             k = design.names.index(name)
-            mean[:, k] += value / spread[k]
-        mean += self._beyond(setting) * numbers.beyond
+            mean[:, k] += value / design.spread[k]
+        mean += self._extrapolation_sd(setting) * numbers.extrapolation
         scattered = np.zeros_like(mean)
         if scatter:
-            for i, k in enumerate(design.free):
-                scattered[:, k] = np.exp(h[index, i]) / spread[k] * numbers.scatter[:, k]
+            sd, free = np.exp(draws.h[index]), design.free
+            scattered[:, free] = sd[:, : free.size] / design.spread[free] * numbers.scatter[:, free]
             if setting.session not in design.sessions:
-                for e, effect in enumerate(design.effects):
-                    if effect.name == "session":
-                        omega = np.exp(h[index, design.free.size + e])
-                        for k in effect.members:
-                            scattered[:, k] += omega / spread[k] * numbers.session[:, k]
+                for e, effect in enumerate(design.effects, free.size):
+                    for k in effect.members if effect.name == "session" else ():
+                        scattered[:, k] += sd[:, e] / design.spread[k] * numbers.session[:, k]
         return Parts(mean, scattered)
 
-    def _beyond(self, setting: Setting) -> Array:
+    def _extrapolation_sd(self, setting: Setting) -> Array:
         """Sd of what a setting outside those of the tests may change, in prior units, (d,).
 
         Of a motion outside theirs; and of an untested level, where too few levels were tested to
@@ -437,9 +414,9 @@ class Population:
         """
         design = self.design
         stroke, rate = folds_beyond(setting, design.settings)
-        rest = design.krige([design.cell_of(setting)])[1][0, 0]
-        level = WIDER * design.scatter_sd * np.sqrt(np.maximum(rest, 0.0))
-        level[[k for _, k, _ in self._leveled]] = 0.0
+        untested = self._kriged(setting.session, setting.actuation)[1][0, 0]
+        level = WIDER * design.scatter_sd * np.sqrt(np.maximum(untested, 0.0))
+        level[[k for k, _, _ in self._leveled]] = 0.0
         found = np.zeros(len(design.names))
         for k in design.free:
             name = design.names[k]
@@ -453,12 +430,10 @@ class Population:
     def repeats(self, setting: Setting) -> bool:
         """Whether a motion repeats those of the tests: of their kind and of their stroke."""
         here = setting.covariates
-        for one in self.design.settings:
-            known = one.covariates
-            if {"amplitude", "full_strokes"} <= known.keys() & here.keys():
-                stroke = abs(np.log(here["amplitude"] / known["amplitude"])) <= np.log(LIKE)
-                kind = abs(here["full_strokes"] - known["full_strokes"]) <= LIKE_STROKES
-                if stroke and kind:
+        for tested in (one.covariates for one in self.design.settings):
+            if {"amplitude", "full_strokes"} <= tested.keys() & here.keys():
+                stroke = abs(np.log(here["amplitude"] / tested["amplitude"])) <= np.log(LIKE)
+                if stroke and abs(here["full_strokes"] - tested["full_strokes"]) <= LIKE_STROKES:
                     return True
         return False
 
@@ -481,11 +456,9 @@ class Population:
         if not model.has_gap:
             return found | {"start": np.full(n, 0.5)}
         values = found | self.values(x)
-        repeat = setting is not None and self.repeats(setting)
-        left = None
+        repeat, left = setting is not None and self.repeats(setting), None
         if repeat and trace is not None and self.starts.weights is not None:
-            middle = {name: np.array([np.median(v)]) for name, v in values.items()}
-            left = place_left(model, model.theta(middle), trace)
+            left = place_left(model, values, trace)
         start = self.starts.place(numbers, left, without_load(model, values), repeat=repeat)
         return found | {"start": start}
 
@@ -523,19 +496,19 @@ class Population:
             found[name] = along
         return found | {n: found[o] for n, o in model.tied_laws.items() if o in found}
 
+    def grid_of(self, trace: Trace) -> Array:
+        """Actuations at which deviations are drawn for a trace, increasing, (G,)."""
+        return self.grid(trace.reference_actuation, trace.actuation if trace.varying else None)
+
     def grid(self, level: float, history: ArrayLike | None) -> Array:
         """Actuations at which deviations are drawn for a level and a history, increasing, (G,)."""
         if history is None or level <= 0.0:
             return np.array([level])
-        driven = np.asarray(history, dtype=np.float64)
-        least = level / 16.0
-        low, high = np.clip(
-            [min(driven.min(), level), max(driven.max(), level)], least, 16.0 * level
-        )
+        driven = [*np.asarray(history, dtype=np.float64), level]
+        low, high = np.clip([min(driven), max(driven)], level / 16.0, 16.0 * level)
         if high <= low * (1.0 + 1e-9):
             return np.array([level])
         octaves = np.arange(np.log2(low / level), np.log2(high / level) + OCTAVE, OCTAVE)
-        grid = level * 2.0**octaves
         tested = [p for _, p in self.design.cells if low < p < high]
-        grid = np.sort(np.concatenate([grid, tested]))
+        grid = np.sort(np.concatenate([level * 2.0**octaves, tested]))
         return np.sort(np.append(grid[np.abs(np.log(grid / level)) > 0.02], level))

@@ -15,12 +15,9 @@ from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
 
+# the law with its level's effect; plus test-to-test scatter; plus a record's offset and noise
 NESTED = ("device", "new_test", "observation")
-"""The law with its level's effect; plus test-to-test scatter; plus a record's offset and noise."""
-
-THIS_TEST = "this_test"
-"""One calibrated test by itself: what is known of its own parameters."""
-
+THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
 KINDS = (*NESTED, THIS_TEST)
 
 KIND_NAMES: Mapping[str, str] = MappingProxyType(
@@ -33,14 +30,10 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
 )
 """What each kind of band is about, in the words of design; the same everywhere."""
 
-SAME_LEVEL = 0.01
-"""Tests whose actuation differs by less than this share are at one level."""
-
+SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
+# actuation below this share of the largest is zero: what a gauge shows with nothing applied
 ZERO = 1e-3
-"""Actuation below this share of the largest is zero: what a gauge shows with nothing applied."""
-
-FULL = 0.8
-"""A stroke of at least this share of the largest one is a full stroke."""
+FULL = 0.8  # A stroke of at least this share of the largest one is a full stroke
 
 
 @dataclass(frozen=True)
@@ -173,10 +166,10 @@ def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, fl
         stroke, speed = (np.log(s.covariates.get(n) or np.nan) for n in ("amplitude", "velocity"))
         return np.array([stroke, speed, speed - stroke])
 
-    known = np.array([logs(s) for s in tested])
-    known = known[np.all(np.isfinite(known), axis=1)]
+    tests = np.array([logs(s) for s in tested])
+    tests = tests[np.all(np.isfinite(tests), axis=1)]
     here = logs(setting)
-    if not len(known) or not np.all(np.isfinite(here)):
+    if not len(tests) or not np.all(np.isfinite(here)):
         return 0.0, 0.0
-    outside = np.maximum(np.maximum(here - known.max(axis=0), known.min(axis=0) - here), 0.0)
+    outside = np.maximum(np.maximum(here - tests.max(axis=0), tests.min(axis=0) - here), 0.0)
     return float(outside[0]), float(outside[1:].max())

@@ -23,25 +23,17 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
+# equally probable shapes a of the Beta densities: from anywhere (1) to one place
 SHAPES = np.geomspace(1.0, 100.0, 41)
-"""Equally probable shapes a of the Beta densities: from anywhere (1) to one place."""
-
+# probability that a repeat begins without load or anywhere, and not as the tests did
 ELSEWHERE = 0.2
-"""Probability that a repeat begins without load or anywhere, and not as the tests did."""
-
+# probability, before the tests of a run, that tests begin without load and not anywhere. All
+# records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
+# force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here,
+# so that none of the three is counted twice.
 BEFORE = 0.75
-"""Probability, before the tests of a run, that tests begin without load and not anywhere.
-
-All records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
-force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here, so
-that none of the three is counted twice.
-"""
-
-MOST = 0.95
-"""Largest probability that tests begin without load."""
-
-SLOW = 1e3
-"""Time between two displacements of a motion without speed, s."""
+MOST = 0.95  # largest probability that tests begin without load
+SLOW = 1e3  # time between two displacements of a motion without speed, s
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +57,7 @@ class Starts:
     @classmethod
     def of(cls, prior: Prior | None) -> Starts:
         """Of a prior alone."""
-        known = prior is not None and prior.fixed
-        return cls(fixed=float(prior.typical) if prior is not None and known else None)
+        return cls(fixed=float(prior.typical) if prior is not None and prior.fixed else None)
 
     def learned(
         self, begun: Array, left: Array | None, without_load: Sequence[tuple[Array, Array] | None]
@@ -82,24 +73,21 @@ class Starts:
             Ends of the part of the gap without load, of each test.
         """
         w = np.clip(np.median(begun, axis=0), 1e-6, 1.0 - 1e-6)
-        log = []
-        for mode in (np.full(w.size, 0.5), left):
-            if mode is None:
-                log.append(np.full(SHAPES.size, -np.inf))
-                continue
-            a, b = _exponents(SHAPES[:, None], mode)
-            density = (a - 1.0) * np.log(w) + (b - 1.0) * np.log1p(-w) - betaln(a, b)
-            log.append(density.sum(axis=1))
-        chance = self.unloaded
-        if all(part is not None for part in without_load):
-            factors = 0.0
-            for j, part in enumerate(without_load):
-                lower, upper = part if part is not None else (np.zeros(1), np.ones(1))
-                inside = (begun[:, j] >= lower) & (begun[:, j] <= upper)
-                width = np.clip(upper, 0.0, 1.0) - np.clip(lower, 0.0, 1.0)
-                factors += np.log((inside.mean() + 1e-3) / (width.mean() + 1e-3))
-            chance = min(float(expit(logit(BEFORE) + factors)), MOST)
-        return Starts(softmax(np.array(log)), chance, self.fixed)
+        log = np.full((2, SHAPES.size), -np.inf)
+        for i, mode in enumerate((np.full(w.size, 0.5), left)):
+            if mode is not None:
+                a, b = _exponents(SHAPES[:, None], mode)
+                density = (a - 1.0) * np.log(w) + (b - 1.0) * np.log1p(-w) - betaln(a, b)
+                log[i] = density.sum(axis=1)
+        ends = [part for part in without_load if part is not None]
+        if len(ends) < len(without_load):
+            return Starts(softmax(log), self.unloaded, self.fixed)
+        factors = 0.0
+        for place, (lower, upper) in zip(begun.T, ends, strict=True):
+            inside = (place >= lower) & (place <= upper)
+            factors += np.log((inside.mean() + 1e-3) / ((upper - lower).mean() + 1e-3))
+        chance = min(float(expit(logit(BEFORE) + factors)), MOST)
+        return Starts(softmax(log), chance, self.fixed)
 
     def place(
         self,
@@ -120,22 +108,21 @@ class Starts:
         repeat : bool
             Whether the motion repeats those of the calibrated tests.
         """
-        n = len(numbers)
         if self.fixed is not None:
-            return np.full(n, self.fixed)
+            return np.full(len(numbers), self.fixed)
         which, u = ndtr(numbers).T
-        found, share = u.copy(), ELSEWHERE if repeat and self.weights is not None else 1.0
-        if without_load is not None:
-            lower, upper = (np.clip(end, 0.0, 1.0) for end in without_load)
-            loaded_less = which < share * self.unloaded
-            found = np.where(loaded_less, lower + (upper - lower) * u, found)
-        if share < 1.0 and self.weights is not None:
+        found, share = u, 1.0
+        if repeat and self.weights is not None:
+            share = ELSEWHERE
             edges = np.cumsum(self.weights.ravel())
             pick = np.searchsorted(edges / edges[-1], (which - share) / (1.0 - share))
             mode, shape = np.divmod(np.clip(pick, 0, edges.size - 1), SHAPES.size)
             modes = np.array([0.5, 0.5 if left is None else left])
             a, b = _exponents(SHAPES[shape], modes[mode])
-            found = np.where(which >= share, betaincinv(a, b, u), found)
+            found = np.where(which >= share, betaincinv(a, b, u), u)
+        if without_load is not None:
+            lower, upper = without_load
+            found = np.where(which < share * self.unloaded, lower + (upper - lower) * u, found)
         return np.asarray(np.clip(found, 1e-9, 1.0 - 1e-9))
 
 
@@ -212,16 +199,20 @@ class Ending:
 
 
 def place_left(
-    model: Model, theta: Array, trace: Trace, scales: Mapping[str, Array] | None = None
+    model: Model,
+    values: Mapping[str, Array],
+    trace: Trace,
+    scales: Mapping[str, Array] | None = None,
 ) -> float | None:
-    """Place, as a `start` of it, at which a motion leaves a device with theta (1, p).
+    """Place, as a `start` of it, at which a motion leaves a device of typical quantities.
 
-    The device goes straight back to the first displacement. None for a model without a gap, or one
-    that does not say where a motion ends.
+    The medians of these, (n,) each by name, are taken. The device goes straight back to the first
+    displacement. None for a model without a gap, or one that does not say where a motion ends.
     """
     own = type(model).end
     if not model.has_gap or getattr(own, "__wrapped__", own) is Model.end:
         return None
+    theta = model.theta({name: np.array([np.median(value)]) for name, value in values.items()})
     ended = Ending("", theta, model.end(theta, trace, scales=scales))
     ended = ended.moved(model, trace.displacement[[-1, 0]])
     return float(np.clip(model.start_at(ended.place, trace)[0], 0.0, 1.0))

@@ -24,9 +24,7 @@ from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
 Array = NDArray[np.float64]
 
-FORMAT = "mixed model 1"
-"""Kind of stored population; others are not read."""
-
+FORMAT = "mixed model 1"  # kind of stored population; others are not read
 _RESIDUAL = ("mean", "covariance", "log_shape")
 _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
 
@@ -39,7 +37,7 @@ def save_population(path: Path, population: Population) -> None:
     StoreError
         When it cannot be written.
     """
-    design, residual, found = population.design, population.residual, population.convergence
+    design, residual, starts = population.design, population.residual, population.starts
     arrays: dict[str, Array] = {
         **population.slopes,
         **{f"scatter_{name}": tau for name, tau in population.scatters.items()},
@@ -47,26 +45,23 @@ def save_population(path: Path, population: Population) -> None:
         **{f"draws_{k}": v for k, v in vars(population.draws).items()},
         "law": population.choice.astype(np.float64),
     }
-    if population.begun is not None:
-        arrays["starts"] = population.begun
-    weights = population.starts.weights
     facts = {
         "format": FORMAT,
         "names": [*design.names, *design.coordinates.names[len(design.names) :]],
         "settings": [asdict(setting) for setting in design.settings],
         "laws": design.laws,
         "dependence": design.dependence,
-        "weights": population.weights,
+        "weights": population.law_weights,
         "alternatives": {k: v.tolist() for k, v in vars(population.alternatives).items()},
         "alternative_weight": population.alternative_weight.tolist(),
-        "start_weights": None if weights is None else weights.tolist(),
-        "unloaded": population.starts.unloaded,
+        "start_weights": None if starts.weights is None else starts.weights.tolist(),
+        "unloaded": starts.unloaded,
         "actuation_unit": population.actuation_unit,
         "walkers": population.walkers,
         "basis": asdict(residual.basis),
         "residual": {name: getattr(residual, name) for name in _FIGURES},
         "discrepancy": {name: getattr(residual, name).tolist() for name in _RESIDUAL},
-        **{name: value.tolist() for name, value in vars(found).items()},
+        **{name: value.tolist() for name, value in vars(population.convergence).items()},
     }
     save_arrays(path, arrays, json.loads(json_text(facts)))
 
@@ -97,34 +92,27 @@ def _population(
     values = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
     settings = [Setting(**one) for one in facts["settings"]]
     design = design_of(priors, facts["names"], settings, facts["laws"], facts["dependence"])
-
     draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
     other = LawDraws(**{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()})
-    design.row(settings[0])  # which fails where a covariate is unknown
-    z = design.quantity.size
+    z = design.row(settings[0]).size  # which fails where a covariate is unknown
     sizes = (draws.h.shape[-1], draws.z.shape[-1], other.z.shape[-1])
     if sizes != (design.free.size + len(design.effects), z, z):
         raise ValueError("its draws do not fit its design")
     if not all(np.all(np.isfinite(value)) for value in values.values()):
         raise ValueError("it holds numbers that are not finite")
-    known = {"start": priors.parameters["start"]} if "start" in priors.parameters else {}
-    starts = Starts.of(known.get("start"))
-    begun = values.get("starts")
-    if begun is not None and starts.fixed is None:
-        weights = facts["start_weights"]
-        learned = None if weights is None else np.array(weights)
-        starts = Starts(learned, float(facts["unloaded"]))
-    learned_residual: dict[str, Any] = {k: np.array(v) for k, v in facts["discrepancy"].items()}
+    starts = Starts.of(priors.parameters.get("start"))
+    if facts["start_weights"] is not None and starts.fixed is None:
+        starts = Starts(np.array(facts["start_weights"]), float(facts["unloaded"]))
+    discrepancy: dict[str, Any] = {k: np.array(v) for k, v in facts["discrepancy"].items()}
     return Population(
         design=design,
         draws=draws,
         choice=values["law"].astype(np.intp),
-        weights=facts["weights"],
+        law_weights=facts["weights"],
         alternatives=other,
         alternative_weight=np.array(facts["alternative_weight"]),
-        residual=Residual(TravelBasis(**facts["basis"]), **learned_residual, **facts["residual"]),
+        residual=Residual(TravelBasis(**facts["basis"]), **discrepancy, **facts["residual"]),
         starts=starts,
-        begun=begun,
         priors=priors.parameters,
         actuation_unit=facts["actuation_unit"],
         walkers=int(facts["walkers"]),

@@ -104,16 +104,28 @@ def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Arr
     vertices.
     """
     left = np.flatnonzero(v[:-1] * v[1:] < 0)
-    before, after, step = np.abs(v[left]), np.abs(v[left + 1]), t[left + 1] - t[left]
-    share = before / (before + after)
-    moved, sign = x[left + 1] - x[left], np.sign(v[left])
-    from_left = sign * moved <= 0  # the extreme sample is the one before
-    beyond = 0.5 * step * np.where(from_left, before * share, after * (1.0 - share))
-    vertex = np.where(from_left, x[left], x[left + 1]) + sign * beyond
-    misfit = np.abs(moved - 0.5 * step * (v[left] + v[left + 1]))
-    regular = misfit <= SMOOTH * step * (before + after)
-    regular &= np.abs(share - 0.5) < 0.499
+    ends = (t[left + 1] - t[left], x[left], x[left + 1], v[left], v[left + 1])
+    share, vertex, regular = vertex_of_turn(*ends)
     return left[regular], share[regular], vertex[regular]
+
+
+def vertex_of_turn(
+    dt: float | Array, x: Array, x_next: Array, v: Array, v_next: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Share of the step, vertex, in, and whether there is one, of steps that turn, (n,) each.
+
+    See `vertices`: dt in s, displacements in in and velocities in in/s at both samples of each.
+    """
+    before, after = np.abs(v), np.abs(v_next)
+    share = before / (before + after)
+    moved, sign = x_next - x, np.sign(v)
+    from_left = sign * moved <= 0  # the extreme sample is the one before
+    beyond = 0.5 * dt * np.where(from_left, before * share, after * (1.0 - share))
+    vertex = np.where(from_left, x, x_next) + sign * beyond
+    misfit = np.abs(moved - 0.5 * dt * (v + v_next))
+    regular = misfit <= SMOOTH * dt * (before + after)
+    regular &= np.abs(share - 0.5) < 0.499
+    return share, vertex, regular
 
 
 def turning_points(

@@ -12,8 +12,8 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.reporting.html import either, embedded_picture, page_environment, policy_of
 from mfd_bayes.reporting.response_tables import shown_unit
 from mfd_bayes.reporting.symbols import number, unit_text
-from mfd_bayes.response.influence import Shares
 from mfd_bayes.response.result import Passing, Row
+from mfd_bayes.response.variance_shares import Shares
 from mfd_bayes.runs.systems import SYSTEMS
 
 

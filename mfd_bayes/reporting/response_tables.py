@@ -8,9 +8,9 @@ import numpy as np
 
 from mfd_bayes.reporting.latex import escape
 from mfd_bayes.reporting.tables import csv_text
-from mfd_bayes.response.influence import Shares
 from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
 from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.response.variance_shares import Shares
 from mfd_bayes.runs.systems import System
 from mfd_bayes.store.files import json_text
 from mfd_bayes.units import GRAVITY, percent

@@ -23,7 +23,7 @@ from mfd_bayes.assessment.views import (
     Row,
     ScoreRow,
 )
-from mfd_bayes.planning.advice import Advice
+from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace

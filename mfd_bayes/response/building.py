@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
-from mfd_bayes.errors import BuildingError
+from mfd_bayes.errors import BuildingError, MfdError, UnitError
 from mfd_bayes.records.numbers import real_number, real_numbers
-from mfd_bayes.records.regular import path_of
-from mfd_bayes.response.content import read_content
-from mfd_bayes.response.damping import damping_matrix
-from mfd_bayes.response.modes import Modes, modes_of
-from mfd_bayes.response.schema import Content, Damper, History, Limits
-from mfd_bayes.response.structures import LARGEST, Skeleton, skeleton_of
-from mfd_bayes.units import parse_actuation
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.regular import file_inside, path_of, why_no_file
+from mfd_bayes.records.roles import header_unit
+from mfd_bayes.response.schema import Content, Damper, Damping, History, Limits, read_content
+from mfd_bayes.units import actuation_factor, convert, factor, parse_actuation
 
 Array = NDArray[np.float64]
 
+LARGEST = 500
+"""Most degrees of freedom."""
 
-@dataclass(frozen=True)
+LARGEST_FILE = 64 * 2**20
+"""Largest text file of a matrix, bytes."""
+
+
+@dataclass(frozen=True, eq=False)
 class Device:
     """One damper in a building.
 
@@ -39,7 +47,7 @@ class Device:
         Travel of the damper over the drift between the two floors.
     brace : float, kip/in
         Stiffness in series; infinite for a rigid one.
-    history : History, optional
+    history : (time, actuation), (T,) each, optional
     """
 
     name: str
@@ -49,7 +57,32 @@ class Device:
     unit: str
     geometry: float = 1.0
     brace: float = np.inf
-    history: History | None = None
+    history: tuple[Array, Array] | None = None
+
+    @property
+    def level(self) -> float:
+        """Actuation, ksi or kip; the mean of a history."""
+        return self.actuation if self.history is None else float(np.mean(self.history[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Modes of a structure, the longest period first.
+
+    Attributes
+    ----------
+    frequencies : (N,), rad/s
+    shapes : (N, N)
+        Columns φ with φᵀMφ = 1.
+    """
+
+    frequencies: Array
+    shapes: Array
+
+    @property
+    def periods(self) -> Array:
+        """Natural periods, (N,), s."""
+        return np.asarray(2.0 * np.pi / self.frequencies)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +100,9 @@ class Building:
     heights : (S,), in
         NaN where not known.
     yields : (S,), kip
-        Yield force of each storey, infinite where it stays elastic; `storeys` (S,), kip/in, are
-        the stiffnesses that yield then.
+        Yield force of each storey, infinite where it stays elastic.
     storeys : (S,), kip/in
+        Stiffness of the storeys that yield.
     devices : tuple of Device
     limits : Limits
     """
@@ -85,7 +118,6 @@ class Building:
     storeys: Array
     devices: tuple[Device, ...]
     limits: Limits
-    folder: Path = Path()
 
     def __post_init__(self) -> None:
         for name in ("mass", "damping", "stiffness"):
@@ -104,8 +136,9 @@ class Building:
 
     @property
     def modes(self) -> Modes:
-        """Periods and shapes of the elastic building without dampers."""
-        return modes_of(self.mass, self.stiffness)
+        """Periods and shapes of the elastic building without dampers, K φ = ω² M φ."""
+        squares, shapes = linalg.eigh(self.stiffness, self.mass)
+        return Modes(np.sqrt(squares), shapes)
 
     @property
     def travels(self) -> Array:
@@ -120,6 +153,22 @@ class Building:
     def floors(self) -> tuple[str, ...]:
         """Names of the storeys."""
         return tuple(f"storey {i + 1}" for i in range(len(self.drifts)))
+
+    @property
+    def actuations(self) -> tuple[Array | None, list[Array]]:
+        """Times, (T,) s, and the actuation of each damper then, (T,).
+
+        Where all are constant there are no times, and T is 1.
+        """
+        given = [device.history[0] for device in self.devices if device.history is not None]
+        times = np.unique(np.concatenate(given)) if given else None
+        along = [
+            np.full(1 if times is None else times.size, device.actuation)
+            if device.history is None
+            else np.interp(device.history[0] if times is None else times, *device.history)
+            for device in self.devices
+        ]
+        return times, along
 
     def at_level(self, actuation: float) -> Building:
         """The building with all dampers at one constant actuation, ksi or kip.
@@ -152,50 +201,89 @@ def read_building(path: str | PathLike[str]) -> Building:
 
 
 def building_of(content: Content, path: Path) -> Building:
-    """Building of a checked content; `path` is its file, beside which others are looked for."""
-    frame = skeleton_of(content, path)
-    check_frame(frame, path)
-    modes = modes_of(frame.mass, frame.stiffness)
-    damping = damping_matrix(content.building.damping, frame, modes, str(path))
-    devices = tuple(
-        device
-        for number, damper in enumerate(content.damper, start=1)
-        for device in _devices(damper, number, len(frame.mass), path)
-    )
-    units = {device.unit for device in devices}
-    if len(units) > 1:
-        raise BuildingError(f"damper in {path}: actuation must be a pressure of all, or a force")
-    shares = [name for name in ("drift", "residual") if getattr(content.limits, name) is not None]
-    if shares and not np.all(np.isfinite(frame.heights)):
-        raise BuildingError(f"limits.{shares[0]} in {path} needs the height of every storey")
-    return Building(
-        content.building.title,
-        frame.mass,
-        damping,
-        frame.stiffness,
-        frame.influence,
-        frame.drifts,
-        frame.heights,
-        frame.yields,
-        frame.storeys,
-        devices,
-        content.limits,
-        path.parent,
-    )
+    """Building of a checked content; `path` is its file, beside which others are looked for.
 
-
-def check_frame(frame: Skeleton, path: Path) -> None:
-    """Refuse a mass or a stiffness with which nothing can be computed."""
-    for name, matrix in (("mass", frame.mass), ("stiffness", frame.stiffness)):
+    Raises
+    ------
+    BuildingError
+        When a file that it names cannot be used, or the building cannot stand.
+    """
+    size, matrices = len(content.storey), content.matrices
+    if matrices is not None:
+        mass, stiffness, dashpots = _matrices(content, path)
+        size = len(mass)
+        for key in ("influence", "heights"):
+            values = getattr(matrices, key)
+            if values is not None and len(values) != size:
+                raise BuildingError(
+                    f"matrices.{key} in {path} must have {size} values, got {len(values)}"
+                )
+        influence = np.array(matrices.influence or np.ones(size))
+        heights = np.array(matrices.heights or np.full(size, np.nan))
+    drifts = np.eye(size) - np.eye(size, k=-1)
+    storeys, yields = np.zeros(size), np.full(size, np.inf)
+    if matrices is None:
+        storeys = np.array([storey.stiffness for storey in content.storey])
+        yields = np.array([storey.yield_force or np.inf for storey in content.storey])
+        heights = np.array([storey.height or np.nan for storey in content.storey])
+        mass = np.diag([storey.inertia for storey in content.storey])
+        stiffness = drifts.T @ np.diag(storeys) @ drifts
+        dashpots = drifts.T @ np.diag([storey.dashpot for storey in content.storey]) @ drifts
+        influence = np.ones(size)
+    for name, matrix in (("mass", mass), ("stiffness", stiffness)):
         values = np.linalg.eigvalsh(matrix)
         if values[0] <= 1e-14 * values[-1]:
             raise BuildingError(
                 f"the {name} matrix of {path} must be symmetric and positive definite; its "
                 f"smallest eigenvalue is {values[0]:.3g}"
             )
+    devices = tuple(
+        device
+        for number, damper in enumerate(content.damper, start=1)
+        for device in _devices(damper, number, size, path)
+    )
+    if len({device.unit for device in devices}) > 1:
+        raise BuildingError(f"damper in {path}: actuation must be a pressure of all, or a force")
+    shares = [name for name in ("drift", "residual") if getattr(content.limits, name) is not None]
+    if shares and not np.all(np.isfinite(heights)):
+        raise BuildingError(f"limits.{shares[0]} in {path} needs the height of every storey")
+    undamped = Building(
+        *(content.building.title, mass, dashpots, stiffness, influence, drifts, heights),
+        *(yields, storeys, devices, content.limits),
+    )
+    return replace(undamped, damping=damping_matrix(content.building.damping, undamped, str(path)))
 
 
-def _devices(damper: Damper, number: int, floors: int, path: Path) -> list[Device]:
+def damping_matrix(damping: Damping, building: Building, path: str) -> Array:
+    """Damping matrix C, (N, N), kip s/in: of ratios, and of a building's dashpots in addition.
+
+    Rayleigh: C = a M + b K with the ratio ζ at two modes, a = 2ζ ω1 ω2/(ω1 + ω2) and
+    b = 2ζ/(ω1 + ω2). Modal: C = M Φ diag(2 ζ ω) Φᵀ M, with the ratio in all modes.
+
+    Raises
+    ------
+    BuildingError
+        When a mode is named that is not there.
+    """
+    dashpots, modes, given = building.damping, building.modes, damping.model_fields_set
+    if damping.kind == "none" or (np.any(dashpots) and not given & {"ratio", "kind"}):
+        return dashpots  # they are the damping then
+    ratio, omega = damping.ratio, modes.frequencies
+    if damping.kind == "modal":
+        towards = building.mass @ modes.shapes
+        return np.asarray(towards @ np.diag(2.0 * ratio * omega) @ towards.T + dashpots)
+    places = damping.modes if omega.size > 1 or "modes" in given else (1, 1)
+    if max(places) > omega.size:
+        raise BuildingError(
+            f"building.damping.modes in {path}: the building has {omega.size} modes, got {places}"
+        )
+    first, second = (float(omega[place - 1]) for place in places)
+    by_mass = 2.0 * ratio * first * second / (first + second)
+    by_stiffness = 2.0 * ratio / (first + second)
+    return np.asarray(by_mass * building.mass + by_stiffness * building.stiffness + dashpots)
+
+
+def _devices(damper: Damper, number: int, floors: int, path: Path) -> Iterator[Device]:
     """The devices of one [[damper]], each by itself."""
     upper, lower = damper.between or (damper.storey or 0, (damper.storey or 1) - 1)
     key = "between" if damper.between else "storey"
@@ -205,16 +293,112 @@ def _devices(damper: Damper, number: int, floors: int, path: Path) -> list[Devic
             f"different ones, got {damper.between or damper.storey}"
         )
     place = f"storey {upper}" if lower == upper - 1 else f"floors {lower} to {upper}"
-    brace = np.inf if damper.brace is None else damper.brace
-    found = []
+    brace, given = np.inf if damper.brace is None else damper.brace, damper.actuation
+    history = _history(given, place, path) if isinstance(given, History) else None
     for i in range(damper.count):
-        given = damper.actuation
         name = place if damper.count == 1 else f"{place}, no. {i + 1}"
-        level, unit, history = np.nan, "ksi", None
         if isinstance(given, History):
-            history = given
-            unit = parse_actuation(f"1 {given.unit}")[1]
+            level, unit = np.nan, parse_actuation(f"1 {given.unit}")[1]
         else:
             level, unit = parse_actuation(given[i] if isinstance(given, tuple) else given)
-        found.append(Device(name, upper, lower, level, unit, damper.geometry, brace, history))
-    return found
+        yield Device(name, upper, lower, level, unit, damper.geometry, brace, history)
+
+
+def _history(history: History, place: str, path: Path) -> tuple[Array, Array]:
+    """Times, s, and actuations, ksi or kip, of a damper's file."""
+    where = f"the actuation of {place}"
+    file = _file_beside(path.parent, history.file, where)
+    try:
+        table = read_table(file)
+        times = [name for name in table.names if name.lower().startswith(("time", "t_", "t["))]
+        if not times:
+            raise BuildingError(f"actuation.file {file} needs a column of the time, 'time_s'")
+        columns = table.columns([times[0], history.column])
+        time = columns[times[0]] * factor(header_unit(times[0]) or "s", "time")
+        level = columns[history.column] * actuation_factor(history.unit)[0]
+    except MfdError as error:
+        raise BuildingError(f"{where}: {error}") from error
+    if time.size < 2 or not np.all(np.diff(time) > 0) or np.any(level < 0):
+        raise BuildingError(f"{where}: {file} must have growing times and no value below 0")
+    return time, level
+
+
+def _matrices(content: Content, path: Path) -> Iterator[Array]:
+    """Mass, stiffness and dashpots, (N, N) each, of files."""
+    units = {"mass": "kip*s^2/in", "stiffness": "kip/in", "damping": "kip*s/in"}
+    found: dict[str, Array] = {}
+    given = content.matrices
+    for key, unit in units.items():
+        name = getattr(given, key)
+        if given is None or name is None:
+            continue
+        try:
+            by = convert(given.units.get(key, unit), unit)  # type: ignore[call-overload]
+        except UnitError as error:
+            raise BuildingError(f"matrices.units.{key} in {path}: {error}") from error
+        where = f"matrices.{key} in {path}"
+        found[key] = by * _matrix(_file_beside(path.parent, name, where), where)
+    if len({matrix.shape for matrix in found.values()}) > 1:
+        shapes = ", ".join(f"{key} {m.shape}" for key, m in found.items())
+        raise BuildingError(f"matrices in {path} must be of one size, got {shapes}")
+    yield from (found["mass"], found["stiffness"])
+    yield found.get("damping", np.zeros_like(found["mass"]))
+
+
+def _matrix(path: Path, key: str) -> Array:
+    """Square symmetric matrix of a CSV or .npy file."""
+    try:
+        if reason := why_no_file(path):
+            raise BuildingError(f"{key}: {path} {reason}")
+        if path.suffix == ".npy":
+            matrix = _npy(path)
+        elif path.stat().st_size > LARGEST_FILE:
+            raise BuildingError(f"{key}: {path} is larger than {LARGEST_FILE >> 20} MB")
+        else:
+            matrix = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (OSError, ValueError, TypeError, EOFError) as error:
+        raise BuildingError(f"{key}: cannot read {path} as numbers: {error}") from error
+    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] and 0 < len(matrix) <= LARGEST
+    if not square or not np.all(np.isfinite(matrix)):
+        raise BuildingError(
+            f"{key}: {path} must hold a square matrix of finite numbers, up to {LARGEST} rows, got "
+            f"the shape {matrix.shape}"
+        )
+    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-9 * np.abs(matrix).max()):
+        raise BuildingError(f"{key}: the matrix in {path} must be symmetric")
+    return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def _npy(path: Path) -> Array:
+    """Array of a .npy file whose header says real numbers of a size that can be used."""
+    with path.open("rb") as file:
+        version = np.lib.format.read_magic(file)
+        first = version == (1, 0)
+        header = (
+            np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        )
+        shape, _, kind = header(file)
+        if kind.kind not in "biuf":
+            raise ValueError(f"it holds {kind}, and no real numbers")
+        if math.prod(shape) > LARGEST**2:
+            raise ValueError(f"its shape is {shape}, and there are up to {LARGEST} rows")
+        file.seek(0)
+        return np.asarray(np.lib.format.read_array(file), dtype=np.float64)
+
+
+def _file_beside(folder: Path, name: str, key: str) -> Path:
+    """Path of a file in a building file's folder; `key` is the place at which it is named."""
+    try:
+        found = file_inside(folder, name)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise BuildingError(f"{key}: the file {name!r} cannot be found: {error}") from error
+    if found is None:
+        raise BuildingError(
+            f"{key}: the file {name!r} lies outside the folder of the building file"
+        )
+    return folder / name
+
+
+def example_building() -> str:
+    """Text of a first building file, to be changed by its user."""
+    return files("mfd_bayes.response").joinpath("example.toml").read_text(encoding="utf-8")

@@ -1,16 +1,15 @@
-"""Ground motions: PEER's .AT2, plain columns with a step, and CSV with units."""
+"""Ground motions: PEER's .AT2, K-NET's files, numbers alone in rows, and CSV with units."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,7 @@ from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.readers import Table, read_table
 from mfd_bayes.records.regular import path_of, why_no_file
 from mfd_bayes.records.roles import header_unit
-from mfd_bayes.response.ground_text import LONGEST_STEP, SAME_STEP, parse_step, read_text
-from mfd_bayes.response.measures import acceleration_factor
-from mfd_bayes.units import GRAVITY, factor
+from mfd_bayes.units import GRAVITY, convert, factor, split_quantity
 
 Array = NDArray[np.float64]
 
@@ -33,7 +30,127 @@ MOST = 200_000
 """Most samples of a ground motion."""
 
 WEAKEST, STRONGEST = 1e-4, 5.0
-"""Peaks of ground motions that are believed without being asked, g."""
+"""Peaks of ground motions that are believed unless their unit is stated, g."""
+
+LONGEST_STEP = 0.2
+"""Longest step that a file may have unless it is stated, s: it may be in ms."""
+
+SAME_STEP = 5e-3
+"""Share by which two steps of one motion may differ: files round them."""
+
+HEAD = 50
+"""Lines in which a header may say the step."""
+
+UNEVEN = 0.1
+"""Largest departure of times from even ones, in steps: files round them."""
+
+_NAMED = {
+    **dict.fromkeys(("g", "g's", "gs", "gn"), GRAVITY),
+    **dict.fromkeys(("%g", "%ofg"), 0.01 * GRAVITY),
+    **dict.fromkeys(("mg", "milli-g"), 0.001 * GRAVITY),
+    **dict.fromkeys(("gal", "gals"), 1.0 / 2.54),
+    **dict.fromkeys(("mgal", "milligal"), 0.001 / 2.54),
+}
+_RATES = {"hz": "Hz", "khz": "kHz", "sps": "Hz", "samples/s": "Hz", "samples/sec": "Hz"}
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
+_WHOLE = rf"({_NUMBER})(?![\d.]|,\d|[+-]\d|[eEdD][+-]?\d)"  # never the beginning of a longer one
+_VALUE = re.compile(rf"{_NUMBER}|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+_GLUED = re.compile(rf"{_NUMBER}(?:[+-](?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?)+")  # "0.123-0.456"
+_STEP = re.compile(
+    r"\b(?:DT|DELTA[ _-]?T|TIME[ _-]?(?:STEP|INTERVAL|INCREMENT)|STEP|SPACING|SPACED|RATE|SPS"
+    r"|SAMPLED"
+    r"|(?:SAMPL(?:E|ING)|DIGITI[SZ](?:ATION|ING))[ _-]?"
+    r"(?:INTERVAL|PERIOD|STEP|TIME|RATE|FREQ(?:UENCY)?)"
+    r"|SAMPLES[ _]?(?:PER|/)[ _]?S(?:EC(?:OND)?)?)(?![A-Z0-9])\.?"
+    r"(?:_([A-Z]+)|\s*[(\[]([^)\]]*)[)\]])?\s*([:=]|OF\b|AT\b|IS\b)?\s*",
+    re.IGNORECASE,
+)
+_OF_RATE = re.compile(r"RATE|FREQ|SPS|SAMPLES", re.IGNORECASE)
+_AFTER_STEP = re.compile(
+    rf"{_WHOLE}(?:\s*[(\[]?\s*([A-Za-zµ/]+)\.?\s*[)\]]?(?=[\s,;.]|$)(?!\s*[:=])"
+    r"|\s*(?:$|[,;](?!\d)|\s[A-Za-z]\w*\s*[:=]))"
+)
+_POINTS_AND_STEP = re.compile(rf"\s*{_WHOLE}[\s,]+{_WHOLE}[\s,]+NPTS[\s,]+DT\b", re.IGNORECASE)
+_POINTS = re.compile(
+    r"\b(?:NPTS|NDATA|N(?:UMBER|O\.?)[ _]OF[ _](?:DATA[ _])?(?:POINTS|SAMPLES))\s*[:=]\s*(.*)"
+    r"|^\s*(\d\S*)\s+(?:points|pts)\b",
+    re.IGNORECASE,
+)
+_UNIT = re.compile(
+    r"\bUNITS?\b(?:\s+(?:OF|ARE|IS|IN)\b|\s*[:=]|(?=\s*[(\[]))\s*(.*)", re.IGNORECASE
+)
+_OF_OTHERS = re.compile(r"(?:OF\s+)?(?:TIME|VEL|DISP)", re.IGNORECASE)
+_OF_ACCELERATION = re.compile(r"(?:OF\s+)?ACC[A-Z]*\.?\s*(?:ARE\b|IS\b|[:=])?\s*", re.IGNORECASE)
+_PHRASE = re.compile(r"[,;]|\.(?=\s|$)|\s{2,}|\s+[A-Z]\w*\s*[:=]", re.IGNORECASE)  # its end
+_OF_ACC = re.compile(
+    r"\bACC(?:EL\w*)?\b.*?(?:[(\[]\s*([^()\[\]]+)[)\]]|\bIN\s+(g)\b)", re.IGNORECASE
+)
+_WORDS = re.compile(r"[^\s,;:=()\[\]]*/[^\s,;:=()\[\]]+|\bgals?\b", re.IGNORECASE)  # "cm/s/s"
+_NOT_OF_VALUES = re.compile(r"\b(?:PGA|PEAK|MAX|MIN|MEAN|RMS|SENSIT)", re.IGNORECASE)
+_SCALE = re.compile(
+    r"\b(?:SCAL(?:E|ING)|CONVERSION|CALIBRATION|MULTIPLICATION)[ _-]*FACTOR\s*[:=]?\s*(.*)",
+    re.IGNORECASE,
+)
+
+
+def acceleration_factor(unit: str) -> float:
+    """Factor from a unit of acceleration to in/s²: "g", "gal", "%g", "cm/s^2", "(CM/SEC/SEC)".
+
+    Upper and lower case are the same, for headers are in capitals; g is that of gravity, no gram.
+
+    Raises
+    ------
+    UnitError
+    """
+    plain = unit.strip().strip("\"'").lower()
+    if bracketed := re.fullmatch(r"[(\[]([^()\[\]]*)[)\]]", plain):
+        plain = bracketed[1].strip()
+    plain = plain.removesuffix(".")
+    if known := _NAMED.get(plain.replace(" ", "")):
+        return known
+    plain = re.sub(r"\s*\bper\b\s*", "/", plain)
+    plain = re.sub(r"(?<=[a-z])\.(?=[a-z])", "*", plain)
+    plain = re.sub(r"(?<=[a-z])(-?2)\b", r"^\1", plain)  # "cm/s2", "cm s-2"
+    try:
+        return convert(plain, "in/s^2")
+    except UnitError as error:
+        raise UnitError(f"unit {unit!r} is no acceleration such as 'g' or 'm/s^2'") from error
+
+
+def parse_acceleration(text: str) -> float:
+    """Acceleration of ``"0.3 g"`` or ``"3 m/s^2"``, in/s².
+
+    Raises
+    ------
+    UnitError
+    """
+    value, unit = split_quantity(text, example="0.3 g")
+    try:
+        return value * acceleration_factor(unit)
+    except UnitError as error:
+        raise UnitError(
+            f"expected an acceleration such as '0.3 g' or '3 m/s^2', got {text!r}"
+        ) from error
+
+
+def _factor(unit: str) -> float | None:
+    """Factor of a unit of acceleration to in/s²; None for any other unit."""
+    try:
+        return acceleration_factor(unit)
+    except UnitError:
+        return None
+
+
+def _seconds(value: float, unit: str) -> float | None:
+    """Step, s, of a value in a unit of time, or in one of a rate; None for any other unit."""
+    unit = unit.strip().lower()
+    try:
+        by = factor(_RATES.get(unit, unit), "rate" if unit in _RATES else "time")
+        step = 1.0 / (value * by) if unit in _RATES else value * by
+    except (UnitError, ZeroDivisionError):
+        return None
+    return step if 0.0 < step < math.inf else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +178,18 @@ class Ground:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise BuildingError(f"name of a ground motion must be text, got {self.name!r}")
-        step = _checked_step(self.name, self.step)
-        object.__setattr__(self, "step", step)
-        object.__setattr__(self, "acceleration", _checked_values(self.name, self.acceleration))
+        name, given = self.name, self.acceleration
+        values = np.array(real_numbers(f"{name}: acceleration", given, BuildingError))
+        if values.ndim != 1 or not 2 <= values.size <= MOST:
+            raise BuildingError(f"{name}: expected 2 to {MOST} values, got {values.size}")
+        if not np.all(np.isfinite(values)):
+            row = int(np.argmin(np.isfinite(values))) + 1
+            raise BuildingError(f"{name}: value {row} of the ground motion is no finite number")
+        if not np.any(values):
+            raise BuildingError(f"{name}: the ground does not move: all values are 0")
+        values.flags.writeable = False
+        object.__setattr__(self, "step", _checked_step(name, self.step))
+        object.__setattr__(self, "acceleration", values)
 
     @property
     def time(self) -> Array:
@@ -105,35 +231,39 @@ class Ground:
         return self.scaled(peak / self.peak)
 
 
-def ground_of(name: str, step: float, acceleration: Sequence[float] | Array) -> Ground:
-    """Checked ground motion of a step, s, and accelerations, in/s².
-
-    Raises
-    ------
-    BuildingError
-        As `Ground` does.
-    """
-    return Ground(name, step, acceleration)  # type: ignore[arg-type]
-
-
-def _checked_step(name: str, step: Any) -> float:
+def _checked_step(name: str, step: object) -> float:
     """Step of a ground motion, s."""
     what = f"{name}: the step of a ground motion"
     return real_number(what, step, BuildingError, (0.0, np.inf), inside=True)
 
 
-def _checked_values(name: str, acceleration: Any) -> Array:
-    """Accelerations of a ground motion as numbers of its own, (T,), in/s²."""
-    values = np.array(real_numbers(f"{name}: acceleration", acceleration, BuildingError))
-    if values.ndim != 1 or not 2 <= values.size <= MOST:
-        raise BuildingError(f"{name}: expected 2 to {MOST} values, got {values.size}")
-    if not np.all(np.isfinite(values)):
-        row = int(np.argmax(~np.isfinite(values))) + 1
-        raise BuildingError(f"{name}: value {row} of the ground motion is no finite number")
-    if not np.any(values):
-        raise BuildingError(f"{name}: the ground does not move: all values are 0")
-    values.flags.writeable = False
-    return values
+def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None, str]:
+    """File, step and unit of ``"Rinaldi.AT2:0.01s"`` or ``"a.txt:0.01s:cm/s^2"``.
+
+    Step and unit are taken off the end; the path before them may have colons.
+
+    Raises
+    ------
+    BuildingError
+        When what follows the last colon is no step, no unit and no path.
+    """
+    name, step, unit = text, None, ""
+    while ":" in name and not os.path.lexists(name):
+        rest, tail = name.rsplit(":", 1)
+        match = re.fullmatch(rf"\s*({_NUMBER})\s*([A-Za-zµ]+)\s*", tail)
+        own = _seconds(_float(match[1]), match[2]) if match else None
+        if step is None and own is not None:
+            step = own
+        elif not unit and _factor(tail):
+            unit = tail.strip()
+        elif re.search(r"[/\\]", tail):  # "run 10:30/quake.txt", "C:\gm\quake.txt"
+            break
+        else:
+            raise BuildingError(
+                f"{of} {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {tail!r}"
+            )
+        name = rest
+    return Path(name), step, unit
 
 
 def read_ground(
@@ -170,11 +300,14 @@ def read_ground(
             raise BuildingError(f"{path} {reason}")
         if path.stat().st_size > LARGEST:
             raise BuildingError(f"{path} is larger than {LARGEST >> 20} MB")
-        found = (_of_table if path.suffix.lower() == ".csv" else _of_text)(path, step, unit)
+        read = _read_csv if path.suffix.lower() == ".csv" else _read_text
+        values, own = read(path, step, unit)
     except OSError as error:
         raise BuildingError(f"cannot read {path}: {error.strerror or error}") from error
     except UnitError as error:
         raise BuildingError(f"{path}: {error}") from error
+    # bytes that are not UTF-8 become escapes
+    found = Ground(path.name.encode(errors="backslashreplace").decode(), own, values)
     if step is None and found.step > LONGEST_STEP:
         raise BuildingError(
             f"{path}: the file's step is {found.step:.6g} s, and steps are at most {LONGEST_STEP} "
@@ -190,27 +323,6 @@ def read_ground(
     return found
 
 
-def _of_text(path: Path, step: float | None, unit: str) -> Ground:
-    """Motion of PEER's format or of K-NET's, or of numbers alone in rows."""
-    text = read_text(path)
-    step = _agreed_step(path, text.step, step)
-    if step is None:
-        said = f" (it has {text.unread!r}, which cannot be read)" if text.unread else ""
-        raise BuildingError(
-            f"{path} does not say its step (NPTS= …, DT= … SEC){said}: give it as FILE:0.01s, or "
-            "step=0.01 in Python"
-        )
-    by = acceleration_factor(unit or "g")
-    if text.said:
-        by = _agreed_factor(f"{path}: the header says {text.said!r}", text.unit, unit)
-    return ground_of(_shown(path), step, text.values * by)
-
-
-def _shown(path: Path) -> str:
-    """Name of a file as text that can be written: bytes that are not UTF-8 become escapes."""
-    return path.name.encode(errors="backslashreplace").decode()
-
-
 def _agreed_step(path: Path, own: float | None, given: float | None) -> float | None:
     """Step of a file, s, or the one that is given where the file does not say it."""
     if own is None or given is None or math.isclose(own, given, rel_tol=SAME_STEP):
@@ -223,60 +335,50 @@ def _agreed_step(path: Path, own: float | None, given: float | None) -> float | 
 
 def _agreed_factor(where: str, own: str, given: str) -> float:
     """Factor of the unit that a file says to in/s²; `where` is the place at which it is said."""
-    wanted = acceleration_factor(given) if given else None
-    try:
-        by = acceleration_factor(own)
-    except UnitError as error:
-        if wanted is not None:
-            return wanted
+    other, by = acceleration_factor(given) if given else None, _factor(own)
+    if by is None and other is None:
         raise BuildingError(
             f"{where}, which is no acceleration such as 'g' or 'cm/s^2': give the unit as "
             "FILE:cm/s^2, or unit='cm/s^2' in Python"
-        ) from error
-    if wanted is None or math.isclose(by, wanted, rel_tol=1e-6):
-        return by
-    raise BuildingError(
-        f"{where}, and {given!r} was given: leave the unit out, or correct the file"
-    )
+        )
+    if by is not None and other is not None and not math.isclose(by, other, rel_tol=1e-6):
+        raise BuildingError(
+            f"{where}, and {given!r} was given: leave the unit out, or correct the file"
+        )
+    return by or other or 0.0
 
 
-def _of_table(path: Path, step: float | None, unit: str) -> Ground:
-    """Motion of a CSV with names, such as time_s and acceleration_g."""
+def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
+    """Accelerations, in/s², and step, s, of a table with a column of the time."""
     try:
         table = read_table(path)
-        names = {name: name.lower() for name in table.names}
-        moves = [n for n, low in names.items() if low.startswith(("acc", "a_", "ag", "ground"))]
+        moves = [n for n in table.names if n.lower().startswith(("acc", "a_", "ag", "ground"))]
         if len(moves) != 1:
             raise BuildingError(
                 f"{path} needs one column of the acceleration, such as 'acceleration_g'; it has "
                 f"{', '.join(table.names[:20])}"
             )
-        times = [name for name, low in names.items() if low.startswith(("time", "t_", "t["))]
-        columns = table.columns([*moves, *times[:1]])
+        times = [n for n in table.names if n.lower().startswith(("time", "t_", "t["))][:1]
+        columns = table.columns([*moves, *times])
     except MfdError as error:
         raise BuildingError(str(error)) from error
-    own = _unit_of(table, moves[0]) or unit
+    own = _column_unit(table, moves[0]) or unit
     if not own:
         raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
-    if times:
-        by = factor(_unit_of(table, times[0]) or "s", "time")
-        step = _step_of(path, by * columns[times[0]], _digit(columns[times[0]]) * by, step)
+    for name in times:
+        by = factor(_column_unit(table, name) or "s", "time")
+        step = _even_step(path, by * columns[name], _last_digit(columns[name]) * by, step)
     if step is None:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
     by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
-    return ground_of(_shown(path), step, columns[moves[0]] * by)
+    return by * columns[moves[0]], step
 
 
-def _unit_of(table: Table, name: str) -> str:
-    """Unit of a column, by the row of units or by its name; "" where neither has one.
-
-    Raises
-    ------
-    BuildingError
-        When they contradict each other.
-    """
+def _column_unit(table: Table, name: str) -> str:
+    """Unit of a column, by the row of units or by its name; "" where neither has one."""
     row, own = table.units.get(name, ""), header_unit(name) or ""
-    if row and own and (a := _any_factor(row)) and (b := _any_factor(own)) and a != b:
+    a, b = (_factor(unit) or _seconds(1.0, unit) for unit in (row, own))
+    if a and b and not math.isclose(a, b, rel_tol=1e-5):
         raise BuildingError(
             f"{table.path}: the column {name!r} is in {own!r} by its name and in {row!r} by the "
             "row of units: correct the file"
@@ -284,15 +386,7 @@ def _unit_of(table: Table, name: str) -> str:
     return row or own
 
 
-def _any_factor(unit: str) -> float | None:
-    """Factor of a unit of acceleration or of time, rounded; None for any other unit."""
-    for read in (acceleration_factor, lambda text: factor(text, "time")):
-        with suppress(UnitError):
-            return float(f"{read(unit):.6g}")
-    return None
-
-
-def _step_of(path: Path, time: Array, digit: float, given: float | None) -> float:
+def _even_step(path: Path, time: Array, digit: float, given: float | None) -> float:
     """Step of even times, s, whose last digit, of a size in s, is rounded; the given one if any.
 
     Times that are written more coarsely than their step are read only with a given step.
@@ -301,58 +395,232 @@ def _step_of(path: Path, time: Array, digit: float, given: float | None) -> floa
     coarse = given is not None and digit > 1.01 * given
     off = float(np.max(np.abs(time - (time[0] + step * np.arange(time.size)))))
     change = np.diff(time) if time.size > 1 else np.zeros(1)
-    even = np.ptp(change) <= 1e-3 * step or off <= 1.001 * min(
-        digit, np.inf if coarse else step / 10
-    )
-    if not (step > 0.0 and even and (change.min() > 0.0 or (coarse and change.min() == 0.0))):
+    rounding = 1.001 * min(digit, np.inf if coarse else step / 10)
+    even = np.ptp(change) <= 1e-3 * step or off <= rounding
+    growing = change.min() > 0.0 or (coarse and change.min() == 0.0)
+    if not (step > 0.0 and even and growing):
         raise BuildingError(f"{path}: the time of a ground motion must grow by one even step")
     if given is None or not coarse or abs(step - given) * time.size > digit:
         _agreed_step(path, step, given)
     return given or step
 
 
-def _digit(values: Array) -> float:
+def _last_digit(values: Array) -> float:
     """Size of the last digit with which the largest values are written: "%.4f" or "%.5g"."""
-    most = float(np.max(np.abs(values)))
-    places = next((n for n in range(9) if np.allclose(values, np.round(values, n), 1e-12, 0)), 99)
-    power = 10.0 ** np.floor(np.log10(np.maximum(np.abs(values), 1e-300)))
-    lead = values / power
-    digits = next((n for n in range(15) if np.allclose(lead, np.round(lead, n), 1e-12, 0)), 99)
-    return float(max(10.0**-places, 10.0 ** (np.floor(np.log10(most or 1.0)) - digits)))
+
+    def digits(of: Array) -> int:
+        return next((n for n in range(15) if np.allclose(of, np.round(of, n), 1e-12, 0)), 99)
+
+    powers = np.floor(np.log10(np.maximum(np.abs(values), 1e-300)))
+    most = np.floor(np.log10(np.max(np.abs(values)) or 1.0))
+    return float(max(10.0 ** -digits(values), 10.0 ** (most - digits(values / 10.0**powers))))
 
 
-def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None, str]:
-    """File, step and unit of ``"Rinaldi.AT2:0.01s"`` or ``"a.txt:0.01s:cm/s^2"``.
+def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
+    """Accelerations, in/s², and step, s, along the rows of a text with a header."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    head, end = _head(lines), len(lines)
+    while end > head and not _begins_as_data(lines[end - 1]):  # "*** End data ***"
+        end -= 1
+    header, body = lines[:head], lines[head:end]
+    if "." not in (text := "\n".join(body)) and re.search(r"\d,\d", text):
+        raise BuildingError(f"{path} may have decimal commas: write its numbers with points")
+    rows: list[list[str]] = []
+    for number, line in enumerate(body, head + 1):
+        for word in (words := _words(line)):
+            if not _VALUE.fullmatch(word):
+                raise BuildingError(f"{path} line {number}: expected numbers, got {word[:40]!r}")
+        rows += [words] if words else []
+    if not rows:
+        raise BuildingError(f"{path} holds no numbers")
+    points, steps = _points(path, header), list(_steps(header))
+    if points != sum(map(len, rows)) and (lead := _number_line(path, rows)):
+        rows = rows[lead[0] :]
+        steps += [("its first numbers", lead[1])] if lead[1] else []
+    values = [[_float(word) for word in row] for row in rows]
+    count = sum(map(len, values))
+    if points is not None and points != count:
+        raise BuildingError(
+            f"{path}: the header says NPTS = {points}, and there are {count} values"
+        )
+    if points is None and _has_times(values):
+        raise BuildingError(
+            f"{path} looks like columns of time and acceleration: save it as .csv with names such "
+            "as time_s,acceleration_g in its first line"
+        )
+    scale, own, said = _scale(path, header)
+    for other, place in _units(header):
+        a, b = _factor(own), _factor(other)
+        if own and a != b and not (a and b and math.isclose(a, b, rel_tol=1e-6)):
+            raise BuildingError(f"{path}: the header says {said!r} and {place!r}: correct the file")
+        own, said = (own, said) if own else (other, place)
+    known = [(place, seconds) for place, seconds in steps if seconds is not None]
+    if known and max(s for _, s in known) > (1.0 + SAME_STEP) * min(s for _, s in known):
+        several = " and ".join(repr(place) for place, _ in known)
+        raise BuildingError(f"{path}: {several} are different steps: correct the file")
+    step = _agreed_step(path, known[0][1] if known else None, step)
+    if step is None:
+        unread = next((place for place, seconds in steps if seconds is None), "")
+        why = f" (it has {unread!r}, which cannot be read)" if unread else ""
+        raise BuildingError(
+            f"{path} does not say its step (NPTS= …, DT= … SEC){why}: give it as FILE:0.01s, or "
+            "step=0.01 in Python"
+        )
+    by = acceleration_factor(unit or "g")
+    if said:
+        by = _agreed_factor(f"{path}: the header says {said!r}", own, unit)
+    return scale * by * np.array([value for row in values for value in row]), step
 
-    Step and unit are taken off the end; the path before them may have colons.
 
-    Raises
-    ------
-    BuildingError
-        When what follows the last colon is no step, no unit and no path.
-    """
-    name, step, unit = text, None, ""
-    while ":" in name and not os.path.lexists(name):
-        rest, tail = name.rsplit(":", 1)
-        if step is None and (found := parse_step(tail)) is not None:
-            step = found
-        elif not unit and _any_unit(tail):
-            unit = tail.strip()
-        elif re.search(r"[/\\]", tail):  # "run 10:30/quake.txt", "C:\gm\quake.txt"
+def _head(lines: Sequence[str]) -> int:
+    """Number of lines of the header: the values begin below what says the step."""
+    data = (
+        i
+        for i, line in enumerate(lines)
+        if (words := _words(line)) and _numbers(words) == len(words)
+    )
+    first = next(data, len(lines))
+    says = [i for i, line in enumerate(lines[:HEAD]) if any(_steps([line]))]
+    said = max((i for i in says if i < first), default=says[0] if says else -1)
+    if said >= 0:
+        below = (i for i in range(said + 1, len(lines)) if _begins_as_data(lines[i]))
+        first = next(below, said + 1)
+    width = len(_words(lines[first])) if first < len(lines) else 0
+    while first - 1 > said:  # a first row of values, one of which is no number
+        words = _words(lines[first - 1])
+        alike = _begins_as_data(lines[first - 1]) or 2 * _numbers(words) > width
+        if not ((len(words) == width and alike) or any(map(_GLUED.fullmatch, words))):
             break
-        else:
+        first -= 1
+    return first
+
+
+def _steps(header: Sequence[str]) -> Iterator[tuple[str, float | None]]:
+    """Words of each step that a header says, and the step, s; None where it cannot be read."""
+    for line in header:
+        if match := _POINTS_AND_STEP.match(line):
+            yield match[0].strip(), _float(match[2])
+            continue
+        found = list(_STEP.finditer(line))
+        for match, end in zip(found, [*(m.start() for m in found[1:]), len(line)], strict=False):
+            text, unit, step = line[match.end() : end], match[1] or match[2] or "", None
+            if after := _AFTER_STEP.match(text):
+                word = after[2] or ""
+                if not (word and unit and _seconds(1.0, word) != _seconds(1.0, unit)):
+                    usual = "Hz" if _OF_RATE.search(match[0]) else "s"
+                    step = _seconds(_float(after[1]), word or unit or usual)
+            if step is not None or match[3] in (":", "="):
+                yield f"{match[0]}{text}".strip()[:60], step
+
+
+def _points(path: Path, header: Sequence[str]) -> int | None:
+    """Number of values that a header says."""
+    for line in header:
+        if match := _POINTS_AND_STEP.match(line) or _POINTS.search(line):
+            number = re.match(rf"{_WHOLE}(?![A-Za-z])", match[1] or match[2])
+            value = _float(number[1]) if number else math.nan
+            if not value.is_integer():
+                raise BuildingError(
+                    f"{path}: the number of values in {match[0].strip()[:60]!r} cannot be read"
+                )
+            return int(value)
+    return None
+
+
+def _number_line(path: Path, rows: Sequence[Sequence[str]]) -> tuple[int, float | None] | None:
+    """Rows that are a header of numbers, and its step: "40 0.0100 656" above 40 values."""
+    total = sum(map(len, rows))
+    if rows[0][0].isdigit() and int(rows[0][0]) == total - 1 > 1 and len(rows[0]) == 1:
+        return 1, None
+    for height in (1, 2):
+        lead = [word for row in rows[:height] for word in row]
+        if len(lead) < 2 or (height == 2 and [len(row) for row in rows[:2]] != [1, 1]):
+            continue
+        for points, step in (lead[:2], lead[1::-1]):
+            if not re.fullmatch(r"\d+\.?0*", points) or not 1e-5 < _float(step) <= LONGEST_STEP:
+                continue
+            if float(points) == total - len(lead):
+                return height, _float(step)
+            rest = [word for row in rows[height:] for word in row]
+            whole = sum(map(str.isdigit, rest))
+            if points.isdigit() and int(points) >= 10 and 2 * whole < len(rest):
+                raise BuildingError(
+                    f"{path}: {' '.join(lead[:6])!r} looks like a number of values and a step, and "
+                    f"there are {total - len(lead)} values: correct it, or remove this line"
+                )
+    return None
+
+
+def _units(header: Sequence[str]) -> list[tuple[str, str]]:
+    """Units of the values that a header says, each with the words that say it.
+
+    Where it says none after the word UNITS, those of accelerations that stand in it.
+    """
+    found, other = [], []
+    for line in header:
+        match = _UNIT.search(line)
+        if match and not _OF_OTHERS.match(match[1]):
+            text = _OF_ACCELERATION.sub("", match[1], count=1)
+            inner = re.match(r"[(\[]([^)\]]*)[)\]]", text)
+            parts = [inner[1]] if inner else [part.strip() for part in _PHRASE.split(text)]
+            unit = next((part for part in parts if not _seconds(1.0, part)), "")  # "sec, cm/s/s"
+            end = line.index(unit, match.start()) + len(unit) + bool(inner) if unit else len(line)
+            found.append((re.sub(r"\(\d+\)$", "", unit), line[match.start() : end].strip()))
+        elif not _NOT_OF_VALUES.search(line):
+            words = [word[0].removesuffix(".") for word in _WORDS.finditer(line)]
+            words += [unit for of in _OF_ACC.finditer(line) for unit in of.groups() if unit]
+            other += [(unit, line.strip()[:60]) for unit in words if _factor(unit)]
+    return found or other
+
+
+def _scale(path: Path, header: Sequence[str]) -> tuple[float, str, str]:
+    """Factor of the values, with its unit and words: "Scale Factor 3920(gal)/6182761" of K-NET."""
+    for match in filter(None, map(_SCALE.search, header)):
+        said, text = match[0].strip(), match[1].strip()
+        parts = re.fullmatch(rf"({_NUMBER})\s*\(([^)]+)\)\s*/\s*({_NUMBER})", text)
+        if parts and _factor(parts[2]) and _float(parts[3]) != 0.0:
+            return _float(parts[1]) / _float(parts[3]), parts[2], said
+        if not (re.fullmatch(_NUMBER, text) and _float(text) == 1.0):
             raise BuildingError(
-                f"{of} {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {tail!r}"
+                f"{path}: the header says {said!r}, which cannot be read: expected such as 'Scale "
+                "Factor 3920(gal)/6182761'; multiply the values by it, and remove this line"
             )
-        name = rest
-    return Path(name), step, unit
+    return 1.0, "", ""
 
 
-def _any_unit(text: str) -> bool:
-    """Whether a text is a unit of acceleration."""
-    with suppress(UnitError):
-        return acceleration_factor(text) > 0
-    return False
+def _has_times(rows: Sequence[Sequence[float]]) -> bool:
+    """Whether all rows have the same number of numbers, the first of which rises evenly."""
+    width, first = len(rows[0]), np.array([row[0] for row in rows])
+    fewest = 3 if width <= 3 else 6  # rows that show it
+    if width < 2 or len(rows) < fewest or {len(row) for row in rows} != {width}:
+        return False
+    step = (first[-1] - first[0]) / (len(first) - 1)
+    off = np.abs(first - (first[0] + step * np.arange(len(first))))
+    return bool(np.all(np.diff(first) > 0.0) and np.all(off <= UNEVEN * step))
 
 
-__all__ = ["Ground", "ground_of", "parse_ground", "read_ground"]
+def _float(word: str) -> float:
+    """A number, whose exponent may be one of Fortran, "1.0D-02"."""
+    return float(word.upper().replace("D", "E"))
+
+
+def _words(line: str) -> list[str]:
+    return line.replace(",", " ").replace(";", " ").split()
+
+
+def _numbers(words: Sequence[str]) -> int:
+    return sum(_VALUE.fullmatch(word) is not None for word in words)
+
+
+def _begins_as_data(line: str) -> bool:
+    words = _words(line)
+    return bool(words) and bool(_VALUE.fullmatch(words[0]) or _GLUED.match(words[0]))
+
+
+def example_ground() -> str:
+    """An artificial ground motion in PEER's layout, for trying out.
+
+    White noise through the soil's filter of Kanai and Tajimi, ω = 2π 2.5 Hz and ζ = 0.6, under an
+    envelope; 20 s with a peak of 0.35 g. No earthquake looks quite like it.
+    """
+    return files("mfd_bayes.response").joinpath("example.AT2").read_text(encoding="utf-8")

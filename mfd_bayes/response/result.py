@@ -1,38 +1,76 @@
-"""The response of a building with dampers, as draws and as bands."""
+"""The response of a building with dampers: draws of its peaks, their bands, and its histories."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import NotThereError
 from mfd_bayes.response.building import Building
-from mfd_bayes.response.devices import Dampers
+from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.rows import PROBABILITIES, UNITS, Passing, Row
-from mfd_bayes.response.settling import Settled
 from mfd_bayes.units import GRAVITY
-
-__all__ = ["PROBABILITIES", "Passing", "Reference", "Response", "Row"]
 
 Array = NDArray[np.float64]
 
+PROBABILITIES = (0.5, 0.9, 0.95)
+"""Of the equal-tailed bands."""
+
 OPEN = 0.005
-"""Share of steps without equilibrium from which a draw is named."""
+"""Share of the time in steps that should have been shorter, from which a draw is named."""
+
+PER_DRAW = (
+    *("drift", "acceleration", "base_shear", "force", "travel", "energy", "residual"),
+    *("unstable", "open", "imbalance", "change", "steps"),
+)
+"""Arrays (n, g, …) of a response."""
+
+PER_GROUND = ("histories", "travels", "forces")
+"""Tuples of arrays (n, T, …), one for each ground motion."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Peaks of one building without uncertainty; `history` is the drift, (T, S), in."""
+@dataclass(frozen=True)
+class Row:
+    """A peak and its bands.
 
-    drift: Array
-    acceleration: Array
-    base_shear: float
-    residual: Array
-    history: Array
+    Attributes
+    ----------
+    quantity, ground, place : str
+    unit : str
+        Internal, or "1" of a ratio.
+    median, mean : float
+    bands : tuple of (lower, upper)
+        For `PROBABILITIES`.
+    bare, plain : float
+        The same without dampers, and with plain friction of the median slip force; NaN where it
+        has no meaning.
+    """
+
+    quantity: str
+    ground: str
+    place: str
+    unit: str
+    median: float
+    mean: float
+    bands: tuple[tuple[float, float], ...]
+    bare: float = np.nan
+    plain: float = np.nan
+
+
+@dataclass(frozen=True)
+class Passing:
+    """Probability that a limit is passed somewhere in the building, and its standard error."""
+
+    quantity: str
+    ground: str
+    limit: float
+    unit: str
+    probability: float
+    error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,21 +84,31 @@ class Response:
     acceleration : (n, g, N), in/s²
         Largest absolute accelerations of the floors.
     base_shear : (n, g), kip
+        The largest of inertia.
     force, travel, energy : (n, g, m), kip, in, kip in
         Largest force and travel of each damper, and the energy that it took.
     residual : (n, g, S), in
-        Mean drift over the last two periods.
-    histories : tuple of (n, T, S), in
-        Drift at the samples of each ground motion.
-    loops : tuple of pairs of (k, T, m), in, kip
-        Travel and force of the dampers of the first draws.
-    unstable, unsettled : (n, g) bool
-        Draws that ran away; draws whose peaks still changed by more than the tolerance, or in
-        which steps ended without equilibrium.
+        Mean drift over the last two fundamental periods.
+    unstable : (n, g) bool
+        Draws that ran away.
+    open : (n, g)
+        Share of the time in steps that should have been shorter still.
     imbalance : (n, g)
         Largest energy that is not accounted for, over the largest input.
-    change, steps : (n, g)
-        Change of the peaks at the last halving of the step, and that step, s.
+    change : (n, g)
+        Estimated error of the largest drift, relative.
+    steps : (n, g), s
+        Shortest step of each.
+    histories : tuple of (n, T, S), in
+        Drift at the samples of each ground motion.
+    travels, forces : tuple of (k, T, m), in, kip
+        Of the dampers of the first k draws.
+    references : mapping of str to Response
+        Of one draw each: "bare", without dampers, and "plain", with plain friction of the median
+        slip forces.
+    tolerance : float
+        Error up to which a draw counts as settled.
+    remarks : tuple of str
     """
 
     building: Building
@@ -73,63 +121,57 @@ class Response:
     travel: Array
     energy: Array
     residual: Array
-    histories: tuple[Array, ...]
-    loops: tuple[tuple[Array, Array], ...]
     unstable: NDArray[np.bool_]
-    unsettled: NDArray[np.bool_]
+    open: Array
     imbalance: Array
     change: Array
     steps: Array
-    bare: tuple[Reference, ...]
-    plain: tuple[Reference, ...]
-    tolerance: float
+    histories: tuple[Array, ...]
+    travels: tuple[Array, ...]
+    forces: tuple[Array, ...]
+    references: Mapping[str, Response] = field(default_factory=dict)
+    tolerance: float = 0.01
     remarks: tuple[str, ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        building: Building,
-        grounds: Sequence[Ground],
-        dampers: Dampers,
-        found: Sequence[tuple[Settled, Reference, Reference]],
-        tolerance: float,
+    def of_ground(
+        cls, building: Building, ground: Ground, dampers: Dampers, arrays: Mapping[str, Array]
     ) -> Response:
-        """Response out of the histories of each ground motion.
+        """Response to one ground motion, from arrays (n, …) by name; see `arrays`."""
+        found: dict[str, Any] = {name: arrays[name][:, None] for name in PER_DRAW}
+        found |= {name: (arrays[name],) for name in PER_GROUND}
+        return cls(building, (ground,), dampers, **found)
 
-        `found` has, for each, the draws' histories, that without dampers, and that with springs.
-        """
-        settled, bare, plain = zip(*found, strict=True)
-        peaks = [s.peaks for s in settled]
-        change = np.stack([s.change for s in settled], axis=1)
-        unstable = np.stack([s.unstable for s in settled], axis=1)
-        loose = np.stack([s.open for s in settled], axis=1) > OPEN
-        return cls(
-            building,
-            tuple(grounds),
-            dampers,
-            np.stack([p.drift for p in peaks], axis=1),
-            np.stack([p.acceleration for p in peaks], axis=1),
-            np.stack([p.base_shear for p in peaks], axis=1),
-            np.stack([p.force for p in peaks], axis=1),
-            np.stack([p.travel for p in peaks], axis=1),
-            np.stack([s.energies.dampers for s in settled], axis=1),
-            np.stack([s.residual for s in settled], axis=1),
-            tuple(s.drifts for s in settled),
-            tuple((s.travels, s.forces) for s in settled),
-            unstable,
-            ((change > tolerance) | loose) & ~unstable,
-            np.stack([s.imbalance for s in settled], axis=1),
-            change,
-            np.stack([s.steps for s in settled], axis=1),
-            bare,
-            plain,
-            tolerance,
-        )
+    def put(self, rows: NDArray[np.intp], part: Response) -> None:
+        """Put the response of some draws to its first ground motion in place."""
+        for name, new in part.arrays.items():
+            self.arrays[name][rows[: len(new)]] = new
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """What was computed under the first ground motion, (n, …) by name."""
+        found = {name: getattr(self, name)[:, 0] for name in PER_DRAW}
+        return found | {name: getattr(self, name)[0] for name in PER_GROUND}
+
+    @property
+    def bare(self) -> Response:
+        """Of the building without dampers, one draw."""
+        return self.references["bare"]
+
+    @property
+    def plain(self) -> Response:
+        """Of the building with plain friction of the median slip forces, one draw."""
+        return self.references["plain"]
 
     @property
     def draws(self) -> int:
         """Number of draws n."""
         return len(self.drift)
+
+    @property
+    def unsettled(self) -> NDArray[np.bool_]:
+        """Draws with a larger error than the tolerance, or steps that should be shorter, (n, g)."""
+        return np.asarray(((self.change > self.tolerance) | (self.open > OPEN)) & ~self.unstable)
 
     def usable(self, ground: int) -> NDArray[np.bool_]:
         """Draws that did not run away, (n,), by the number of the ground motion."""
@@ -150,10 +192,10 @@ class Response:
         found = []
         for g, ground in enumerate(self.grounds):
             for flags, words in (
-                (self.unstable[:, g], "diverged and are left out of every figure"),
-                (self.unsettled[:, g], f"still change by more than {self.tolerance:.2g}"),
+                (self.unstable, "diverged and are left out of every figure"),
+                (self.unsettled, f"may be off by more than {self.tolerance:.2g}"),
             ):
-                at = np.flatnonzero(flags)
+                at = np.flatnonzero(flags[:, g])
                 if at.size:
                     listed = ", ".join(map(str, at[:10])) + (", …" if at.size > 10 else "")
                     found.append(
@@ -161,76 +203,75 @@ class Response:
                     )
         return tuple(found)
 
-    def rows(self) -> Iterator[Row]:
-        """Peaks and residuals with their bands, for each record and place."""
+    def quantities(self) -> dict[str, tuple[str, tuple[str, ...], Array]]:
+        """Unit, names of the places and values (n, g, places) of each quantity of the tables."""
         storeys = self.building.floors
         floors = tuple(f"floor {i + 1}" for i in range(self.building.freedoms))
         names = tuple(device.name for device in self.building.devices)
-        for g in range(len(self.grounds)):
-            bare, plain = self.bare[g], self.plain[g]
-            heights = self.building.heights
-            if np.all(np.isfinite(heights)):
-                other = bare.drift / heights, plain.drift / heights
-                yield from self._table("drift ratio", g, storeys, self.drift_ratio, other)
-            yield from self._table("drift", g, storeys, self.drift, (bare.drift, plain.drift))
-            other = bare.acceleration, plain.acceleration
-            yield from self._table("acceleration", g, floors, self.acceleration, other)
-            shear = np.array([bare.base_shear]), np.array([plain.base_shear])
-            base = self.base_shear[..., None]
-            yield from self._table("base shear", g, ("base",), base, shear)
-            left = np.abs(bare.residual), np.abs(plain.residual)
-            residual = np.abs(self.residual)
-            yield from self._table("residual drift", g, storeys, residual, left)
-            yield from self._table("damper travel", g, names, self.travel)
-            yield from self._table("damper force", g, names, self.force)
-            yield from self._table("damper energy", g, names, self.energy)
+        found = {
+            "drift ratio": ("1", storeys, self.drift_ratio),
+            "drift": ("in", storeys, self.drift),
+            "acceleration": ("in/s^2", floors, self.acceleration),
+            "base shear": ("kip", ("base",), self.base_shear[..., None]),
+            "residual drift": ("in", storeys, np.abs(self.residual)),
+            "residual drift ratio": ("1", storeys, np.abs(self.residual) / self.building.heights),
+            "damper travel": ("in", names, self.travel),
+            "damper force": ("kip", names, self.force),
+            "damper energy": ("kip*in", names, self.energy),
+        }
+        if not np.all(np.isfinite(self.building.heights)):
+            del found["drift ratio"], found["residual drift ratio"]
+        return found
 
-    def _table(
-        self,
-        quantity: str,
-        g: int,
-        places: Sequence[str],
-        values: Array,
-        others: tuple[Array, Array] | None = None,
-    ) -> Iterator[Row]:
-        """Rows of a quantity in ground motion g, one for each place."""
-        used = values[self.usable(g), g]
-        for i, place in enumerate(places):
-            own = used[:, i]
-            if not own.size:
-                continue
-            tails = [(0.5 * (1 - p), 0.5 * (1 + p)) for p in PROBABILITIES]
-            bands = tuple((float(a), float(b)) for a, b in (np.quantile(own, t) for t in tails))
-            beside = (float(others[0][i]), float(others[1][i])) if others else (np.nan, np.nan)
-            name = self.grounds[g].name
-            middle = float(np.median(own)), float(own.mean())
-            yield Row(quantity, name, place, UNITS[quantity], *middle, bands, *beside)
+    def rows(self) -> Iterator[Row]:
+        """Peaks and residuals with their bands, for each record and place."""
+        references = {name: one.quantities() for name, one in self.references.items()}
+        for g, ground in enumerate(self.grounds):
+            for quantity, (unit, places, values) in self.quantities().items():
+                used = values[self.usable(g), g]
+                if quantity == "residual drift ratio" or not len(used):
+                    continue
+                for i, place in enumerate(places):
+                    own = used[:, i]
+                    tails = ((0.5 * (1 - p), 0.5 * (1 + p)) for p in PROBABILITIES)
+                    ends = (np.quantile(own, tail).tolist() for tail in tails)
+                    compared = not quantity.startswith("damper")
+                    others = [
+                        float(references[name][quantity][2][0, g, i])
+                        if compared and name in references
+                        else np.nan
+                        for name in ("bare", "plain")
+                    ]
+                    yield Row(
+                        *(quantity, ground.name, place, unit),
+                        float(np.median(own)),
+                        float(own.mean()),
+                        tuple((low, high) for low, high in ends),
+                        *others,
+                    )
 
     def limits(self) -> Iterator[Passing]:
         """Probability of passing each limit, under each ground motion, with its error."""
-        for quantity, limit, unit, values in self._limited():
+        given, quantities = self.building.limits, self.quantities()
+        limits = {
+            "drift ratio": given.drift,
+            "acceleration": given.acceleration,
+            "base shear": given.base_shear,
+            "damper travel": given.travel,
+            "residual drift ratio": given.residual,
+        }
+        for quantity, limit in limits.items():
+            if limit is None or not quantities[quantity][1]:
+                continue
+            unit, _, values = quantities[quantity]
             for g, ground in enumerate(self.grounds):
-                used = values[self.usable(g), g]
-                n = len(used)
-                p = float(np.mean(used.reshape(n, -1).max(axis=1) > limit)) if n else np.nan
-                # of n draws; with the Agresti–Coull centre, so that 0 of n has an error too
+                passed = (values[self.usable(g), g] > limit).any(axis=1)
+                n = len(passed)
+                p = float(passed.mean()) if n else np.nan
+                # with the centre of Agresti and Coull, so that 0 of n has an error too
                 centre = (p * n + 2.0) / (n + 4.0)
                 error = float(np.sqrt(centre * (1.0 - centre) / (n + 4.0)))
                 yield Passing(quantity, ground.name, limit, unit, p, error)
-
-    def _limited(self) -> Iterator[tuple[str, float, str, Array]]:
-        asked = self.building.limits
-        residual = np.abs(self.residual) / self.building.heights
-        quantities: Mapping[str, tuple[float | None, str, Array]] = {
-            "drift ratio": (asked.drift, "1", self.drift_ratio),
-            "acceleration": (asked.acceleration, "in/s^2", self.acceleration),
-            "base shear": (asked.base_shear, "kip", self.base_shear[..., None]),
-            "damper travel": (asked.travel, "in", self.travel),
-            "residual drift ratio": (asked.residual, "1", residual),
-        }
-        for name, (limit, unit, values) in quantities.items():
-            if limit is not None and values.shape[-1]:
-                yield name, limit, unit, values
 
     def measure(self, name: str) -> Array:
         """The largest of a quantity over the building, (n, g).
@@ -246,3 +287,22 @@ class Response:
         if name not in measures:
             raise NotThereError(f"no measure {name!r}: there are {', '.join(measures)}")
         return np.asarray(measures[name].max(axis=-1))
+
+
+def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
+    """Response of all dampers to all ground motions, from parts.
+
+    For each ground motion there is one part after another of the draws, with the response to it.
+    """
+    found: dict[str, Any] = {
+        name: np.concatenate(
+            [np.concatenate([getattr(part, name) for part in one]) for one in parts], axis=1
+        )
+        for name in PER_DRAW
+    }
+    for name in PER_GROUND:
+        found[name] = tuple(
+            np.concatenate([getattr(part, name)[0] for part in one]) for one in parts
+        )
+    grounds = tuple(one[0].grounds[0] for one in parts)
+    return replace(parts[0][0], grounds=grounds, dampers=dampers, **found)

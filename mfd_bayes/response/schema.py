@@ -1,23 +1,53 @@
-"""The keys of a building file, and which values each may have."""
+"""The keys of a building file, which values each may have, and one sentence for each mistake."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import difflib
+import re
+import reprlib
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from mfd_bayes.errors import UnitError
-from mfd_bayes.response.measures import parse_acceleration, parse_mass, parse_share
+from mfd_bayes.errors import BuildingError, UnitError
+from mfd_bayes.response.ground import parse_acceleration
+from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import GRAVITY, parse_actuation, parse_quantity
 
+MOST_SENTENCES = 8
 
-def _text(parse: Callable[[str], float]) -> BeforeValidator:
-    """Validator of a text with a number and a unit."""
 
-    def validate(value: object) -> float:
+def _quantity(what: str) -> Callable[[str], float]:
+    return lambda text: parse_quantity(text, what)
+
+
+def _mass(text: str) -> float:
+    try:
+        return parse_quantity(text, "mass")
+    except UnitError as error:
+        raise UnitError(
+            f"expected a mass such as '45 Mg' or '0.26 kip*s^2/in', got {text!r}"
+        ) from error
+
+
+def _share(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return parse_quantity(text, "dimensionless")
+
+
+def _read(parse: Callable[[str], object], *, only_text: bool = True) -> BeforeValidator:
+    """Validator of a text with a number and a unit; other values are refused, or left alone."""
+
+    def validate(value: object) -> object:
         if not isinstance(value, str):
-            raise ValueError(f"give a number and a unit in quotes, got {value!r}")
+            if only_text:
+                raise ValueError(f"give a number and a unit in quotes, got {value!r}")
+            return value
         try:
             return parse(value)
         except UnitError as error:
@@ -26,47 +56,23 @@ def _text(parse: Callable[[str], float]) -> BeforeValidator:
     return BeforeValidator(validate)
 
 
-def _of(dimension: str) -> BeforeValidator:
-    return _text(lambda text: parse_quantity(text, dimension))
-
-
-def _share(value: object) -> object:
-    if not isinstance(value, str):
-        return value
-    try:
-        return parse_share(value)
-    except UnitError as error:
-        raise ValueError(str(error)) from error
-
-
-def _rigid(value: object) -> object:
-    return None if value == "rigid" else value
-
-
-_SMALL, _LARGE = 1e-12, 1e12
-
-Mass = Annotated[float, Field(gt=0.0, le=_LARGE), _text(parse_mass)]
-Weight = Annotated[float, Field(gt=0.0, le=_LARGE), _of("force")]
-Length = Annotated[float, Field(gt=0.0, le=_LARGE), _of("displacement")]
-Stiffness = Annotated[float, Field(gt=0.0, le=_LARGE), _of("stiffness")]
-Force = Annotated[float, Field(gt=0.0, le=_LARGE), _of("force")]
-Dashpot = Annotated[float, Field(ge=0.0, le=_LARGE), _of("damping")]
-Acceleration = Annotated[float, Field(gt=0.0, le=_LARGE), _text(parse_acceleration)]
-Share = Annotated[float, Field(gt=0.0, le=_LARGE), BeforeValidator(_share)]
-Ratio = Annotated[float, Field(ge=0.0, lt=1.0), BeforeValidator(_share)]
-
-
 def _checked_actuation(text: str) -> str:
-    try:
-        parse_actuation(text)
-    except UnitError as error:
-        raise ValueError(str(error)) from error
+    parse_actuation(text)
     return text
 
 
-Actuation = Annotated[
-    str, BeforeValidator(lambda v: _checked_actuation(v) if isinstance(v, str) else v)
-]
+_ABOVE = Field(gt=0.0, le=1e12)
+Mass = Annotated[float, _ABOVE, _read(_mass)]
+Length = Annotated[float, _ABOVE, _read(_quantity("displacement"))]
+Stiffness = Annotated[float, _ABOVE, _read(_quantity("stiffness"))]
+Force = Annotated[float, _ABOVE, _read(_quantity("force"))]
+Dashpot = Annotated[float, Field(ge=0.0, le=1e12), _read(_quantity("damping"))]
+Acceleration = Annotated[float, _ABOVE, _read(parse_acceleration)]
+Share = Annotated[float, _ABOVE, _read(_share, only_text=False)]
+Ratio = Annotated[float, Field(ge=0.0, lt=1.0), _read(_share, only_text=False)]
+Actuation = Annotated[str, _read(_checked_actuation, only_text=False)]
+Positive = Annotated[int, Field(ge=1)]
+Floor = Annotated[int, Field(ge=0)]
 
 
 class Part(BaseModel):
@@ -80,14 +86,14 @@ class Damping(Part):
 
     kind: Literal["rayleigh", "modal", "none"] = "rayleigh"
     ratio: Ratio = 0.02
-    modes: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = (1, 2)
+    modes: tuple[Positive, Positive] = (1, 2)
 
 
 class Storey(Part):
     """A storey and the floor above it; the first is the lowest."""
 
     mass: Mass | None = None
-    weight: Weight | None = None
+    weight: Force | None = None
     height: Length | None = None
     stiffness: Stiffness
     yield_force: Force | None = None
@@ -127,12 +133,14 @@ class History(Part):
 class Damper(Part):
     """One damper, or several at one place."""
 
-    storey: Annotated[int, Field(ge=1)] | None = None
-    between: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = None
+    storey: Positive | None = None
+    between: tuple[Floor, Floor] | None = None
     count: Annotated[int, Field(ge=1, le=100)] = 1
     actuation: Actuation | tuple[Actuation, ...] | History
     geometry: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
-    brace: Annotated[Stiffness | None, BeforeValidator(_rigid)] = None
+    brace: Annotated[Stiffness | None, BeforeValidator(lambda v: None if v == "rigid" else v)] = (
+        None
+    )
 
     @model_validator(mode="after")
     def _one_place(self) -> Damper:
@@ -146,7 +154,7 @@ class Damper(Part):
 
 
 class Limits(Part):
-    """Limits whose probability of being passed is wanted."""
+    """Limits whose probability of being passed is computed."""
 
     drift: Share | None = None
     acceleration: Acceleration | None = None
@@ -179,7 +187,6 @@ class Content(Part):
 
 
 TABLES: dict[str, type[Part]] = {
-    "": Content,
     "building": About,
     "damping": Damping,
     "storey": Storey,
@@ -190,7 +197,64 @@ TABLES: dict[str, type[Part]] = {
 }
 
 
-def known_keys(table: str) -> list[str]:
-    """Keys of a table of a building file; "" is the file itself."""
-    kind: Any = TABLES.get(table, Content)
-    return list(kind.model_fields)
+def read_content(path: Path) -> Content:
+    """Content of a building file.
+
+    Raises
+    ------
+    BuildingError
+        When the file cannot be read or is not TOML, or a key is unknown, missing or has a value
+        that it may not have.
+    """
+    try:
+        raw = read_toml(path)
+    except OSError as error:
+        raise BuildingError(f"cannot read {path}: {error.strerror or error}") from error
+    except TomlError as error:
+        raise BuildingError(f"{path} {error}") from error
+    try:
+        return Content.model_validate(raw)
+    except ValidationError as error:
+        sentences = dict.fromkeys(_sentences(str(path), raw, error))
+        raise BuildingError("; ".join(islice(sentences, MOST_SENTENCES))) from None
+
+
+def _sentences(path: str, raw: dict[str, Any], error: ValidationError) -> Iterator[str]:
+    """What pydantic found, one sentence for each fault, with its key as the file has it."""
+    # pydantic puts the names of the kinds that were tried among the keys
+    kinds = re.compile(r"function-.*|tuple\[.*|constrained.*|nullable.*|str|float|History|none")
+    for fault in error.errors(include_url=False):
+        loc = [part for part in fault["loc"] if not kinds.fullmatch(str(part))]
+        key, came = _dotted(loc), reprlib.repr(fault["input"])
+        reason = fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "extra_forbidden":
+            tables = [part for part in loc[:-1] if isinstance(part, str)]
+            known = list(TABLES.get(tables[-1] if tables else "", Content).model_fields)
+            near = difflib.get_close_matches(str(loc[-1]), known, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
+            section = f" in [{_dotted(loc[:-1])}]" if tables else ""
+            yield f"unknown key {str(loc[-1])!r}{section} of {path}; {hint}"
+        elif fault["type"] == "missing":
+            yield f"{key} is missing in {path}"
+        elif loc and loc[0] in ("storey", "damper") and isinstance(raw.get(str(loc[0])), dict):
+            yield f"a {loc[0]} in {path} begins with [[{loc[0]}]], in two brackets"
+        elif fault["type"] == "value_error":
+            at = f"{key} in {path}" if key else path
+            yield f"{at}: {reason}" + ("" if came in reason or not loc else f", got {came}")
+        else:
+            value: Any = raw
+            for part in loc:
+                try:
+                    value = value[part]
+                except (KeyError, IndexError, TypeError):
+                    break
+            expected = reason.replace("Input should be", "it must be")
+            yield f"{key} in {path}: {expected}, got {value!r}"
+
+
+def _dotted(loc: list[Any]) -> str:
+    """Key with its tables, joined by dots; those of lists with their number from 1."""
+    text = ""
+    for part in loc:
+        text += f" {part + 1}" if isinstance(part, int) else (f".{part}" if text else part)
+    return text

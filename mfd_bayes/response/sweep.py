@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -17,8 +17,10 @@ from mfd_bayes.units import parse_actuation
 
 Array = NDArray[np.float64]
 
-LEVELS = 9
-"""Levels of a sweep that says nothing of its steps."""
+STEPS = 8
+"""Steps of a sweep that does not say how many."""
+
+MOST_STEPS = 100
 
 QUANTITIES = ("drift", "acceleration")
 """What may be made small: the largest of these over the building."""
@@ -26,7 +28,6 @@ QUANTITIES = ("drift", "acceleration")
 MOST_AWAY = 0.1
 """Largest share of draws that may run away at a level."""
 
-MOST_STEPS = 100
 RESAMPLES = 400
 
 GOALS: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType(
@@ -86,10 +87,8 @@ def parse_sweep(text: str) -> tuple[Array, str]:
     BuildingError
         When it is no such range.
     """
-    plain = text.replace('"', "").replace("'", "")
-    match = re.fullmatch(
-        r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*", plain
-    )
+    form = r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*"
+    match = re.fullmatch(form, re.sub("[\"']", "", text))
     if match is None:
         raise BuildingError(
             f'--sweep {text!r}: expected actuation="500 psi to 1500 psi", or the same with '
@@ -99,69 +98,14 @@ def parse_sweep(text: str) -> tuple[Array, str]:
         (low, unit), (high, other) = (parse_actuation(match[i], of="--sweep") for i in (1, 2))
     except UnitError as error:
         raise BuildingError(str(error)) from error
-    steps = int(match[3]) if match[3] else LEVELS - 1
     if unit != other or not 0 < low < high:
         raise BuildingError(
             f"--sweep {text!r}: expected two levels above 0 of one kind, the lower one first"
         )
+    steps = int(match[3] or STEPS)
     if not 1 <= steps <= MOST_STEPS:
         raise BuildingError(f"--sweep {text!r}: expected 1 to {MOST_STEPS} steps, got {steps}")
     return np.linspace(low, high, steps + 1), unit
-
-
-def sweep_of(
-    swept: tuple[Array, str], responses: list[Response], quantity: str, goal: str, seed: int = 0
-) -> Sweep:
-    """The best actuation among the levels, between which a parabola is drawn, if there is one.
-
-    `swept` is the levels and their unit, as `parse_sweep` has them. Draws are the same at every
-    level, so that resampling them compares like with like.
-
-    Raises
-    ------
-    BuildingError
-        When the quantity or the goal is unknown, a limit is missing, or no level is left.
-    """
-    levels, unit = swept
-    bound = check_goal(quantity, goal, responses[0].building.limits)
-    away = np.array([r.unstable.any(axis=1) for r in responses])
-    lost = away.mean(axis=1) > MOST_AWAY
-    if lost.all():
-        raise BuildingError("the sweep says nothing: many draws ran away at every level")
-    # a draw that ran away at one level is left out at all: the others are of the same dampers
-    usable = ~away[~lost].any(axis=0)
-    values = {name: np.stack([r.measure(name)[usable] for r in responses]) for name in QUANTITIES}
-    for value in values.values():
-        value[lost] = np.nan
-    shown = values[quantity]
-    if goal == "passing":
-        shown = np.stack([_against_limit(r, quantity)[usable] for r in responses])
-    n = shown.shape[1]
-
-    def score(of: Array) -> Array:
-        return np.where(lost, np.inf, GOALS[goal](of.reshape(len(levels), -1), bound))
-
-    scores = score(shown)
-    rng = np.random.default_rng(seed)
-    found = [_lowest(levels, score(shown[:, rng.integers(n, size=n)])) for _ in range(RESAMPLES)]
-    firsts, lasts = np.transpose(found)
-    first, last = _lowest(levels, scores)
-    best, interval = first, (float(np.quantile(firsts, 0.05)), float(np.quantile(lasts, 0.95)))
-    if first < last:
-        best, interval = np.nan, (min(first, interval[0]), max(last, interval[1]))
-    remarks = tuple(_remarks(int((~usable).sum()), len(usable), int(lost.sum())))
-    return Sweep(levels, unit, values, quantity, goal, scores, best, interval, remarks)
-
-
-def _remarks(out: int, draws: int, lost: int) -> Iterator[str]:
-    """What a sweep leaves out, in sentences."""
-    if out:
-        yield f"the sweep leaves out {out} of {draws} draws, which diverged at one of its levels"
-    if lost:
-        yield (
-            f"the sweep leaves out {lost} of its levels, at which more than "
-            f"{100 * MOST_AWAY:.0f} % of the draws diverged"
-        )
 
 
 def check_goal(quantity: str, goal: str, limits: Limits) -> float:
@@ -182,10 +126,61 @@ def check_goal(quantity: str, goal: str, limits: Limits) -> float:
     return np.nan if limit is None else limit
 
 
-def _against_limit(response: Response, quantity: str) -> Array:
-    """What a limit is compared with, (n, g): ratios of drifts, or accelerations, in/s²."""
-    found = response.drift_ratio if quantity == "drift" else response.acceleration
-    return np.asarray(found.max(axis=-1))
+def sweep_of(
+    swept: tuple[Array, str], responses: list[Response], quantity: str, goal: str, seed: int = 0
+) -> Sweep:
+    """The best actuation among the levels, between which a parabola is drawn, if there is one.
+
+    `swept` is the levels and their unit, as `parse_sweep` has them. Draws are the same at every
+    level, so that resampling them compares like with like.
+
+    Raises
+    ------
+    BuildingError
+        When the quantity or the goal is unknown, a limit is missing, or no level is left.
+    """
+    levels, unit = swept
+    limit = check_goal(quantity, goal, responses[0].building.limits)
+    away = np.array([r.unstable.any(axis=1) for r in responses])
+    lost = away.mean(axis=1) > MOST_AWAY
+    if lost.all():
+        raise BuildingError("the sweep says nothing: many draws ran away at every level")
+    # a draw that ran away at one level is left out at all: the others are of the same dampers
+    usable = ~away[~lost].any(axis=0)
+    values = {name: np.stack([r.measure(name)[usable] for r in responses]) for name in QUANTITIES}
+    for value in values.values():
+        value[lost] = np.nan
+    shown = values[quantity]
+    if goal == "passing":  # limits are of ratios of drifts, and of accelerations in in/s²
+        peaks = [r.drift_ratio if quantity == "drift" else r.acceleration for r in responses]
+        shown = np.stack([peak.max(axis=-1)[usable] for peak in peaks])
+    n = shown.shape[1]
+
+    def score(of: Array) -> Array:
+        return np.where(lost, np.inf, GOALS[goal](of.reshape(len(levels), -1), limit))
+
+    scores, rng = score(shown), np.random.default_rng(seed)
+    resampled = [
+        _lowest(levels, score(shown[:, rng.integers(n, size=n)])) for _ in range(RESAMPLES)
+    ]
+    firsts, lasts = np.transpose(resampled)
+    first, last = _lowest(levels, scores)
+    low, high = float(np.quantile(firsts, 0.05)), float(np.quantile(lasts, 0.95))
+    best = first
+    if first < last:
+        best, low, high = np.nan, min(first, low), max(last, high)
+    remarks = []
+    if out := int((~usable).sum()):
+        remarks.append(
+            f"the sweep leaves out {out} of {usable.size} draws, which diverged at one of its "
+            "levels"
+        )
+    if lost.any():
+        remarks.append(
+            f"the sweep leaves out {lost.sum()} of its levels, at which more than "
+            f"{100 * MOST_AWAY:.0f} % of the draws diverged"
+        )
+    return Sweep(levels, unit, values, quantity, goal, scores, best, (low, high), tuple(remarks))
 
 
 def _lowest(levels: Array, scores: Array) -> tuple[float, float]:
@@ -194,7 +189,8 @@ def _lowest(levels: Array, scores: Array) -> tuple[float, float]:
     One level's place is that of a parabola through it and its neighbours.
     """
     k = int(np.argmin(scores))
-    if (ties := levels[scores == scores[k]]).size > 1:
+    ties = levels[scores == scores[k]]
+    if ties.size > 1:
         return float(ties[0]), float(ties[-1])
     place = float(levels[k])
     if 0 < k < len(levels) - 1:

@@ -151,7 +151,7 @@ class Order:
         session = self.manifest.settings.tests[name].session
         asked, trace = replace(forecast, kind=kind, session=session), self.motions[name]
         drawn = self.predictor.draw(trace, asked, np.random.default_rng((forecast.seed, 2)))
-        values = self.predictor.values(self.predictor.begun(trace, asked, drawn))
+        values = self.predictor.values(drawn)
         found = Ending.of(model, name, trace, values, drawn.scales or None)
         return replace(found, predicted=True)
 

@@ -17,12 +17,10 @@ from mfd_bayes.records.numbers import real_number, whole_number
 from mfd_bayes.records.regular import path_of
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.choice import Choice
-from mfd_bayes.response.draws import draw_dampers
+from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
-from mfd_bayes.response.history import histories_of
 from mfd_bayes.response.result import Response
-from mfd_bayes.response.settling import Accuracy
+from mfd_bayes.response.step_refinement import Accuracy
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import MARGIN, Departure, Span
 from mfd_bayes.units import actuation_kind
@@ -68,7 +66,7 @@ def respond_of_run(
     kind : {"new_test", "device"}
         With each damper's scatter from test to test, or the mean property alone.
     tolerance : float
-        Share by which no peak may change when the step is halved.
+        Largest estimated error of a draw's drift, relative; steps are shortened until then.
     jobs : int
         Processes; the result does not depend on them.
 
@@ -147,8 +145,10 @@ def check_kind(where: str, unit: str, wanted: str) -> None:
 
 def uncovered(building: Building, grounds: Sequence[Ground]) -> Iterator[str]:
     """Actuation histories that do not go on for as long as a ground motion, in sentences."""
-    for device, time, _ in histories_of(building):
-        begin, end = float(time[0]), float(time[-1])
+    for device in building.devices:
+        if device.history is None:
+            continue
+        begin, end = (float(device.history[0][i]) for i in (0, -1))
         for ground in grounds:
             last = float(ground.time[-1])
             if begin > MARGIN * last or end < (1 - MARGIN) * last:
@@ -185,7 +185,10 @@ def beyond_tests(
         stroke = 2.0 * float(np.median(travel.max(axis=1))) if len(travel) else np.nan
         span = Span("stroke", "in", stroke, stroke)
         found.append(sentences(span, f"{ground.name}: ") if len(travel) else [])
-    levels = [d.actuation for d in response.building.devices if d.history is None]
-    for _, _, along in histories_of(response.building):
-        levels += [float(along.min()), float(along.max())]
+    levels = [
+        float(end)
+        for device in response.building.devices
+        for along in [device.actuation if device.history is None else device.history[1]]
+        for end in (np.min(along), np.max(along))
+    ]
     return [*found, sentences(Span("actuation", unit, min(levels), max(levels)))]

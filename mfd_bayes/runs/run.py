@@ -14,13 +14,11 @@ from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError
-from mfd_bayes.planning.advice import Advice
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
-from mfd_bayes.planning.study import Effort
+from mfd_bayes.planning.study import Advice, Effort
 from mfd_bayes.population.bands import Band, Forecast, check_flag
-from mfd_bayes.population.follow import Forecaster
-from mfd_bayes.population.given import predict_given
+from mfd_bayes.population.given import Forecaster, predict_given
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST, planned_setting
 from mfd_bayes.population.starts import Ending

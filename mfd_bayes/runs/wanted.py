@@ -10,11 +10,20 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.content import read_content
 from mfd_bayes.campaign.goal import Wanted, wanted_of
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.planning.advice import Advice
-from mfd_bayes.planning.candidate import MOST, Candidate, Limits, Parts, parse_limits, parse_tests
+from mfd_bayes.planning.candidate import (
+    MOST,
+    Candidate,
+    Limits,
+    Parts,
+    Shown,
+    grid_of,
+    harmonic_of,
+    parse_limits,
+    parse_tests,
+    typical_of,
+)
 from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
-from mfd_bayes.planning.grid import Shown, grid_of, tested_of, typical_of
-from mfd_bayes.planning.study import Effort, Situation, advise
+from mfd_bayes.planning.study import Advice, Effort, Situation, advise
 from mfd_bayes.population.population import Population
 from mfd_bayes.runs.folder import CAMPAIGN, check_stored
 from mfd_bayes.runs.manifest import Manifest
@@ -96,7 +105,7 @@ def next_test(
     # an actuation that is next to nothing is zero there
     settings = population.design.settings
     done = tuple(
-        replace(tested_of(test.trace, shown), actuation=setting.actuation)
+        replace(harmonic_of(test.trace, shown), actuation=setting.actuation)
         for test, setting in zip(tests.values(), settings, strict=True)
     )
     sessions = tuple(manifest.settings.tests[name].session for name in tests)

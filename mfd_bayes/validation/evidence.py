@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import psis, tempering
-from mfd_bayes.calibration.mixture import learn
+from mfd_bayes.calibration.proposal import fit_mixture
 
 Array = NDArray[np.float64]
 
@@ -24,9 +24,6 @@ SHARE = 0.1
 
 ENOUGH = 0.6
 """Pareto k at which the proposal is good enough, with a margin below 0.7."""
-
-PARTS = 2
-"""Student-t components of a proposal, besides its wide one."""
 
 
 def log_evidence(
@@ -50,13 +47,11 @@ def log_evidence(
     log_weights : (n,)
         Log of the density over that of the draws, unnormalised.
     """
-    random = np.random.RandomState(int(rng.integers(2**32)))
     best = (-np.inf, np.inf)
     for _ in range(ROUNDS):
         weights = special.softmax(tempering(log_weights, SHARE) * (log_weights - log_weights.max()))
-        chosen = rng.choice(len(draws), size=DRAWS, p=weights)
-        proposal = learn(draws[chosen], PARTS, rng)
-        draws = proposal.draw(random, DRAWS)
+        proposal = fit_mixture(draws, rng, weights)
+        draws = proposal.draw(rng, DRAWS)
         log_weights = density(draws) - proposal.log_density(draws)
         if not np.any(np.isfinite(log_weights)):
             break

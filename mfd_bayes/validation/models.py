@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import CampaignError, FitError
@@ -85,7 +85,7 @@ def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candid
             f"got {noises[0]!r} alone, or --models two or more models"
         )
     several = check_models(names) if len(names) > 1 else tuple(names)
-    if unknown := [name for name in several if name not in models.every_name()]:
+    if unknown := [name for name in several if name not in models.MODELS]:
         raise CampaignError(
             f"--models must be of {', '.join(models.MODELS)}, got {', '.join(map(repr, unknown))}"
         )
@@ -103,7 +103,7 @@ def check_models(names: Sequence[str]) -> tuple[str, ...]:
     CampaignError
         When one is unknown or named twice, or there are fewer than two.
     """
-    known = models.every_name()
+    known = models.MODELS
     wrong = [name for name in names if name not in known]
     if wrong or len(set(names)) < max(len(names), 2):
         got = ", ".join(map(repr, names)) or "nothing"

@@ -16,10 +16,10 @@ from mfd_bayes.assessment.views import (
     TRADE_OFFS,
     Row,
 )
-from mfd_bayes.calibration.directions import Directions
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.identifiability import (
     CONFLICT,
+    Directions,
     Identifiability,
     Pair,
     Sensitivity,

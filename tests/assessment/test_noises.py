@@ -15,7 +15,7 @@ from mfd_bayes.assessment.noises import (
     with_others,
 )
 from mfd_bayes.assessment.views import NOISE, Row
-from mfd_bayes.calibration.noise_check import quantiles_of
+from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SI

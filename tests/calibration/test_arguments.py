@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from mfd_bayes.calibration.effort import Effort, find_effort
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.sampling import generator_of, sample
 from mfd_bayes.errors import FitError

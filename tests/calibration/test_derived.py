@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.derived import (
+from mfd_bayes.calibration.cycles import (
     count_cycles,
     cycle_energies,
     derive_from_force,

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from mfd_bayes.calibration.directions import Directions, find_directions
 from mfd_bayes.calibration.identifiability import (
     CONFLICT,
     PRIOR_LED,
     SENSITIVE,
+    Directions,
     Sensitivity,
     cjs_distance,
+    find_directions,
     find_pairs,
     identify,
     measure_sensitivity,

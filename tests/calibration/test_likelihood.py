@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noises import NOISES, find_noise
+from mfd_bayes.calibration.noise import NOISES, find_noise
 from mfd_bayes.errors import FitError
 
 UNIFORM = np.arange(40) / 64.0

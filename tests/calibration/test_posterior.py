@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.priors import Prior
@@ -74,7 +74,7 @@ def test_batch_equals_single_points(model, noise, start):
     posterior = build(model, noise, start)
     q = points(posterior, 5)
     single = [posterior.log_prob(point[None])[0] for point in q]
-    np.testing.assert_allclose(posterior.log_prob(q), single, rtol=1e-10)
+    np.testing.assert_allclose(posterior.log_prob(q), single, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("most", "expected"), [(7.0, [7, 7, 6]), (0.1, [1] * 20), (20.0, [20])])
@@ -340,17 +340,6 @@ def test_priors_beyond_what_bouc_wen_admits_are_refused(name, prior, words):
     with pytest.raises(PriorError, match=rf"{name} in brfd.toml.*{words}"):
         build("bouc_wen", priors={name: prior})
     build("lugre", priors={name: prior})  # a model without these parameters
-
-
-@pytest.mark.parametrize(
-    ("figures", "words"),
-    [({"lower": -1.5, "upper": 0.5}, "below -1,"), ({"lower": 0.0, "upper": 1.5}, "above 1,")],
-)
-def test_priors_of_a_fall_that_would_turn_friction_round_are_refused(figures, words):
-    prior = {"weakening_bwd": Prior("uniform", figures)}
-    with pytest.raises(PriorError, match=f"prior of weakening_bwd.* values {words}"):
-        build("lugre+weakening", priors=prior)
-    build("lugre+weakening_fwd", priors=prior)
 
 
 def test_priors_of_a_model_are_needed_only_where_it_is_chosen():

@@ -5,11 +5,12 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration import families, noises
-from mfd_bayes.calibration.families import WIDTH, Family
+from mfd_bayes.calibration import noise as noises
+from mfd_bayes.calibration import priors as families
 from mfd_bayes.calibration.noise import SD, Noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import WIDTH, Family
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration import staged_noise
-from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration import noise as staged_noise
+from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.lugre import LuGre

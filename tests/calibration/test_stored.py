@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.stored import check_draws, check_facts
+from mfd_bayes.calibration.result import check_draws, check_facts
 from mfd_bayes.errors import StoreError
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import StoredTest

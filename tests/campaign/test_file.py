@@ -104,36 +104,10 @@ def test_everything_can_be_said(folder):
     assert load(folder, "[campaign]\nrate = 50\n" + TEST).rate == 50
 
 
-@pytest.mark.parametrize(
-    ("model", "sides", "expected"),
-    [
-        ("three_stage", ("fwd", "bwd"), "three_stage+weakening"),
-        ("backlash", ("bwd",), "backlash+weakening_bwd"),
-        ("bouc_wen", ("fwd",), "bouc_wen+weakening_fwd"),
-    ],
-)
-def test_friction_that_depends_on_travel_is_part_of_the_model(folder, model, sides, expected):
-    lines = "".join(f'Fc_{side} = ["velocity", "travel"]\n' for side in sides)
-    text = f'[campaign]\nmodel = "{model}"\n[dependence]\n{lines}'
-    campaign = load(folder, text + COLUMNS + TEST)
-    assert campaign.model == expected
-    assert campaign.dependence == {f"Fc_{side}": ("velocity",) for side in sides}
-    only = load(folder, text.replace('"velocity", ', "") + COLUMNS + TEST)
-    assert (only.model, only.dependence) == (expected, {})
-
-
-@pytest.mark.parametrize(("asked", "found"), [("", "lugre"), ("travel", "lugre+weakening_fwd")])
-def test_travel_holds_for_a_model_that_replaces_the_files(folder, asked, found):
-    text = f'[dependence]\nFc_fwd = ["{asked}"]\n' if asked else ""
-    load(folder, text + COLUMNS + TEST)
-    path = folder / "c.toml"
-    assert load_campaign(path, "lugre").model == found
-    assert load_campaign(path, "lugre+weakening").model == "lugre+weakening"
-
-
-def test_only_friction_depends_on_travel(folder):
-    with pytest.raises(CampaignError, match=r"dependence\.d2.*'velocity' or 'amplitude'"):
-        load(folder, '[dependence]\nd2 = ["travel"]\n' + COLUMNS + TEST)
+@pytest.mark.parametrize("name", ["Fc_fwd", "Fc_bwd", "d2"])
+def test_nothing_depends_on_travel(folder, name):
+    with pytest.raises(CampaignError, match=rf"dependence\.{name}.*'velocity' or 'amplitude'"):
+        load(folder, f'[dependence]\n{name} = ["travel"]\n' + COLUMNS + TEST)
 
 
 def test_a_test_reads_its_record(folder):

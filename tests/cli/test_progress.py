@@ -3,6 +3,7 @@
 import io
 import math
 import re
+import time
 from dataclasses import dataclass
 
 import pytest
@@ -208,6 +209,20 @@ def test_without_a_terminal_steps_are_lines(capsys):
         "a: failed no [b]mass[/b]",
         "c: done, 300 steps, R-hat 1.012, ESS 432, 30 steps/s",
     ]
+
+
+def test_after_a_silence_a_line_says_what_is_at_work(capsys, monkeypatch):
+    monkeypatch.setattr("mfd_bayes.cli.progress.SILENCE", 0.05)
+    with watch() as observe:
+        observe(Step("a", "done"))
+        time.sleep(0.3)
+        assert capsys.readouterr().out == "a: done\n"
+        observe(Step("b", "in the earthquake"))
+        time.sleep(1.0)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "b: in the earthquake"
+    assert 2 <= len(lines) <= 20
+    assert re.fullmatch(r"b: in the earthquake, at work for [01] s", lines[1])
 
 
 def test_quiet_prints_only_failures_and_restarts(capsys):

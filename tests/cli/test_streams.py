@@ -1,4 +1,4 @@
-"""Standard streams that are full, closed or broken end a command with one sentence and exit 2.
+"""Standard streams that are full or closed end a command with one sentence and exit 2.
 
 Every command here is a process of its own. Most have the real command line and streams, but in
 place of the module that works one that takes no seconds to import.
@@ -101,13 +101,21 @@ def cannot_be_printed(code, told):
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
-@STATES
+@pytest.mark.parametrize("state", ["full", "closed"])
 @pytest.mark.parametrize(
     "words", [("check", "{out}"), ("--version",), ("check", "--help")], ids=" ".join
 )
 def test_an_output_that_takes_nothing_is_told_in_one_sentence(light, other, words, state):
     words = [word.format(out=other.parent) for word in words]
     cannot_be_printed(*ran([*light, *words], 1, state, other))
+
+
+@pytest.mark.parametrize(
+    ("words", "code"), [(("check", "{out}"), 1), (("--version",), 0), (("check", "--help"), 0)]
+)
+def test_an_output_whose_reader_has_seen_enough_is_no_error(light, other, words, code):
+    words = [word.format(out=other.parent) for word in words]
+    assert ran([*light, *words], 1, "broken", other) == (code, "")
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")

@@ -211,3 +211,28 @@ def test_no_actuation_at_all_gives_no_nan():
 def test_extreme_dampers_have_finite_forces_within_friction(changes):
     force = MODEL.force(theta(sigma2=0.0, **changes), sine(rate=50.0))[0]
     assert np.all(np.abs(force[50:]) <= 2.2 * 1.2 * 1.01)
+
+
+STUBBORN = [6.54, 1300.0, 0.0323, 0.0808, 0.002, 15.6, 0.00112, 1.0, 0.038, 0.336, 0.109, 1.39]
+"""A damper that is hard to solve: it slips backward at a thousandth of the force."""
+
+SUDDEN = {"k_fwd": 4.7e4, "ell": 4e-5, "Fc_fwd": 0.1, "n": 1.02}
+"""A damper that slips at once at every turn, in a ten thousandth of an inch."""
+
+
+def test_dampers_that_are_hard_to_solve_leave_the_others_of_their_batch_alone():
+    batch = np.concatenate([theta(), [STUBBORN], theta(**SUDDEN), theta(n=400.0)])
+    for trace in (sine(), walk(3)):
+        with np.errstate(all="ignore"):
+            alone = np.concatenate([MODEL.force_unbounded(row[None], trace) for row in batch])
+            together = MODEL.force_unbounded(batch, trace)
+        np.testing.assert_allclose(together, alone, atol=1e-5)
+        assert np.all(np.isfinite(together[0]))
+
+
+def test_a_stiff_side_is_as_soft_when_the_actuation_varies():
+    constant, batch = sine(0.3), theta(k_fwd=1e5)
+    history = 1.0 + 1e-6 * np.sin(np.arange(constant.samples))
+    varying = sine(0.3, actuation=history)
+    force = MODEL.force(batch, constant)
+    np.testing.assert_allclose(MODEL.force(batch, varying), force, atol=1e-4)

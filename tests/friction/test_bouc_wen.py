@@ -1,16 +1,10 @@
-from functools import partial
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bouc_wen import BoucWen
-from mfd_bayes.friction.hysteresis import Curve
 from mfd_bayes.records.trace import Trace
-from tests.friction.valves import late_forces
 
 VALUES = {
     "k": 40.0,
@@ -150,90 +144,12 @@ def test_a_large_exponent_is_a_spring_and_a_slider(exponent):
     assert np.max(np.abs(force - z)) < 3.0 / exponent + 0.01
 
 
-@pytest.mark.parametrize("wide", [False, True])
-@pytest.mark.parametrize("exponent", [1.0, 1.7, 6.0, 80.0])
-def test_the_place_on_a_curve_is_the_inverse_of_its_value(exponent, wide):
-    w = np.linspace(-3.9, 3.9 if wide else 0.999, 101)
-    ones = np.ones(w.size)
-    curve = Curve.of(exponent * ones, np.linspace(0.5, 1, w.size), ones, wide=wide)
-    value = curve.value(curve.place(w)[:, None])[:, 0]
-    # a steep part is resolved no better than by the spacing of floating-point numbers
-    np.testing.assert_allclose(value, w, atol=1e-10 if exponent < 10 else 1e-2)
-
-
-@pytest.mark.parametrize("exponent", [1.0, 2.0, 5.0])
-@pytest.mark.parametrize("begin", [-3.5, -0.8, 0.3, 1.5, 3.5])
-def test_a_wide_curve_follows_its_equation_above_one_and_below_zero(exponent, begin):
-    beta, way = 0.7, np.linspace(0.0, 2.0, 41)
-
-    def slope(_, w):
-        grown = np.abs(w) ** exponent
-        return np.where(w < 0, 1 + (2 * beta - 1) * grown, 1 - grown)
-
-    one = np.ones(1)
-    curve = Curve.of(exponent * one, beta * one, one, wide=True)
-    got = curve.value(curve.move(curve.place(begin * one)[:, None], way[None]))[0]
-    leg = solve_ivp(slope, (0, 2), [begin], t_eval=way, method="LSODA", rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(got, leg.y[0], atol=3e-4)
-
-
-def test_batch_equals_single_vectors():
-    batch = vectors(7)
-    for trace in (sine(), walk(3), sine(actuation=1.5 + np.sin(np.arange(500) / 40))):
-        together = MODEL.force(batch, trace)
-        for row, force in zip(batch, together, strict=True):
-            np.testing.assert_allclose(MODEL.force(row[None], trace)[0], force, atol=1e-9)
-
-
 def test_a_long_stretch_is_worked_on_in_pieces():
     time = np.linspace(0, 1, 40_000)
     batch = theta(c=0.0, alpha=0.0)
     force = MODEL.force(batch, Trace.from_arrays(time, 0.2 * time))[0]
     few = MODEL.force(batch, Trace.from_arrays(time[::1000], 0.2 * time[::1000]))[0]
     np.testing.assert_allclose(force[::1000], few, atol=1e-9)
-
-
-@settings(max_examples=20, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32 - 1), gradient=st.booleans())
-def test_steps_equal_the_force_of_a_random_walk(seed, gradient):
-    trace = walk(seed, samples=80)
-    if not gradient:
-        trace = Trace.from_arrays(trace.time, trace.displacement, velocity=np.zeros(80))
-    batch = vectors(3, seed)
-    np.testing.assert_allclose(stepped(batch, trace), MODEL.force(batch, trace), atol=1e-9)
-
-
-@pytest.mark.parametrize("amplitude", [1.0, 0.03])
-def test_steps_equal_the_force_of_a_smooth_motion(amplitude):
-    trace, batch = sine(amplitude, rate=40.0), vectors(4)
-    np.testing.assert_allclose(stepped(batch, trace), MODEL.force(batch, trace), atol=1e-9)
-
-
-@settings(max_examples=15, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_steps_equal_the_force_under_a_varying_actuation(seed):
-    rng = np.random.default_rng(seed)
-    level = np.abs(np.cumsum(rng.normal(size=80))) * (rng.uniform(size=80) < 0.9)
-    trace, batch = walk(seed, samples=80, actuation=level), vectors(3, seed)
-    force = MODEL.force(batch, trace)
-    assert np.all(np.isfinite(force))
-    reference = trace.reference_actuation
-    np.testing.assert_allclose(stepped(batch, trace, reference), force, atol=1e-9)
-
-
-def test_steps_equal_the_force_under_scales():
-    trace, batch = sine(0.2, rate=40.0), vectors(3)
-    share = 1 + 0.5 * np.sin(np.arange(trace.samples) / 9)
-    scales = {"Fy_fwd": np.stack([share, share**2, 1 / share]), "Fy_bwd": share[None]}
-    force = MODEL.force(batch, trace, scales=scales)
-    np.testing.assert_allclose(stepped(batch, trace, scales=scales), force, atol=1e-9)
-
-
-def test_a_step_leaves_its_state_as_it_was():
-    _, state = MODEL.step(MODEL.start(vectors(2)), 0.0, 1.0, 0.0)
-    first, _ = MODEL.step(state, 0.05, 1.0, 0.05)
-    again, _ = MODEL.step(state, 0.05, 1.0, 0.05)
-    np.testing.assert_array_equal(first, again)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 4.0])
@@ -300,16 +216,6 @@ def test_force_is_odd_when_friction_is_the_same_in_both_directions():
     np.testing.assert_allclose(MODEL.force(batch, mirrored), -MODEL.force(batch, trace), atol=1e-12)
 
 
-def test_a_cut_record_has_the_same_force_as_the_whole():
-    trace, batch = walk(8), vectors(3)
-    first = Trace.from_arrays(
-        trace.time[:120], trace.displacement[:120], velocity=trace.velocity[:120]
-    )
-    np.testing.assert_allclose(
-        MODEL.force(batch, first), MODEL.force(batch, trace)[:, :120], atol=1e-9
-    )
-
-
 @pytest.mark.parametrize("amplitude", [1.0, 0.06, 0.005])
 def test_a_steady_cycle_takes_up_energy(amplitude):
     trace = sine(amplitude, seconds=20.005, rate=200.0)
@@ -337,10 +243,6 @@ def test_spring_and_dashpot_are_measured_from_the_first_sample():
 def test_no_motion_gives_no_force():
     trace = Trace.from_arrays([0.0, 1.0, 2.0], [0.3, 0.3, 0.3])
     np.testing.assert_array_equal(MODEL.force(vectors(2), trace), np.zeros((2, 3)))
-
-
-def test_no_vectors_have_no_force():
-    assert MODEL.force(np.ones((0, 7)), sine()).shape == (0, 500)
 
 
 def test_parameters_have_units_and_there_is_no_gap():
@@ -371,63 +273,7 @@ def test_values_that_do_not_fit_are_refused_by_name(name, value):
             call(theta(**{name: value}))
 
 
-@pytest.mark.parametrize("shape", [(7,), (1, 6), (1, 14)])
-def test_theta_of_another_shape_is_refused(shape):
-    with pytest.raises(FitError, match="bouc_wen"):
-        MODEL.force(np.ones(shape), sine())
-
-
-@pytest.mark.parametrize(
-    "scales",
-    [
-        {"k": np.ones((1, 500))},
-        {"Fy_fwd": np.ones((2, 500))},
-        {"Fy_fwd": np.full((1, 500), np.nan)},
-        {"Fy_bwd": -np.ones((1, 500))},
-        {"Fy_bwd": np.where(np.arange(500) == 7, -1.0, 1.0)[None]},
-    ],
-)
-def test_scales_that_do_not_fit_are_refused(scales):
-    with pytest.raises(FitError, match=next(iter(scales))):
-        MODEL.force(theta(), sine(), scales=scales)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("displacement", np.nan, "a finite number"),
-        ("velocity", np.inf, "a finite number"),
-        ("dt", np.nan, "a finite number above 0"),
-        ("dt", 0.0, "a finite number above 0"),
-        ("dt", -0.01, "a finite number above 0"),
-        ("actuation", np.nan, "a finite number of at least 0"),
-        ("actuation", -1.0, "a finite number of at least 0"),
-    ],
-)
-def test_steps_that_do_not_fit_are_refused_by_name(name, value, words):
-    good = {"displacement": 0.0, "velocity": 0.0, "dt": 0.01, "actuation": 1.0}
-    _, state = MODEL.step(MODEL.start(theta(), reference_actuation=1.0), **good)
-    with pytest.raises(FitError, match=f"{name} of a step must be {words}, got {value}"):
-        MODEL.step(state, **good | {name: value})
-
-
-@pytest.mark.parametrize("reference", [-1.0, 0.0, np.nan])
-def test_a_reference_actuation_that_does_not_fit_is_refused_by_name(reference):
-    with pytest.raises(FitError, match=f"reference_actuation must be .*, got {reference}"):
-        MODEL.start(theta(), reference_actuation=reference)
-
-
 def test_a_place_in_the_gap_is_without_effect():
     plain, placed = MODEL.start(theta()), MODEL.start(theta(), np.array([0.2]))
     forces = [MODEL.step(state, 0.1, 0.5, 0.01)[0] for state in (plain, placed)]
     np.testing.assert_array_equal(*forces)
-
-
-def test_a_valve_that_is_closed_at_first_is_no_reference():
-    time = np.arange(200) / 100.0
-    trace = Trace.from_arrays(time, np.sin(2 * np.pi * time))
-
-    forces = partial(late_forces, MODEL, theta(), trace)
-    expected = forces(0.5)
-    np.testing.assert_allclose(forces(0.0), expected, rtol=1e-4, atol=1e-4)
-    assert np.max(np.abs(forces(0.0, reference=1.0) - expected)) > 0.1  # the control

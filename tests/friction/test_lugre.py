@@ -3,7 +3,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.bristles import Friction, slip_force
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.records.trace import Trace
 
@@ -128,39 +127,6 @@ def test_lugre_has_eight_parameters_and_no_gap():
     np.testing.assert_array_equal(
         model.force(theta(), trace, start=0.2), model.force(theta(), trace)
     )
-
-
-def test_batch_equals_single_vectors():
-    time = np.linspace(0, 4, 401)
-    trace = Trace.from_arrays(time, np.sin(2 * np.pi * 0.5 * time) + 0.2 * np.sin(9 * time))
-    rng = np.random.default_rng(4)
-    batch = theta() * rng.lognormal(0, 0.5, size=(7, 8))
-    batch[:, 3] = batch[:, 4] * 1.2
-    batch[:, 5] = batch[:, 6] * 1.2
-    together = LuGre().force(batch, trace)
-    for row, force in zip(batch, together, strict=True):
-        np.testing.assert_allclose(LuGre().force(row[None], trace)[0], force, rtol=1e-12)
-
-
-def test_histories_and_constants_of_the_same_values_agree():
-    time = np.linspace(0, 4, 401)
-    trace = Trace.from_arrays(time, np.sin(3 * time))
-    constant = {name: np.full((1, 1), value) for name, value in VALUES.items()}
-    histories = dict(constant)
-    for name in ("sigma0", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd"):
-        histories[name] = np.full((trace.path.time.size, 1), VALUES[name])
-    for varied, same in zip(
-        slip_force(Friction(**histories), trace.path),
-        slip_force(Friction(**constant), trace.path),
-        strict=True,
-    ):
-        np.testing.assert_allclose(varied, same)
-
-
-@pytest.mark.parametrize("shape", [(8,), (1, 13), (1, 7)])
-def test_theta_of_another_shape_is_refused(shape):
-    with pytest.raises(FitError, match="lugre"):
-        LuGre().force(np.ones(shape), ramp(0.5))
 
 
 def test_a_stribeck_velocity_of_zero_gives_no_nan():

@@ -7,9 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.gap import follow
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.friction.transitions import Gap
 from mfd_bayes.records.trace import Trace
 
 MODEL = ThreeStage()
@@ -221,16 +219,6 @@ def test_force_inside_the_gap_is_a_function_of_displacement_alone():
     for x, f in zip(motion[begin:end], force[begin:end], strict=True):
         assert f == pytest.approx(seen.setdefault(x, f), abs=1e-8)
     assert len(seen) < end - begin
-
-
-def test_state_of_the_gap_is_untouched_by_turns_inside_it():
-    trace = IN_GAP.trace()
-    gap = Gap(*(np.array([v]) for v in (0.5, 30.0, 0.1, 0.08, 0.005)))
-    turns = trace.path.turning_points.size
-    crossing = follow(gap, trace.path, np.array([0.5]), np.full((turns, 1), 2.0))
-    assert turns > 6
-    for state in (crossing.side, crossing.edge, crossing.carry):
-        np.testing.assert_array_equal(state, np.broadcast_to(state[:1], state.shape))
 
 
 @st.composite

@@ -401,7 +401,7 @@ def test_predict_explains_what_makes_the_band_wide(out, motion, tmp_path):
     assert (table["whole_lower_kip"] <= table["lower_kip"]).all()
     assert (table["whole_upper_kip"] >= table["upper_kip"]).all()
     assert bands.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    (sentence, _) = here(*ask, "--explain", "-q").stdout.splitlines()[::-1][:2]
+    (sentence, _) = here(*ask, "--explain", "-q", "--force").stdout.splitlines()[::-1][:2]
     assert " of the band's variance come" in sentence
 
 
@@ -548,7 +548,7 @@ def test_a_prediction_beyond_what_was_tested_is_told(out, run, motion, tmp_path)
     ask = ("predict", out, "--motion", motion, "-o", bands)
     inside = here(*ask, "--actuation", "700 psi")
     assert "lies outside" not in inside.stderr + bands.read_text()
-    outside = here(*ask, "--actuation", "3000 psi")
+    outside = here(*ask, "--actuation", "3000 psi", "--force")
     assert outside.exit_code == 0
     assert "3000 psi, lies outside the tested range" in outside.stderr
     assert "# warning: the actuation, 3000 psi" in bands.read_text()

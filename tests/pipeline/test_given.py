@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline.question import Question, check_question
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +30,7 @@ def record(finished_run) -> Path:
 def ask(out, tmp_path):
     def predict(*options, actuation="1200 psi"):
         arguments = ("predict", out, "--actuation", actuation, "-o", tmp_path / "bands.csv")
-        return CliRunner().invoke(app, [str(a) for a in (*arguments, *options)])
+        return CliRunner().invoke(app, [str(a) for a in (*arguments, "--force", *options)])
 
     return predict
 
@@ -62,8 +61,6 @@ def test_the_part_is_marked_and_the_rest_narrower(ask, out, record, tmp_path):
     assert width < 0.9 * np.mean((before.upper - before.lower)[rest])
     picture = np.asarray(Image.open(tmp_path / "bands_history.png").convert("RGB"))
     assert np.count_nonzero((picture == [0xFF, 0xF3, 0xD6]).all(axis=2)) > 1000
-    # its own table may be replaced
-    check_question(Question(record, "1200 psi", "new_test", 0.95, tmp_path / "bands.csv"))
 
 
 @pytest.mark.parametrize("rate", [pytest.param((), marks=pytest.mark.slow), ("--rate", "12 Hz")])

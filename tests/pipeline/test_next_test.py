@@ -102,7 +102,7 @@ def test_mistakes_end_in_one_sentence(out, tmp_path):
     assert "must not end in .png" in refusal(out, "-o", tmp_path / "a.png")
     other = tmp_path / "other.toml"
     other.write_text("x = 1\n")
-    assert "did not write it" in refusal(out, "--write", other)
+    assert "other.toml exists: give another name, or --force" in refusal(out, "--write", other)
     assert other.read_text() == "x = 1\n"
     empty = tmp_path / "empty.txt"
     empty.write_text("# nothing\n")

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from mfd_bayes.assessment import assess
 from mfd_bayes.calibration import result
-from mfd_bayes.calibration.noise_check import quantiles_of
+from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.plan import Options, plan_campaign

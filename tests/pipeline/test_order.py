@@ -90,7 +90,7 @@ def test_a_motion_after_a_test_has_a_narrower_band_that_says_so(
     test = next(path.parent.name for path in sorted(finished_run.out.glob("tests/*/posterior.nc")))
     widths = []
     for options in ((), ("--after", test)):
-        found = ask("--motion", motion, *options, "--kind", "observation")
+        found = ask("--motion", motion, *options, "--kind", "observation", "--force")
         assert found.exit_code == 0, found.output
         table = pd.read_csv(tmp_path / "bands.csv", comment="#")
         widths.append(np.mean(table.upper_kip - table.lower_kip))

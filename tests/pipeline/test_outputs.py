@@ -1,4 +1,4 @@
-"""What a command writes replaces nothing but what the same command wrote before."""
+"""What a command writes replaces nothing that exists, but for --force."""
 
 import os
 import shutil
@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline.outputs import Output, check_outputs, table_with
 from mfd_bayes.store.files import write_text
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -130,7 +129,7 @@ def test_a_prediction_is_not_written_over_what_is_no_file(home, kind, name):
 @pytest.mark.parametrize(
     "name", ["mine.csv", "mine.png", "mine_history.png", "mine_derived.csv", "mine_design.csv"]
 )
-def test_a_file_of_another_program_is_replaced_only_by_force(home, name):
+def test_a_file_that_exists_is_replaced_only_by_force(home, name):
     shutil.copy(home / "mine.csv", home / "content")
     (home / "mine.csv").unlink()
     shutil.copy(home / "content", home / name)
@@ -141,53 +140,38 @@ def test_a_file_of_another_program_is_replaced_only_by_force(home, name):
     assert (home / name).read_bytes() != before[Path(name)]
 
 
-def test_a_prediction_is_written_again_over_its_own_files(home):
-    for _ in range(2):
-        outcome = predict(home, "band.csv")
-        assert outcome.exit_code == 0, outcome.output
-    picture = home / "band.png"  # of an older version, which did not mark it
-    content = picture.read_bytes()
-    assert content[37:41] == b"tEXt"
-    picture.write_bytes(content[:33] + content[33 + 12 + len(b"Software\0mfd-bayes") :])
+def test_a_prediction_is_written_again_by_force_alone(home):
     assert predict(home, "band.csv").exit_code == 0
-    assert predict(home, "band", "--force").exit_code == 0  # without a suffix
-
-
-def test_a_prediction_in_other_units_or_with_the_measured_force_is_written_again(home):
-    for options in (("--units", "si", "--compare"), ("--units", "us", "--compare"), ("--design",)):
-        outcome = predict(home, "band.csv", *options)
-        assert outcome.exit_code == 0, outcome.output
-        assert predict(home, "band.csv", "--units", "si", "--design").exit_code == 0
+    before = state(home)
+    refused(predict(home, "band.csv"), "band.csv exists: give another name, or --force")
+    assert state(home) == before
+    assert predict(home, "band.csv", "--units", "si", "--force").exit_code == 0
+    assert state(home) != before
 
 
 def test_bounds_of_an_earlier_prediction_do_not_stay_beside_another(home):
     assert predict(home, "band.csv", "--design").exit_code == 0
     assert (home / "band_design.csv").is_file()
-    assert predict(home, "band.csv").exit_code == 0
+    assert predict(home, "band.csv", "--force").exit_code == 0
     assert not (home / "band_design.csv").exists()
-    (home / "band_design.csv").write_text("a,b\n")  # of another program
-    assert predict(home, "band.csv").exit_code == 0
-    assert (home / "band_design.csv").read_text() == "a,b\n"
 
 
 def test_a_harmonic_motion_is_predicted_into_a_new_folder(home):
     bands = home / "new" / "bands.csv"
     asked = ("predict", home / "out", "--sine", "1 in, 0.5 Hz, 2 cycles", "--actuation", "500 psi")
-    for _ in range(2):
-        assert here(*asked, "-o", bands, "-q").exit_code == 0
+    assert here(*asked, "-o", bands, "-q").exit_code == 0
     names = {"bands.csv", "bands.png", "bands_history.png", "bands_derived.csv"}
     assert {path.name for path in bands.parent.iterdir()} == names
-    (bands.parent / "bands_history.png").write_bytes(b"\x89PNG of a camera")
-    refused(here(*asked, "-o", bands), "--force")
+    bands.unlink()
+    refused(here(*asked, "-o", bands), "bands.png exists")
     refused(here(*asked, "-o", bands.parent), "give the name of a file")
 
 
 @pytest.mark.parametrize("command", ["inspect", "prior-check"])
-def test_pictures_replace_pictures_of_the_same_command_alone(home, command):
+def test_pictures_replace_pictures_by_force_alone(home, command):
     looks, campaign = home / "looks", home / "campaign.toml"
-    for _ in range(2):
-        outcome = here(command, campaign, "-o", looks)
-        assert outcome.exit_code == 0, outcome.output
+    outcome = here(command, campaign, "-o", looks)
+    assert outcome.exit_code == 0, outcome.output
     (picture,) = looks.iterdir()
     picture.write_bytes(b"\x89PNG of a camera")
     refused(here(command, campaign, "-o", looks), "--force")
@@ -199,7 +183,7 @@ def test_pictures_replace_pictures_of_the_same_command_alone(home, command):
     assert picture.is_fifo()
 
 
-def test_a_comparison_does_not_replace_a_table_of_another_program(home):
+def test_a_comparison_does_not_replace_a_table(home):
     (home / "models").mkdir()
     shutil.copy(home / "mine.csv", home / "models" / "comparison.csv")
     before = state(home)
@@ -291,10 +275,24 @@ def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch, a
     assert state(home) == before
 
 
-def test_a_motion_that_is_not_there_is_named_also_where_the_output_is(tmp_path):
-    there = tmp_path / "bands.csv"
-    there.write_text("time_s,displacement_in,lower_kip\n")
-    output = Output(there, table_with("time_s"))
-    check_outputs([output], [tmp_path / "none.csv"], force=False)
-    with pytest.raises(StoreError, match="it is an input of this command"):  # the control
-        check_outputs([output], [there], force=False)
+def test_a_first_building_has_the_actuation_of_the_campaign_beside_it(home):
+    assert here("init", "--building", home).exit_code == 0
+    text = (home / "building.toml").read_text()
+    assert text.count('actuation = "500 psi"') == 3
+    refused(here("init", "--building", home), "building.toml exists: give --force")
+    campaign = (home / "campaign.toml").read_text().replace("500 psi", "36 lbf")
+    (home / "campaign.toml").write_text(campaign)
+    assert here("init", "--building", home, "--force").exit_code == 0
+    assert (home / "building.toml").read_text().count('actuation = "36 lbf"') == 3
+    (home / "other").mkdir()
+    assert here("init", "--building", home / "other").exit_code == 0  # without a campaign
+    assert 'actuation = "1000 psi"' in (home / "other" / "building.toml").read_text()
+
+
+def test_a_dry_run_needs_no_folder_and_a_run_does(home):
+    found = here("calibrate", home / "campaign.toml", "--dry-run")
+    assert found.exit_code == 0, found.output
+    assert "would calibrate p500 (" in found.output
+    refused(here("calibrate", home / "campaign.toml"), "-o: missing: give the run folder to write")
+    where = home / "no" / "campaign.toml"
+    refused(here("calibrate", where, "--dry-run"), f"there is no folder {where.parent}")

@@ -42,7 +42,7 @@ def ask(out, run, tmp_path, monkeypatch):
 
     def predict(*options):
         arguments = ("predict", out, "--actuation", "700 psi", "-o", tmp_path / "bands.csv")
-        return CliRunner().invoke(app, [str(a) for a in (*arguments, *options)])
+        return CliRunner().invoke(app, [str(a) for a in (*arguments, "--force", *options)])
 
     return predict
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.study import Situation

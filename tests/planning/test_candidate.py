@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.planning import grid as of_grid
 from mfd_bayes.planning.candidate import (
     MOST,
     SETUP,
     Candidate,
     Limits,
     Parts,
+    Shown,
+    grid_of,
+    harmonic_of,
     parse_limits,
     parse_tests,
+    repeats,
+    typical_of,
 )
-from mfd_bayes.planning.grid import grid_of, repeats, typical_of
 from mfd_bayes.records.harmonic import Harmonic
 from mfd_bayes.records.trace import Trace
 
@@ -101,19 +104,19 @@ def test_limits_are_kept():
 
 def test_a_record_is_known_by_its_harmonic_test():
     trace = Harmonic(1.0, 0.5, 4).trace(0.8)
-    found = of_grid.tested_of(trace)
+    found = harmonic_of(trace)
     assert (found.actuation, found.frequency, found.amplitude) == (0.8, 0.5, 1.0)
 
 
-METRIC = of_grid.Shown(6.894757, 25.4)
+METRIC = Shown(6.894757, 25.4)
 
 
 @pytest.mark.parametrize("amplitude", [25.0, 25.4, 24.8])
 def test_a_metric_record_is_rounded_in_mm_not_in_inches(amplitude):
     trace = Harmonic(1.0004 * amplitude / 25.4, 0.5, 4).trace(7.0 / METRIC.actuation)
-    found = of_grid.tested_of(trace, METRIC)
+    found = harmonic_of(trace, METRIC)
     assert found.amplitude * 25.4 == pytest.approx(amplitude, rel=1e-9)
-    rough = of_grid.tested_of(trace).amplitude * 25.4
+    rough = harmonic_of(trace).amplitude * 25.4
     assert (rough == pytest.approx(amplitude, rel=1e-9)) == (amplitude == 25.4)  # the control
 
 
@@ -135,7 +138,7 @@ def test_tests_that_differ_by_less_than_is_rounded_are_repeated_once():
 def test_an_irregular_motion_has_the_frequency_of_its_peak_speed():
     time = np.arange(2001) / 100
     rise = np.exp(-(((time - 10) / 3) ** 2)) * np.sin(2 * np.pi * 0.7 * time)
-    found = of_grid.tested_of(Trace.from_arrays(time, rise, 0.8))
+    found = harmonic_of(Trace.from_arrays(time, rise, 0.8))
     assert 0.5 < found.frequency < 0.9
 
 

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import CampaignError
+from mfd_bayes.errors import CampaignError, NotThereError
 from mfd_bayes.planning.candidate import Candidate, Limits
-from mfd_bayes.planning.devices import Devices
-from mfd_bayes.planning.gain import gain_of
 from mfd_bayes.planning.goal import Goal, parse_goal
-from mfd_bayes.planning.loop import loop_of
-from mfd_bayes.planning.regression import fit_left_out
+from mfd_bayes.planning.information_gain import fit_left_out, gain_of
+from mfd_bayes.planning.simulation import Devices, Loop
 from mfd_bayes.planning.study import Effort, advise, goals_of
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.settings import setting_of
@@ -126,8 +124,13 @@ def test_every_gain_is_positive_and_the_table_is_in_order(make_situation):
     assert all(row.error >= 0.0 for row in advice)
     assert advice["reduction"] == sorted(advice["reduction"], reverse=True)
     assert [row.candidate for row in advice] == advice["candidate"]
-    with pytest.raises(KeyError, match="no column 'gain'"):
-        advice["gain"]
+    for key in (99, -9, None, 1.5, [0], "gain"):
+        with pytest.raises(NotThereError, match=r"no (row|column) .*reduction"):
+            advice[key]
+    assert advice[np.int64(-1)] is advice.rows[-1]
+    assert advice[:1] == advice.rows[:1]
+    free = Candidate(1.0, 0.5, 1.0, price=0.0)
+    assert ask(make_situation(), SLIP, free, effort=Effort(200))[0].per_hour == np.inf
 
 
 def test_forbidden_candidates_are_never_proposed(make_situation):
@@ -165,10 +168,19 @@ def test_the_same_seed_gives_the_same_advice(make_situation):
     assert first != other
 
 
+@pytest.mark.parametrize("quantity", ["band", "energy", "peak"])
+def test_the_seed_changes_the_scatter_of_a_goal_of_a_new_test(make_situation, quantity):
+    situation = make_situation(level=1e-9, scatter=0.05, levels=(1.0,))  # there is nothing else
+    goal = Goal(quantity, kind="new_test")
+    first, again, other = (goals_of(situation, goal, Effort(400, s)).width for s in (1, 1, 2))
+    assert first == again
+    assert 1e-4 < abs(other / first - 1.0) < 0.3
+
+
 def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
     """The same quantiles as `run.predict`, which draws parameters of its own."""
     situation = make_situation(level=0.05, scatter=0.08)
-    loop = loop_of(AT_ONE, 0.16)
+    loop = Loop.of(AT_ONE, 0.16)
     rng = np.random.default_rng(0)
     kinds = situation.model, situation.noise
     settings = [setting_of(loop.trace)]
@@ -185,7 +197,7 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
 def test_cycles_average_noise(make_situation):
     """With noise alone the energy of n cycles scatters by √n less."""
     situation = make_situation(level=1e-9, scatter=1e-9, noise=0.3)
-    loop = loop_of(AT_ONE, 0.16)
+    loop = Loop.of(AT_ONE, 0.16)
     kinds = situation.model, situation.noise
     rng = np.random.default_rng(0)
     devices = Devices.draw(situation.population, kinds, [setting_of(loop.trace)], 1600, rng)
@@ -198,7 +210,7 @@ def test_summaries_carry_what_the_whole_loop_tells(make_situation):
     situation = make_situation(level=0.05, scatter=0.05)
     (row,) = ask(situation, SLIP)
     goals = goals_of(situation, SLIP, EFFORT)
-    loop = loop_of(AT_ONE, 0.16)
+    loop = Loop.of(AT_ONE, 0.16)
     kinds = situation.model, situation.noise
     settings = [setting_of(loop.trace), setting_of(loop.trace)]
     rng = np.random.default_rng([0, 0])

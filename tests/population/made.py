@@ -118,7 +118,7 @@ def make_population(
         parts = []
         for law, w in alternatives.items():
             row = [law if n != "sigma0" else laws_of[i] for i, n in enumerate(design.laws)]
-            under = design.under(dict(zip(design.laws, row, strict=True)))
+            under = replace(design, laws=dict(zip(design.laws, row, strict=True)))
             chosen = np.tile([LAW_NAMES.index(one) for one in row], (shape[1], 1))
             free = np.ones((shape[1], len(under.shapes)))
             free[:, [s == "share" for _, s in under.shapes]] = 0.0
@@ -132,12 +132,11 @@ def make_population(
         design=design,
         draws=LawDraws(np.broadcast_to(h, (*shape, h.size)).copy(), z, *drawn),
         choice=choice,
-        weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
+        law_weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
         alternatives=other,
         alternative_weight=np.array(weight),
         residual=residual or no_residual(),
         starts=starts or Starts(),
-        begun=None,
         priors={name: priors.parameters[name] for name in known},
         actuation_unit="ksi",
         walkers=10,

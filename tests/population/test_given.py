@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population import given as given_part
 from mfd_bayes.population.bands import FEWEST, Forecast, Predictor
-from mfd_bayes.population.follow import Forecaster
-from mfd_bayes.population.given import Sums, effective_draws, predict_given, systematic
+from mfd_bayes.population.given import (
+    Forecaster,
+    Sums,
+    effective_draws,
+    predict_given,
+    systematic,
+)
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_population, no_residual
@@ -74,7 +79,7 @@ def test_the_likelihood_is_the_dense_density_with_an_intercept_of_each_stroke():
     ]
     np.testing.assert_allclose(found - 9.0 * np.log(2.0 * np.pi), expected, rtol=1e-10)
     parts = Sums.of(left[:, :7], np.ones(7), strokes[:7], 2)
-    parts = parts + Sums.of(left[:, 7:], np.ones(11), strokes[7:], 3)
+    parts = parts.plus(Sums.of(left[:, 7:], np.ones(11), strokes[7:], 3))
     np.testing.assert_allclose(parts.log_likelihood(sd, h), found)
     assert np.abs(sums.log_likelihood(sd, 0.0) - found).max() > 1.0  # the control
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population import inference

@@ -47,7 +47,7 @@ class Made:
             blank = TestLikelihood(
                 Posterior(trace, priors, "iid", model, start="sample"), coordinates
             )
-            left = blank.left_over(rows[-1][None])[0]
+            left = blank.residuals(rows[-1][None])[0]
             force = np.asarray(trace.force) - left + NOISE * rng.standard_normal(TIME.size)
             record = Trace.from_arrays(TIME, motion, p, force)
             posterior = Posterior(record, priors, "iid", model, start="sample")
@@ -81,9 +81,9 @@ def test_planted_coordinates_are_found(priors, name):
 def test_the_eliminated_solution_is_that_of_the_dense_normal_equations(priors, damping):
     made = Made(priors, "three_stage")
     fit = _Fit(made.likelihoods, made.x + 0.1, made.common, None)
-    fit._learn()
-    weights = fit._weights()
-    found = fit._solved(weights, damping)
+    fit.learn()
+    weights = fit.weights()
+    found = fit.solved(weights, damping)
     shared, own, count = fit.common, fit.free, len(LEVELS)
     assert shared.size > 2
     assert own.size > 2
@@ -95,7 +95,7 @@ def test_the_eliminated_solution_is_that_of_the_dense_normal_equations(priors, d
         begin = shared.size + j * own.size
         jacobian[:, begin : begin + own.size] = fit.slopes[j][:, own] * w[:, None]
         a += jacobian.T @ jacobian
-        b += jacobian.T @ ((fit.left[j] - fit.given[j]) * w)
+        b += jacobian.T @ ((fit.left[j] - fit.discrepancy[j]) * w)
     prior = np.concatenate([fit.x[0, shared], *(fit.x[j, own] for j in range(count))])
     damped = a + np.eye(size)
     damped[range(size), range(size)] += damping * np.diag(a)

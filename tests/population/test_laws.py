@@ -131,7 +131,9 @@ def test_prior_units_are_those_of_the_prior_and_the_change_has_determinant_one(p
     np.testing.assert_allclose(x.std(axis=0), 1.0, atol=0.1)
     for one in x[:5]:
         steps = 1e-5 * np.eye(len(names))
-        jacobian = (shared.own(one + steps) - shared.own(one - steps)) / 2e-5 / shared.spread
+        jacobian = (
+            (shared.of_priors(one + steps) - shared.of_priors(one - steps)) / 2e-5 / shared.spread
+        )
         assert abs(np.linalg.det(jacobian)) == pytest.approx(1.0, abs=1e-6)
 
 

@@ -9,7 +9,7 @@ from scipy import linalg, special, stats
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.law_scores import TestGaussians, compare_laws, extrapolation_weights
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.mixed_model import MixedModel, without
+from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.settings import Setting, levels_of
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
@@ -116,6 +116,11 @@ class Dense:
         return gain @ (self.y - self.law), self.prior - gain @ self.a @ self.prior
 
 
+def scatter_of(mixed):
+    """Scatter of the first quantity at the mode."""
+    return mixed.tau(mixed.of_numbers(mixed.mode(choice_of(mixed))[None]))[0, 0]
+
+
 def some_h(mixed, n=4, seed=0):
     rng = np.random.default_rng(seed)
     h = np.log(0.5 * np.concatenate([mixed.scale, np.ones(mixed.dim - mixed.scale.size)]))
@@ -184,17 +189,17 @@ def test_a_test_that_stands_apart_weighs_less_and_clean_ones_do_not(priors):
     for seed in range(10):
         laid, y, precision, tau = clean(priors, seed)
         mixed = MixedModel(laid, y, precision)
-        widest = mixed.tau(mixed.mode(choice_of(mixed))[None])[0, 0]
-        mixed.set_apart(choice_of(mixed))
+        widest = scatter_of(mixed)
+        mixed.find_outliers(choice_of(mixed))
         flagged += np.count_nonzero(mixed.weight != 1.0)
         y = y.copy()
         y[3, 0] += 15.0 * tau[0]
         odd = MixedModel(laid, y, precision)
-        wide = odd.tau(odd.mode(choice_of(odd))[None])[0, 0]
-        odd.set_apart(choice_of(odd))
+        wide = scatter_of(odd)
+        odd.find_outliers(choice_of(odd))
         assert odd.weight[3, 0] == 0.01
         np.testing.assert_array_equal(np.delete(odd.weight[:, 0], 3), 1.0)
-        robust = odd.tau(odd.mode(choice_of(odd))[None])[0, 0]
+        robust = scatter_of(odd)
         assert robust < 1.5 * widest
         assert wide > 2.0 * robust  # the control: with all weights even
     assert flagged <= 0.01 * 10 * 30
@@ -211,7 +216,7 @@ def test_draws_find_the_scatter_that_a_grid_finds(priors):
     for i in range(3):  # the three are independent here
         grid = np.tile(middle, (axis.size, 1))
         grid[:, i] = axis + np.log(mixed.scale[i])
-        weight = special.softmax(mixed.log_prob(grid, choice))
+        weight = special.softmax(mixed.log_prior(grid) + mixed.marginal(grid, choice)[0])
         mean = weight @ grid[:, i]
         sd = np.sqrt(weight @ (grid[:, i] - mean) ** 2)
         assert abs(draws[:, i].mean() - mean) < 0.15 * sd
@@ -240,8 +245,15 @@ def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
     assert [[laid.settings[j].actuation for j in f] for f in folds] == [
         [p] * 2 for p in (0.5, 1, 2)
     ]
-    alone = laid.restricted("Fc_fwd", "power")
-    log, h, _ = tests.densities(alone, folds, "power")
+    log, h = tests.densities("Fc_fwd", "power", folds)
+    alone = replace(
+        laid,
+        names=("Fc_fwd",),
+        spread=laid.spread[:1],
+        scatter_sd=laid.scatter_sd[:1],
+        common=laid.common[:1],
+        leveled=False,
+    )
     one = MixedModel(alone, tests.mean[:, [0]], 1.0 / tests.variance[:, [0], None])
     every = set(range(len(SETTINGS)))
     for i in (3, 500, 900):
@@ -294,12 +306,12 @@ def test_a_law_without_an_intercept_learns_nothing_from_a_test_at_zero(priors):
     np.testing.assert_array_equal(laid.informs[0], [False, True, True])
     assert np.all(laid.informs[1:])
     y, precision = random_likelihoods(np.random.default_rng(6), 3, 3)
-    reduced = [without(y[j], precision[j], ~laid.informs[j]) for j in range(3)]
+    reduced = [marginalised(y[j], precision[j], ~laid.informs[j]) for j in range(3)]
     other = y.copy()
     other[0] += precision[0] @ np.zeros(3) + np.array([5.0, 0.0, 0.0])
 
     def levels(values):
-        pairs = [without(values[j], precision[j], ~laid.informs[j]) for j in range(3)]
+        pairs = [marginalised(values[j], precision[j], ~laid.informs[j]) for j in range(3)]
         mixed = MixedModel(laid, *(np.array(part) for part in zip(*pairs, strict=True)))
         h = some_h(mixed, 1)
         return mixed.marginal(h, choice_of(mixed)[None])[1].mean[0]
@@ -317,7 +329,7 @@ def test_what_is_a_tests_own_is_integrated_over_its_prior():
     rng = np.random.default_rng(7)
     (y,), (precision,) = random_likelihoods(rng, 1, 3)
     own = np.array([False, True, False])
-    mean, reduced = without(y, precision, own)
+    mean, reduced = marginalised(y, precision, own)
     # by the joint normal: covariance of the likelihood's mean, its own coordinate known by N(0, 1)
     covariance = np.linalg.inv(precision + np.diag(own.astype(float)))
     kept = np.ix_(~own, ~own)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.errors import FitError, NotThereError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.models import find_model
@@ -78,8 +78,8 @@ def test_another_kind_or_stroke_never_begins_as_repeats_did(name):
 
 def test_a_repeat_begins_where_its_motion_ends_but_for_a_fifth():
     model = ThreeStage()
-    theta = model.theta({n: np.array([v]) for n, v in (THREE_STAGE | {"gamma1": 1.0}).items()})
-    left = place_left(model, theta, SINE)
+    values = {n: np.array([v]) for n, v in (THREE_STAGE | {"gamma1": 1.0}).items()}
+    left = place_left(model, values, SINE)
     begun = drawn(SINE, at_the_end())
     near = np.abs(begun - left) < 0.15
     width = np.clip(left + 0.15, 0.0, 1.0) - np.clip(left - 0.15, 0.0, 1.0)
@@ -130,8 +130,7 @@ def test_a_fixed_start_stays():
 
 def test_only_a_model_with_a_gap_says_where_a_motion_leaves_it():
     lugre = LuGre()
-    theta = np.ones((1, len(lugre.parameters)))
-    assert place_left(lugre, theta, SINE) is None
+    assert place_left(lugre, {}, SINE) is None
     assert without_load(lugre, {}) is None
 
 

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor
@@ -55,7 +55,6 @@ def population():
         starts=Starts(weights / weights.sum(), 0.4),
     )
     made.draws.z[...] += 0.01 * rng.normal(size=made.draws.z.shape)
-    object.__setattr__(made, "begun", rng.random((2, 12, 3)))
     object.__setattr__(made, "walkers", 6)
     return made
 
@@ -107,7 +106,6 @@ def test_what_tables_show_comes_back(population, stored, priors):
             np.testing.assert_array_equal(getattr(back, what)[name], values)
     assert back.law_weights == population.law_weights
     assert (back.actuation_unit, back.walkers, back.common) == ("ksi", 6, population.common)
-    np.testing.assert_array_equal(back.begun, population.begun)
     np.testing.assert_array_equal(back.choice, population.choice)
     for name, values in vars(population.convergence).items():
         np.testing.assert_array_equal(getattr(back.convergence, name), values)
@@ -162,7 +160,7 @@ def test_facts_that_do_not_fit_together_are_refused(path, priors, key, value):
         load_population(path, priors)
 
 
-@pytest.mark.parametrize("name", ["draws_h", "draws_z", "draws_share", "law", "starts"])
+@pytest.mark.parametrize("name", ["draws_h", "draws_z", "draws_share", "law"])
 def test_draws_that_are_no_numbers_or_missing_are_refused(path, priors, name):
     with h5py.File(path, "r+") as file:
         kept = file["posterior"][name][...]
@@ -172,8 +170,6 @@ def test_draws_that_are_no_numbers_or_missing_are_refused(path, priors, name):
     with h5py.File(path, "r+") as file:
         file["posterior"][name][...] = kept
     load_population(path, priors)  # the control
-    if name == "starts":
-        return  # a model without a gap has none
     with h5py.File(path, "r+") as file:
         del file["posterior"][name]
     with pytest.raises(StoreError, match=r"population\.nc is damaged"):

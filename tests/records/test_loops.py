@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.derived import cycle_energies
+from mfd_bayes.calibration.cycles import cycle_energies
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 

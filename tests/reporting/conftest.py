@@ -24,8 +24,8 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
-from mfd_bayes.calibration.directions import Directions
 from mfd_bayes.calibration.identifiability import (
+    Directions,
     Identifiability,
     Pair,
     Sensitivity,

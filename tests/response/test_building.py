@@ -1,6 +1,5 @@
 """Building files: what is read, and one sentence for each mistake."""
 
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +8,7 @@ import pytest
 from scipy import linalg
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.response.building import building_of, read_building
-from mfd_bayes.response.content import content_of
-from mfd_bayes.response.example import example_building
+from mfd_bayes.response.building import example_building, read_building
 
 GOOD = """
 [building]
@@ -33,11 +30,19 @@ brace = "500 kip/in"
 """
 
 
-def made(text):
-    return building_of(content_of(tomllib.loads(text), "b.toml"), Path("b.toml"))
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """Function that reads a text as the file b.toml."""
+    monkeypatch.chdir(tmp_path)
+
+    def read(text):
+        Path("b.toml").write_text(text)
+        return read_building("b.toml")
+
+    return read
 
 
-def test_units_are_turned_into_kip_in_and_s():
+def test_units_are_turned_into_kip_in_and_s(made):
     building = made(GOOD)
     assert building.mass[0, 0] == pytest.approx(100 / 386.0886, rel=1e-6)
     assert building.mass[1, 1] == pytest.approx(22700 / 175126.8, rel=1e-4)  # kg in a kip s²/in
@@ -47,7 +52,7 @@ def test_units_are_turned_into_kip_in_and_s():
     assert [d.brace for d in building.devices] == [500, 500]
 
 
-def test_periods_and_shapes_are_those_of_eigh():
+def test_periods_and_shapes_are_those_of_eigh(made):
     building = made(GOOD)
     squares, _ = linalg.eigh(building.stiffness, building.mass)
     assert np.allclose(building.modes.periods, 2 * np.pi / np.sqrt(squares), rtol=1e-12)
@@ -56,7 +61,7 @@ def test_periods_and_shapes_are_those_of_eigh():
 
 
 @pytest.mark.parametrize("kind", ["rayleigh", "modal"])
-def test_both_modes_have_the_ratio(kind):
+def test_both_modes_have_the_ratio(kind, made):
     building = made(GOOD.replace('ratio = "2 %"', f'kind = "{kind}", ratio = 0.03'))
     modes = building.modes
     got = np.diag(modes.shapes.T @ building.damping @ modes.shapes) / (2 * modes.frequencies)
@@ -111,13 +116,13 @@ def test_matrices_come_from_files(tmp_path):
         ),
     ],
 )
-def test_nonsense_is_one_sentence_with_the_key(old, new, words):
+def test_nonsense_is_one_sentence_with_the_key(old, new, words, made):
     with pytest.raises(BuildingError, match=words) as error:
         made(GOOD.replace(old, new))
     assert "\n" not in str(error.value)
 
 
-def test_a_limit_of_the_drift_needs_heights():
+def test_a_limit_of_the_drift_needs_heights(made):
     with pytest.raises(BuildingError, match=r"limits\.drift in b.toml needs the height"):
         made(GOOD.replace('height = "12 ft"\n', "") + '[limits]\ndrift = "1 %"\n')
 
@@ -166,20 +171,20 @@ def test_a_matrix_declared_huge_or_complex_is_refused_before_it_is_read(tmp_path
     "matrix",
     [np.eye(2) * 1j, np.zeros((2, 3)), np.broadcast_to(0.0, (100_000, 100_000)), "x", None],
 )
-def test_a_matrix_of_a_building_is_real_and_square(matrix):
+def test_a_matrix_of_a_building_is_real_and_square(matrix, made):
     building = made(GOOD)
     for name in ("mass", "damping", "stiffness"):
         with pytest.raises(BuildingError, match=f"{name} of a building must"):
             replace(building, **{name: matrix})
 
 
-def test_a_limit_of_the_residual_drift_needs_heights_too():
+def test_a_limit_of_the_residual_drift_needs_heights_too(made):
     with pytest.raises(BuildingError, match=r"limits\.residual in b.toml needs the height"):
         made(GOOD.replace('height = "12 ft"\n', "") + '[limits]\nresidual = "1 %"\n')
 
 
 @pytest.mark.parametrize("level", [np.nan, "36 lbf", None, -1.0, np.inf, True])
-def test_a_level_of_all_dampers_is_a_number(level):
+def test_a_level_of_all_dampers_is_a_number(level, made):
     with pytest.raises(BuildingError, match="actuation must be a finite number of at least 0"):
         made(GOOD).at_level(level)
     assert {device.actuation for device in made(GOOD).at_level(0).devices} == {0.0}
@@ -189,3 +194,61 @@ def test_a_level_of_all_dampers_is_a_number(level):
 def test_what_is_no_path_of_a_building_is_refused(path):
     with pytest.raises(BuildingError, match="building must be a path"):
         read_building(path)
+
+
+ROWS = "time_s,pressure_ksi\n0,1.0\n10,1.2\n"
+OUTSIDE = ["../{}", "sub/../../{}", "link_{}", "absolute"]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with a matrix and a history in it, beside it, and by a link to those beside it."""
+    inner = tmp_path / "building"
+    (inner / "sub").mkdir(parents=True)
+    for place in (tmp_path, inner, inner / "sub"):
+        np.savetxt(place / "M.csv", np.eye(1), delimiter=",")
+        (place / "valve.csv").write_text(ROWS)
+    for name in ("M.csv", "valve.csv"):
+        (inner / f"link_{name}").symlink_to(tmp_path / name)
+    return inner
+
+
+def building(folder, matrix="M.csv", history="valve.csv"):
+    path = folder / "b.toml"
+    path.write_text(
+        f'[matrices]\nmass = "M.csv"\nstiffness = "{matrix}"\n[[damper]]\nstorey = 1\n'
+        f'actuation = {{ file = "{history}", column = "pressure_ksi", unit = "ksi" }}\n'
+    )
+    return read_building(path)
+
+
+def named(form, name, folder):
+    return str(folder.parent / name) if form == "absolute" else form.format(name)
+
+
+@pytest.mark.parametrize("form", OUTSIDE)
+def test_a_matrix_outside_the_folder_is_refused(folder, form):
+    words = r"matrices\.stiffness in .*b\.toml: the file '.*M\.csv' lies outside the folder"
+    with pytest.raises(BuildingError, match=words):
+        building(folder, matrix=named(form, "M.csv", folder))
+
+
+@pytest.mark.parametrize("form", OUTSIDE)
+def test_a_history_outside_the_folder_is_refused(folder, form):
+    words = r"the actuation of storey 1: the file '.*valve\.csv' lies outside the folder"
+    with pytest.raises(BuildingError, match=words):
+        building(folder, history=named(form, "valve.csv", folder))
+
+
+@pytest.mark.parametrize("form", ["{}", "sub/{}", "./{}", "sub/../{}"])
+def test_files_in_the_folder_are_read(folder, form, monkeypatch):
+    found = building(folder, form.format("M.csv"), form.format("valve.csv"))
+    (device,) = found.devices
+    assert [float(column[-1]) for column in device.history] == [10.0, 1.2]
+    monkeypatch.chdir(folder)  # where the folder has no name
+    assert read_building("b.toml").freedoms == 1
+
+
+def test_a_name_that_no_file_has_is_one_sentence(folder):
+    with pytest.raises(BuildingError, match=r"stiffness in .*cannot be found"):
+        building(folder, matrix="a\\u0000b")

@@ -20,12 +20,11 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.population.population import LawDraws
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building
-from mfd_bayes.response.choice import Choice
-from mfd_bayes.response.draws import draw_dampers
+from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.ground import Ground, read_ground
-from mfd_bayes.response.influence import influence
-from mfd_bayes.response.settling import Accuracy
+from mfd_bayes.response.step_refinement import Accuracy
 from mfd_bayes.response.sweep import sweep_of
+from mfd_bayes.response.variance_shares import variance_shares
 from mfd_bayes.units import GRAVITY
 
 BUILDING = """
@@ -49,7 +48,7 @@ actuation = "1000 psi"
 drift = "0.5 %"
 """
 
-ONCE = Accuracy(halvings=1)
+ONCE = Accuracy(tolerance=0.03)
 
 
 @pytest.fixture(scope="module")
@@ -144,19 +143,19 @@ def test_the_call_of_the_contract(run, path, ground):
 def test_shares_add_up_and_find_what_matters(run, path, ground):
     response = run.respond(path, [ground, ground.scaled(2.0)], draws=40)
     for ground_motion in (0, 1):
-        shares = influence(response, ground=ground_motion)
+        shares = variance_shares(response, ground=ground_motion)
         assert sum(shares.values()) == pytest.approx(1.0)
         assert not any("record" in source for source in shares)
     first = response.dampers.about["gap"][:, 0]
     planted = replace(response, drift=np.broadcast_to(first[:, None, None], response.drift.shape))
-    assert influence(planted)["gap"] > 0.7
+    assert variance_shares(planted)["gap"] > 0.7
 
 
 def test_draws_that_all_ran_away_have_no_shares(run, path, ground):
     response = run.respond(path, ground, draws=30, kind="device", tolerance=0.2)
-    assert influence(response)  # the control
+    assert variance_shares(response)  # the control
     away = np.ones_like(response.unstable)
-    assert influence(replace(response, unstable=away)) == {}
+    assert variance_shares(replace(response, unstable=away)) == {}
 
 
 def test_what_runs_away_is_told_in_one_sentence_and_nothing_is_written(
@@ -359,12 +358,12 @@ def test_a_folder_of_others_is_left_alone(finished_run, path, quake, tmp_path):
     (tmp_path / "mine" / "thesis.tex").write_text("x")
     given = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
     for folder, words in (
-        (tmp_path / "mine", "did not write it"),
+        (tmp_path / "mine", "is not empty: give another name, or --force"),
         (finished_run.out, "is a run folder"),
     ):
         done = CliRunner().invoke(app, [*given, "-o", str(folder)])
         assert done.exit_code == 2
-        assert words in done.output
+        assert words in " ".join(done.output.split())
 
 
 def test_a_first_building_file_is_written_once(tmp_path):
@@ -378,16 +377,6 @@ def test_a_first_building_file_is_written_once(tmp_path):
     path.write_text(path.read_text().replace("Three storeys", "Mine"))
     assert CliRunner().invoke(app, [*again, "--force"]).exit_code == 0
     assert "Three storeys" in path.read_text()
-
-
-@pytest.mark.parametrize("name", ["campaign.toml", "ground.AT2"])
-def test_a_first_building_file_replaces_nothing_of_another_kind(tmp_path, name):
-    (tmp_path / name).write_text("[[test]]\n")
-    target = str(tmp_path / "campaign.toml")
-    done = CliRunner().invoke(app, ["init", target, "--building", "--force"])
-    assert done.exit_code == 2
-    assert f"{name} exists, and this command did not write it" in " ".join(done.stderr.split())
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["[[test]]\n"]
 
 
 @pytest.mark.parametrize("to", ["quofem", "csv", pytest.param("opensees", marks=pytest.mark.slow)])

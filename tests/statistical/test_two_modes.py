@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.ensembles import sample_density
-from mfd_bayes.calibration.map_fit import climb
-from mfd_bayes.calibration.sampling import mode_shares
+from mfd_bayes.calibration.modes import climb, mode_shares
+from mfd_bayes.calibration.sampling import sample_density
 
 pytestmark = pytest.mark.slow
 
@@ -23,7 +22,7 @@ def density(q):
 
 
 def modes_at(*places):
-    return tuple(climb(density, np.full(DIM, place), np.ones(DIM)) for place in places)
+    return tuple(climb(density, np.full(DIM, place), np.eye(DIM), np.ones(DIM)) for place in places)
 
 
 @pytest.fixture(scope="module")

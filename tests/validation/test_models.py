@@ -212,11 +212,6 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path):
         ([], ["staged", "ou"], [("ou", None), ("staged", None)]),
         (["lugre"], ["iid", "ou"], [("ou", "lugre"), ("iid", "lugre")]),
         (
-            ["lugre+weakening", "lugre"],
-            [],
-            [("lugre",) * 2, ("lugre+weakening",) * 2],
-        ),
-        (
             ["lugre", "three_stage"],
             ["staged"],
             [("three_stage_staged", "three_stage"), ("lugre_staged", "lugre")],

@@ -9,7 +9,7 @@ from mfd_bayes.assessment.views.check import Check
 from mfd_bayes.assessment.views.judgement import Judgement
 from mfd_bayes.assessment.views.law import LawChoice, LawView
 from mfd_bayes.assessment.views.test import Row, ScoreRow, TestView
-from mfd_bayes.planning.advice import Advice
+from mfd_bayes.planning.study import Advice
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.results import ComparisonRow
 from mfd_bayes.runs.systems import SYSTEMS, System

@@ -74,17 +74,17 @@ def draw_profile(response: Response, system: System) -> Figure:
     grid = figure.subplots(len(grounds), 2, squeeze=False)
     ratios = bool(np.all(np.isfinite(response.building.heights)))
     for g, (left, right) in enumerate(grid):
-        bare, plain_ = response.bare[g], response.plain[g]
+        bare, plain_ = response.bare, response.plain
         by = 100.0 / response.building.heights if ratios else system.factor("in")
         used = response.usable(g)
         drift = response.drift[used, g] * by
-        _profile(left, drift, bare.drift * by, plain_.drift * by, step=True)
+        _profile(left, drift, bare.drift[0, g] * by, plain_.drift[0, g] * by, step=True)
         left.set_xlabel(f"largest storey drift, {'% of height' if ratios else system.length}")
         left.set_ylabel("storey")
         if response.building.limits.drift is not None and ratios:
             left.axvline(100.0 * response.building.limits.drift, color=colours.VERMILLION, ls="--")
         acceleration = response.acceleration[used, g] / GRAVITY
-        others = bare.acceleration / GRAVITY, plain_.acceleration / GRAVITY
+        others = bare.acceleration[0, g] / GRAVITY, plain_.acceleration[0, g] / GRAVITY
         _profile(right, acceleration, *others, step=False)
         if response.building.limits.acceleration is not None:
             limit = response.building.limits.acceleration / GRAVITY
@@ -136,7 +136,9 @@ def draw_histories(response: Response, ground: int, system: System) -> Figure:
     by = system.factor("in")
     for i, axes in enumerate(grid[::-1]):
         low, middle, high = by * np.quantile(values[:, pick, i], [0.025, 0.5, 0.975], axis=0)
-        axes.plot(time[pick], by * response.bare[ground].history[pick, i], color="#bbbbbb", lw=0.7)
+        axes.plot(
+            time[pick], by * response.bare.histories[ground][0, pick, i], color="#bbbbbb", lw=0.7
+        )
         axes.fill_between(time[pick], low, high, color=_NARROW, lw=0.4)
         axes.plot(time[pick], middle, color=_MIDDLE, lw=0.8)
         axes.set_ylabel(f"storey {i + 1}, {system.length}")
@@ -154,7 +156,7 @@ def draw_histories(response: Response, ground: int, system: System) -> Figure:
 @look.style()
 def draw_damper_loops(response: Response, ground: int, system: System) -> Figure:
     """Force against travel of the dampers, of some draws."""
-    travels, forces = response.loops[ground]
+    travels, forces = response.travels[ground], response.forces[ground]
     shown = min(travels.shape[2], DAMPERS)
     columns = min(4, max(shown, 1))
     rows = -(-shown // columns)

@@ -1,0 +1,317 @@
+"""Modes of a posterior, found from several starts, each with its Laplace covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.proposal import Density, Mixture
+from mfd_bayes.errors import FitError
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+LOWEST = -1e15
+"""Log density where there is none, for what takes differences."""
+
+DISTINCT = 0.05
+"""Least distance of two least-squares results, in prior standard deviations."""
+
+HOPELESS = 400.0
+"""Least-squares results whose log posterior is this far below the best one are dropped."""
+
+STEPS, TOLERANCE, REFUSED = 100, 1e-6, 8
+"""Least squares: most steps; least relative gain of a good step; refused steps that end a start."""
+
+MOST = 4_000_000
+"""Most numbers of residuals that are computed together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A local maximum of the log posterior.
+
+    Attributes
+    ----------
+    q : (dim,)
+    log_prob : float
+    covariance : (dim, dim)
+        Inverse curvature at the mode, made positive definite.
+    """
+
+    q: Array
+    log_prob: float
+    covariance: Array
+
+    @property
+    def log_evidence(self) -> float:
+        """Laplace's approximation to the log mass of the mode."""
+        _, log_det = np.linalg.slogdet(self.covariance)
+        return self.log_prob + 0.5 * (len(self.q) * float(np.log(2 * np.pi)) + float(log_det))
+
+    def is_near(self, q: Array, log_prob: float) -> bool:
+        """Whether a point is near by this mode's covariance, and about as high."""
+        away = q - self.q
+        near = away @ np.linalg.solve(self.covariance, away) < 4.0 * len(away)
+        return bool(near and abs(log_prob - self.log_prob) < 5.0)
+
+
+def find_modes(
+    posterior: Posterior, rng: np.random.Generator, *, starts: int = 24, candidates: int = 500
+) -> tuple[Mode, ...]:
+    """Distinct modes, best first.
+
+    From many prior draws, those that fit well and differ most are chosen; least squares on
+    residual and prior starts from each, then BFGS on the log posterior from each distinct
+    result.
+
+    Raises
+    ------
+    FitError
+        When no prior draw has any posterior density.
+    """
+    mean, sd = prior_scale(posterior, rng)
+    begin = _starting_points(posterior, rng, starts, candidates)
+    fits = _fit_residuals(posterior, begin, mean, sd)
+    heights = posterior.log_prob(fits)
+    ends: list[Array] = []
+    for i in np.argsort(-heights):
+        if heights[i] > heights.max() - HOPELESS and all(
+            np.max(np.abs(fits[i] - end) / sd) > DISTINCT for end in ends
+        ):
+            ends.append(fits[i])
+    modes: list[Mode] = []
+    for end in ends:
+        mode = climb(posterior.log_prob, end, np.diag(sd), sd, modes)
+        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
+            modes.append(mode)
+    return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
+
+
+def prior_scale(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Mean and standard deviation of each coordinate under the prior, (dim,) each."""
+    q = posterior.coordinates(posterior.draw_prior(rng, 2000))
+    return q.mean(axis=0), q.std(axis=0)
+
+
+def _starting_points(
+    posterior: Posterior, rng: np.random.Generator, starts: int, candidates: int
+) -> Array:
+    """Prior draws whose loops fit well and that are far from each other, (starts, dim)."""
+    draws = posterior.coordinates(posterior.draw_prior(rng, candidates))
+    draws = draws[np.isfinite(posterior.log_prior(draws))]
+    if len(draws) == 0:
+        raise FitError("the prior has no mass at any start: widen the priors of this device")
+    misfit = np.mean(posterior.residual(draws)[:, posterior.first :] ** 2, axis=1)
+    good = draws[np.argsort(misfit)[: max(starts, len(draws) // 5)]]
+    place = good / draws.std(axis=0)
+    chosen, distance = [0], np.full(len(good), np.inf)
+    while len(chosen) < min(starts, len(good)):
+        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return good[chosen]
+
+
+def _fit_residuals(posterior: Posterior, begin: Array, mean: Array, sd: Array) -> Array:
+    """Fits with independent noise and a Gaussian prior, and their noise, (m, dim)."""
+    moves = np.array([not name.startswith("noise") for name in posterior.names])
+    force = np.asarray(posterior.trace.force)[posterior.first :]
+    # neighbouring samples are correlated: they count as 200
+    scale = np.sqrt(min(1.0, 200.0 / force.size)) / (0.1 * float(np.std(force)) + 1e-12)
+
+    def residual(points: Array, _: Rows) -> Array:
+        q = np.tile(begin[0], (len(points), 1))
+        q[:, moves] = mean[moves] + sd[moves] * points
+        return np.asarray(posterior.residual(q)[:, posterior.first :] * scale)
+
+    scaled = np.clip((begin[:, moves] - mean[moves]) / sd[moves], -5.0, 5.0)
+    q = begin.copy()
+    q[:, moves] = mean[moves] + sd[moves] * least_squares(residual, scaled, 8.0)
+    return np.array([_read_noise(posterior, point) for point in q])
+
+
+def _read_noise(posterior: Posterior, q: Array) -> Array:
+    """The coordinates with noise_sd and noise_time set from the residual, (dim,)."""
+    residual = posterior.residual(q[None])[0, posterior.first :]
+    values = posterior.values(q[None])
+    sd = float(np.std(residual)) + 1e-12
+    values["noise_sd"] = np.array([sd])
+    if "noise_time" in values:
+        lag_one = float(np.mean(residual[1:] * residual[:-1])) / sd**2
+        step = float(np.median(np.diff(posterior.trace.time)))
+        values["noise_time"] = np.array([-step / np.log(np.clip(lag_one, 0.05, 0.98))])
+    noisy = [name.startswith("noise_") and name != "noise_dof" for name in posterior.names]
+    return np.where(noisy, posterior.coordinates(values)[0], q)
+
+
+def least_squares(residual: Callable[[Array, Rows], Array], begin: Array, reach: float) -> Array:
+    """Points with the least sum of squares of residuals and coordinates, one from each start.
+
+    Damped Gauss-Newton steps (Levenberg, Marquardt) of all starts at once: a force costs half as
+    much a vector where many are computed together.
+
+    Parameters
+    ----------
+    residual : callable
+        Of points (n, d) and the numbers of their starts (n,), (n, T).
+    begin : (m, d)
+    reach : float
+        Largest size of a coordinate.
+
+    Returns
+    -------
+    (m, d)
+    """
+
+    def misfit(at: Array, starts: Rows) -> Array:
+        left = residual(at, starts)
+        squares = np.einsum("nt,nt->n", left, left) + np.sum(at**2, axis=1)
+        return np.where(np.isnan(squares), np.inf, squares)
+
+    (m, d), step = begin.shape, 1e-4
+    points = np.clip(begin, -reach, reach)
+    squares, damping = misfit(points, np.arange(m)), np.full(m, 10.0)
+    refused = np.zeros(m, dtype=np.intp)
+    normal, slope = np.tile(np.eye(d), (m, 1, 1)), np.zeros((m, d))  # JᵀJ + 1 and Jᵀr + x
+    moved = going = np.arange(m)
+    for _ in range(STEPS):
+        size = 1
+        while moved.size:
+            some, moved = moved[:size], moved[size:]
+            near = np.repeat(points[some, None], d + 1, axis=1)
+            near[:, range(1, d + 1), range(d)] += step
+            left = residual(near.reshape(-1, d), np.repeat(some, d + 1))
+            left = left.reshape(some.size, d + 1, -1)
+            with np.errstate(invalid="ignore"):
+                slopes = (left[:, 1:] - left[:, :1]) / step
+                slopes[~np.isfinite(slopes).all(axis=2)] = 0.0  # a slope that is no number: stay
+                there = np.nan_to_num(left[:, 0], posinf=0.0, neginf=0.0)
+            normal[some] = slopes @ slopes.swapaxes(1, 2) + np.eye(d)
+            slope[some] = (slopes @ there[..., None])[..., 0] + points[some]
+            size = max(1, MOST // (left.shape[2] * (d + 1)))
+        at, pull = points[going], slope[going]
+        stays = ((at >= reach) & (pull < 0.0)) | ((at <= -reach) & (pull > 0.0))
+        system = np.where(stays[:, :, None] | stays[:, None, :], 0.0, normal[going])
+        diagonal = np.einsum("nii->ni", normal[going]) * (1.0 + damping[going, None])
+        system[:, range(d), range(d)] = np.where(stays, 1.0, diagonal)
+        step_of = -np.linalg.solve(system, np.where(stays, 0.0, pull)[..., None])[..., 0]
+        ahead = np.clip(at + step_of, -reach, reach)
+        new = misfit(ahead, going)
+        gain = squares[going] - new
+        better = gain > 0.0
+        small = better & (gain < TOLERANCE * squares[going]) & (damping[going] < 0.01)
+        moved = going[better]
+        points[moved], squares[moved] = ahead[better], new[better]
+        damping[going] = np.clip(damping[going] * np.where(better, 0.1, 5.0), 1e-9, 1e9)
+        refused[going] = np.where(better, 0, refused[going] + 1)
+        going = going[~small & (refused[going] < REFUSED)]
+        moved = np.intersect1d(moved, going)
+        if not going.size:
+            break
+    return points
+
+
+def climb(
+    density: Density, begin: Array, axes: Array, sd: Array, modes: Sequence[Mode] = ()
+) -> Mode:
+    """Mode that BFGS reaches from a point, (dim,), in coordinates along `axes`.
+
+    Where it comes near one of the known `modes`, and is not higher, it ends there.
+
+    Parameters
+    ----------
+    axes : (dim, dim)
+        Columns along which the density is about as wide as 1.
+    sd : (dim,)
+        Scale of each coordinate under its prior, for the covariance.
+    """
+    dim, step = len(begin), 1e-4
+    around = step * np.concatenate([np.zeros((1, dim)), np.eye(dim), -np.eye(dim)])
+    met: list[Mode] = []
+
+    def loss(w: Array) -> tuple[float, Array]:
+        """Loss and its slope by central differences, in one batch."""
+        here, *near = -np.maximum(density(begin + (w + around) @ axes.T), LOWEST)
+        higher, lower = np.reshape(near, (2, dim))
+        return float(here), (higher - lower) / (2 * step)
+
+    def look(intermediate_result: optimize.OptimizeResult) -> None:  # SciPy looks at this name
+        q, height = begin + axes @ intermediate_result.x, -float(intermediate_result.fun)
+        met.extend(m for m in modes if height <= m.log_prob and m.is_near(q, height))
+        if met:
+            raise StopIteration
+
+    fit = optimize.minimize(
+        loss,
+        np.zeros(dim),
+        jac=True,
+        method="BFGS",
+        callback=look,
+        options={"maxiter": 150, "gtol": 1e-2},
+    )
+    if met:
+        return met[0]
+    q = begin + axes @ fit.x
+    return Mode(q, float(density(q[None])[0]), laplace_covariance(density, q, sd))
+
+
+def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
+    """Inverse of the negative Hessian of a log density at q, (dim, dim).
+
+    The Hessian's eigenvalues, in prior units, are limited so that each standard deviation is
+    between 1e-4 and 4 times the prior's, and the result is positive definite.
+    """
+    dim, step = len(q), 3e-3
+    shifts = step * sd * np.concatenate([np.eye(dim), -np.eye(dim)])
+    i, j = np.triu_indices(2 * dim)
+    heights = np.empty((2 * dim, 2 * dim))
+    heights[i, j] = heights[j, i] = np.maximum(density(q + shifts[i] + shifts[j]), LOWEST)
+    values = heights.reshape(2, dim, 2, dim)
+    slopes = values[:, :, 0] - values[:, :, 1]
+    curvature = -(slopes[0] - slopes[1]) / (2 * step) ** 2
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    covariance: Array = (vectors / np.clip(values, 1.0 / 16.0, 1e8)) @ vectors.T
+    return covariance * sd * sd[:, None]
+
+
+def around_modes(modes: Sequence[Mode], power: float = 1.0) -> Mixture:
+    """Laplace's approximation to a power of the density, at every mode that may matter.
+
+    Laplace's masses are rough, so each mode's weight is the cube root of its mass. Modes whose
+    log mass is more than 20 below the best are left out.
+    """
+    best = max(mode.log_evidence for mode in modes)
+    kept = [mode for mode in modes if mode.log_evidence > best - 20.0]
+    weights = np.exp([(mode.log_evidence - best) / 3.0 for mode in kept])
+    covariances = np.array([mode.covariance / power for mode in kept])
+    return Mixture(
+        weights / weights.sum(),
+        np.array([mode.q for mode in kept]),
+        np.asarray(np.linalg.cholesky(covariances)),
+        np.full(len(kept), 6.0),
+    )
+
+
+def nearest_modes(modes: Sequence[Mode], q: Array) -> Rows:
+    """Number of the mode whose Laplace approximation is densest at each draw, (chain, draw).
+
+    Parameters
+    ----------
+    q : (chain, draw, dim)
+    """
+    flat = q.reshape(-1, q.shape[-1])
+    heights = [around_modes([mode]).log_density(flat) for mode in modes]
+    nearest: Rows = np.argmax(heights, axis=0).reshape(q.shape[:2])
+    return nearest
+
+
+def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
+    """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
+    belongs = nearest_modes(modes, q)[..., None] == np.arange(len(modes))
+    shares: Array = belongs.mean(axis=1)
+    return shares

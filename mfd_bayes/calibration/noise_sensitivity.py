@@ -1,0 +1,270 @@
+"""Whether the noise model decides a test's parameters: fits of the same test under other noises.
+
+Such a fit is near the first one, whose draws say where to look: a few climbs and some thousand
+weighted draws do. Only where the weights cannot be trusted are walkers sent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.modes import Mode, around_modes, climb, find_modes, prior_scale
+from mfd_bayes.calibration.noise import NOISES
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.proposal import Adaptive, fit_mixture, joined
+from mfd_bayes.calibration.sampling import Draws, sample_density
+from mfd_bayes.errors import FitError, MfdError
+
+Array = NDArray[np.float64]
+Bounds = tuple[float, float, float]
+
+HALF = 0.5
+"""Share of its 95 % interval by which a quantity may move."""
+
+QUANTILES = (0.025, 0.5, 0.975)
+
+FORMAL = frozenset({"gamma1", "gamma2", "start"})
+"""Quantities that say nothing about the damper."""
+
+DRAWS, ROUNDS = 1000, 12
+"""Draws of each proposal; most proposals before walkers are sent."""
+
+LARGEST_K, ENOUGH = 0.7, 200.0
+"""Pareto k above which, and effective number of draws below which weights are not trusted."""
+
+STARTS = 3
+"""Draws of the first fit from which modes are climbed to."""
+
+SEARCHED = 6
+"""Points from which modes are searched before walkers are sent: the first fit's may be minor."""
+
+TRIED = 64
+"""Prior draws of what the first fit does not have, of which each start takes the best."""
+
+WALK = Effort(
+    name="second fit", ess=50, limit=400, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1
+)
+"""Sampling where weights fail: enough for a median and an interval, not for their digits."""
+
+APART = 1.2
+"""R̂ of these walkers above which they do not tell where the posterior is."""
+
+AT_ONCE, BY_WEIGHTS, BY_WALKERS = "one proposal", "several proposals", "walkers"
+
+
+@dataclass(frozen=True)
+class OtherFit:
+    """A test's parameters under another noise.
+
+    Attributes
+    ----------
+    noise : str
+    how : str
+        As `SecondFit` has it; "" where it failed.
+    k, size : float
+        Pareto k of its weights, and the effective number of its draws.
+    quantities : mapping of str to three floats
+        2.5 %, 50 % and 97.5 % quantile of each quantity, in its internal unit.
+    seconds : float
+        Processor time.
+    error : str
+        Why there is no fit, if there is none.
+    """
+
+    noise: str
+    how: str = ""
+    k: float = float("nan")
+    size: float = 0.0
+    quantities: Mapping[str, Bounds] = field(default_factory=dict)
+    seconds: float = 0.0
+    error: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class SecondFit:
+    """Weighted draws of a second fit.
+
+    Attributes
+    ----------
+    q : (n, dim)
+        Unconstrained coordinates.
+    weights : (n,)
+        They sum to 1.
+    how : {"one proposal", "several proposals", "walkers"}
+        Whether a proposal fitted to the first fit's draws was enough, or more were fitted to
+        weighted draws, or walkers had to be sent.
+    k : float
+        Pareto k of the weights; of walkers, that of the weights that failed.
+    size : float
+        Effective number of draws.
+    """
+
+    q: Array
+    weights: Array
+    how: str
+    k: float
+    size: float
+
+
+def moves(own: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether another noise moves a quantity: 2.5 %, 50 % and 97.5 % quantile under each.
+
+    Its median moves by more than `HALF` of its 95 % interval, or the intervals do not overlap.
+    """
+    (low, middle, high), (below, there, above) = own, other
+    return abs(there - middle) > HALF * (high - low) or below > high or above < low
+
+
+def other_noises(noise: str) -> tuple[str, ...]:
+    """Noises under which a test with this noise is fitted again."""
+    ordered = dict.fromkeys(("ou", "staged", "iid", *NOISES))
+    return tuple(name for name in ordered if name != noise and name in NOISES)
+
+
+def fit_other(
+    noise: str,
+    first: Posterior,
+    make: Callable[[], Posterior],
+    draws: Draws,
+    seed: Sequence[int],
+) -> OtherFit:
+    """Parameters of a test under another noise; a fit that fails is a result too.
+
+    Parameters
+    ----------
+    noise : str
+        The other noise.
+    first : Posterior
+        Under the test's own noise.
+    make : callable
+        Makes the posterior under the other noise.
+    draws : Draws
+        Of the first posterior.
+    seed : sequence of int
+        Of the test. The check takes no random number of its draws.
+    """
+    began = time.process_time()
+    rng = np.random.default_rng((*seed, 17, *noise.encode()))
+    shared = [name for name in first.names if name not in first.noise.parameters]
+    try:
+        second = make()
+        found = fit_again(second, {n: draws.values[n].reshape(-1) for n in shared}, rng)
+        quantities = quantiles_of(second, second.values(found.q), found.weights)
+    except (MfdError, np.linalg.LinAlgError) as error:
+        return OtherFit(noise, error=str(error), seconds=time.process_time() - began)
+    seconds = time.process_time() - began
+    return OtherFit(noise, found.how, found.k, found.size, quantities, seconds)
+
+
+def quantiles_of(
+    posterior: Posterior, values: Mapping[str, Array], weights: Array | None = None
+) -> dict[str, Bounds]:
+    """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap.
+
+    Parameters
+    ----------
+    values : mapping of str to (n,)
+        Draws of all quantities.
+    weights : (n,), optional
+        Of the draws; all alike without.
+    """
+    model = posterior.model
+    named = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
+    if (gap := model.gap(values)) is not None:
+        named["gap"] = gap
+    formal = {*FORMAL, *posterior.noise.parameters}
+    how: dict[str, Any] = {"weights": weights, "method": "inverted_cdf"}
+    found = {
+        name: np.quantile(column, QUANTILES, **({} if weights is None else how))
+        for name, column in named.items()
+        if name not in formal and np.ptp(column) > 0.0
+    }
+    return {name: (float(a), float(b), float(c)) for name, (a, b, c) in found.items()}
+
+
+def fit_again(
+    posterior: Posterior, draws: Mapping[str, Array], rng: np.random.Generator
+) -> SecondFit:
+    """Weighted draws of a posterior that is near another one.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        The second one; it may have quantities that the first has not.
+    draws : mapping of str to (n,)
+        Draws of the first one, without what has another meaning in the second.
+
+    Raises
+    ------
+    FitError
+        When there is no density around the draws, or walkers did not settle.
+    """
+    near = _modes_near(posterior, draws, rng)
+    anchors = around_modes(near)
+    begin = _completed(posterior, _some(draws, DRAWS, rng), anchors.draw(rng, DRAWS))
+    first = joined([fit_mixture(begin, rng), anchors], [0.75, 0.25])
+    found = Adaptive(posterior.log_prob, first, rng, DRAWS)
+    for rounds in range(1, ROUNDS + 1):
+        found.run()
+        if found.k <= LARGEST_K and found.size >= ENOUGH:
+            how = AT_ONCE if rounds == 1 else BY_WEIGHTS
+            return SecondFit(found.q, found.weights, how, found.k, found.size)
+    modes = list(near)
+    for mode in find_modes(posterior, rng, starts=SEARCHED):
+        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
+            modes.append(mode)
+    chains = sample_density(posterior.log_prob, modes, WALK, rng)
+    size, r_hat = chains.convergence.worst_ess, chains.convergence.worst_r_hat
+    if not (r_hat <= APART and size >= WALK.ess):
+        raise FitError("neither weighted draws nor walkers settled")
+    flat = chains.q.reshape(-1, posterior.dim)
+    return SecondFit(flat, np.full(len(flat), 1.0 / len(flat)), BY_WALKERS, found.k, size)
+
+
+def _modes_near(
+    posterior: Posterior, draws: Mapping[str, Array], rng: np.random.Generator
+) -> list[Mode]:
+    """Modes that are climbed to from some of the draws."""
+    sd = prior_scale(posterior, rng)[1]
+    tried = posterior.coordinates(posterior.draw_prior(rng, TRIED))
+    size = len(next(iter(draws.values())))
+    q = _completed(posterior, draws, np.zeros((size, posterior.dim)))
+    known = [k for k, name in enumerate(posterior.names) if name in draws]
+    # axes are those of the draws, and a tenth of the prior's sd of the rest
+    covariance = np.diag((0.1 * sd) ** 2)
+    covariance[np.ix_(known, known)] = np.cov(q[:, known].T) + np.diag((1e-4 * sd[known]) ** 2)
+    axes = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    modes: list[Mode] = []
+    for values in np.transpose(list(_some(draws, STARTS, rng).values())):
+        start = {name: np.full(TRIED, at) for name, at in zip(draws, values, strict=True)}
+        points = _completed(posterior, start, tried)
+        heights = posterior.log_prob(points)
+        if np.any(np.isfinite(heights)):
+            mode = climb(posterior.log_prob, points[np.argmax(heights)], axes, sd, modes)
+            if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
+                modes.append(mode)
+    if not modes:
+        raise FitError("no density around the first fit")
+    return modes
+
+
+def _some(draws: Mapping[str, Array], size: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Some of the draws, with replacement."""
+    pick = rng.choice(len(next(iter(draws.values()))), size=size)
+    return {name: column[pick] for name, column in draws.items()}
+
+
+def _completed(posterior: Posterior, known: Mapping[str, Array], rest: Array) -> Array:
+    """Coordinates with the known quantities, and with those of `rest` for the others, (n, dim)."""
+    own = posterior.to_own(rest)
+    for column, name in enumerate(posterior.names):
+        if name in known:
+            own[:, column] = posterior.priors[name].coordinate(known[name])
+    return posterior.from_own(own)

@@ -1,0 +1,282 @@
+"""The dampers of a building, drawn from a calibrated population."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import BuildingError
+from mfd_bayes.friction.banks import PlasticBank, bank_of
+from mfd_bayes.friction.model import Model
+from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis, slip_force_of
+from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.settings import Setting
+from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
+from mfd_bayes.response.building import Building
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+KINDS = ("new_test", "device")
+"""With each damper's own scatter from test to test, or the mean property alone."""
+
+FEWEST = 10
+"""Fewest draws of a response."""
+
+RIGID = 0.001
+"""Travel, in, at which almost rigid friction slips."""
+
+SETTLE = float(np.expm1(np.log1p(FINE) / (KNOTS - 1)) / FINE)
+"""Share of the longest stroke after a turn, over which a discrepancy goes to its new side."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is drawn.
+
+    Attributes
+    ----------
+    kind : {"new_test", "device"}
+    draws, seed : int
+    session : str
+    scatter : float
+        Factor of the scatter from test to test: 1, or another to see what it does.
+    """
+
+    kind: str = "new_test"
+    draws: int = 300
+    seed: int = 1
+    session: str = ""
+    scatter: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise BuildingError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
+        whole_number("draws", self.draws, FEWEST, BuildingError, MOST_DRAWS)
+        whole_number("seed", self.seed, 0, BuildingError)
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """The model's discrepancy as a force of q dampers; a state as those of `friction.banks`.
+
+    A turn would let the force jump from one side to the other. It goes there over the first
+    `SETTLE` of the longest stroke instead, so that the force is continuous in time.
+
+    Attributes
+    ----------
+    basis : TravelBasis
+    knots : (q, 2, KNOTS + 2), kip
+        Values forward and backward, and zeros beyond the longest stroke.
+    place, turn : (q,), in
+        Displacement now and at the last turn.
+    direction : (q,), ±1
+    stroke : (q,), in
+        Length of the stroke before the last turn.
+    held, force : (q,), kip
+        Force at the last turn, and now.
+    """
+
+    basis: TravelBasis
+    knots: Array
+    place: Array
+    direction: Array
+    turn: Array
+    stroke: Array
+    held: Array
+    force: Array
+
+    @classmethod
+    def at_rest(cls, basis: TravelBasis, coefficients: Array, relative: Array) -> Leftover:
+        """State before any motion, without force, for no stroke is known.
+
+        Parameters
+        ----------
+        coefficients : (n, K), kip
+            Common to the dampers of a building, as they are to the tests of a device.
+        relative : (n, m)
+            Slip force of each damper over the one at which the discrepancy stands as it is.
+        """
+        knots = relative[..., None, None] * coefficients.reshape(len(relative), 1, 2, KNOTS)
+        knots = np.pad(knots.reshape(-1, 2, KNOTS), ((0, 0), (0, 0), (0, 2)))
+        zero = np.zeros(relative.size)
+        return cls(basis, knots, zero, np.ones(relative.size), zero, zero, zero, zero)
+
+    def chosen(self, rows: Rows) -> Leftover:
+        """That of some dampers."""
+        return Leftover(self.basis, *(column[rows] for column in self._columns))
+
+    def replaced(self, rows: Rows, part: Leftover) -> Leftover:
+        """The same with that of some dampers replaced."""
+        columns = [column.copy() for column in self._columns]
+        for column, new in zip(columns, part._columns, strict=True):
+            column[rows] = new
+        return Leftover(self.basis, *columns)
+
+    @property
+    def _columns(self) -> list[Array]:
+        return list(vars(self).values())[1:]
+
+    def step(self, x: Array, velocity: Array, dt: float, scales: object = None) -> Leftover:
+        """State at the next displacements, (q,), in."""
+        back = (x - self.place) * self.direction < 0
+        direction = np.where(back, -self.direction, self.direction)
+        stroke = np.where(back, np.abs(self.place - self.turn), self.stroke)
+        turn = np.where(back, self.place, self.turn)
+        held = np.where(back, self.force, self.held)
+        travel, longest = np.abs(x - turn), self.basis.longest
+        # linear between the knots, which are even in log(1 + FINE · travel/longest), as TravelBasis
+        at = np.log1p(FINE * travel / longest) / (np.log1p(FINE) / (KNOTS - 1))
+        left = np.minimum(at, KNOTS).astype(np.intp)
+        row, side, share = np.arange(x.size), (direction < 0).astype(np.intp), at - left
+        value = (1.0 - share) * self.knots[row, side, left] + share * self.knots[
+            row, side, left + 1
+        ]
+        value = np.where(at < KNOTS, value, 0.0)
+        value *= np.clip(4.0 * stroke / self.basis.shortest - 2.0, 0.0, 1.0)
+        gone = np.minimum(travel / (SETTLE * longest), 1.0)
+        force = gone * value + (1.0 - gone) * held
+        return Leftover(self.basis, self.knots, x, direction, turn, stroke, held, force)
+
+
+@dataclass(frozen=True, eq=False)
+class Dampers:
+    """Dampers of n buildings, m in each.
+
+    Attributes
+    ----------
+    model : Model or None
+        None for dampers that are almost rigid until they slip; theta is the slip force then.
+    theta : (n, m, p)
+    start : (n, m)
+        Places in the gap at the start.
+    slip : (n, m), kip
+        Mean slip forces.
+    leftover : Leftover, optional
+    scales : mapping of (n, m, T)
+        Factors of what follows the actuation, at the times `times`; none for constant actuations.
+    about : mapping of (n, m)
+        Values by which the draws differ, by the name of the source, for shares of variance.
+    """
+
+    model: Model | None
+    theta: Array
+    start: Array
+    slip: Array
+    leftover: Leftover | None = None
+    scales: Mapping[str, Array] = field(default_factory=dict)
+    times: Array | None = None
+    about: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def draws(self) -> int:
+        """Number of buildings n."""
+        return len(self.theta)
+
+    @property
+    def count(self) -> int:
+        """Number of dampers in each, m."""
+        return int(self.theta.shape[1])
+
+    def chosen(self, rows: Rows) -> Dampers:
+        """Those of some buildings."""
+        places = (rows[:, None] * self.count + np.arange(self.count)).ravel()
+        return replace(
+            self,
+            theta=self.theta[rows],
+            start=self.start[rows],
+            slip=self.slip[rows],
+            leftover=self.leftover and self.leftover.chosen(places),
+            scales={name: s[rows] for name, s in self.scales.items()},
+            about={name: a[rows] for name, a in self.about.items()},
+        )
+
+    def state(self, way: Array) -> Any:
+        """The n m dampers at rest, about to move in the directions `way`, (m,) of ±1."""
+        if self.model is None:
+            slip = self.slip.ravel()
+            return PlasticBank.at_rest(slip / RIGID, slip)
+        theta = self.theta.reshape(-1, self.theta.shape[2])
+        return bank_of(self.model, theta, self.start.ravel(), np.tile(way, self.draws))
+
+
+def no_dampers(draws: int = 1) -> Dampers:
+    """Of a building without any."""
+    return Dampers(None, np.zeros((draws, 0, 1)), np.zeros((draws, 0)), np.zeros((draws, 0)))
+
+
+def plain_friction(slip: Array) -> Dampers:
+    """One building whose dampers are almost rigid until they slip at forces (m,), kip."""
+    force = np.asarray(slip, dtype=np.float64)[None]
+    return Dampers(None, force[..., None], np.full(force.shape, 0.5), force)
+
+
+def draw_dampers(
+    population: Population, model: Model, building: Building, choice: Choice
+) -> Dampers:
+    """Dampers of n draws of a building, from the run's population.
+
+    What tests share (laws, levels, effects of level and session, the discrepancy, whether they
+    begin without load) is one draw for all dampers of a building; each has its own scatter from
+    test to test and its own place in its gap. The noise of measurements is left out: it belongs to
+    load cells. The same seed gives the same random numbers at any actuation, tested or not.
+    """
+    levels = [device.level for device in building.devices]
+    if not levels:
+        return no_dampers(choice.draws)
+    times, histories = building.actuations
+    beyond = [level for level in levels if not population.within_levels(level)]
+    rng = np.random.default_rng([choice.seed, 0])
+    index = population.draw_index(choice.draws, (beyond or levels)[0], rng)
+    varying = times is not None
+    driven = np.concatenate([levels, *histories])
+    grid = np.unique([*levels, *(population.grid(max(levels), driven) if varying else ())])
+    rng = np.random.default_rng([choice.seed, 1])
+    shared = population.draw_numbers(choice.draws, grid.size, rng)
+    effects = population.level_effects(index, choice.session, grid, shared.level)
+    values, about, scales = [], [], []
+    for damper, (level, history) in enumerate(zip(levels, histories, strict=True)):
+        at = int(np.argmin(np.abs(grid - level)))
+        here = {name: effect[:, at] for name, effect in effects.items()}
+        setting = Setting(level, choice.session, dict(population.design.covariates))
+        numbers = _own(shared, np.random.default_rng([choice.seed, 2, damper]))
+        scattered = choice.kind == "new_test"
+        parts = population.parts(setting, index, numbers, here, scatter=scattered)
+        x = parts.mean + choice.scatter * parts.scatter
+        unshared = population.unshared(model, x, numbers.start)
+        own = {**unshared, **population.values(x)}
+        typical = slip_force_of(model, {**unshared, **population.values(parts.mean)})
+        sources = {
+            "law and level": typical,
+            "scatter of slip force": np.log(slip_force_of(model, own) / typical),
+            "gap": model.gap(own),
+            "start in the gap": own["start"],
+        }
+        values.append(own)
+        about.append({name: source for name, source in sources.items() if source is not None})
+        scales.append(population.scales(model, history, index, level, (grid, effects)))
+    slip = np.stack([slip_force_of(model, one) for one in values], axis=1)
+    residual = population.residual
+    knots = residual.draw_knots(np.random.default_rng([choice.seed, 4]), choice.draws)
+    return Dampers(
+        model,
+        np.stack([model.theta(one) for one in values], axis=1),
+        np.stack([one["start"] for one in values], axis=1),
+        slip,
+        Leftover.at_rest(residual.basis, knots, slip / residual.slip_force),
+        {k: np.stack([one[k] for one in scales], axis=1) for k in scales[0]} if varying else {},
+        times,
+        {name: np.stack([one[name] for one in about], axis=1) for name in about[0]},
+    )
+
+
+def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:
+    """Numbers of one damper: its own scatter, and its own place in the gap."""
+    flat = shared.flat.copy()
+    flat[:, : shared.quantities] = rng.standard_normal((len(flat), shared.quantities))
+    flat[:, -1] = rng.standard_normal(len(flat))
+    return Numbers(flat, shared.quantities, shared.leveled, shared.grid)

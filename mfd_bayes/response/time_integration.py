@@ -1,0 +1,440 @@
+"""Nonlinear time-history analysis of a building with dampers, for many draws at once.
+
+    M ẍ + C ẋ + K x + Bᵀ (f − f_rest) = −M r a_g
+
+The linear part is stepped exactly. Within a step the ground's acceleration is linear in time, and
+the devices' forces are parabolas through those at its begin, middle and end. Those at the end are
+in equilibrium with the motion, by Newton's method; the one in the middle tells how far the forces
+bend: where they do so too much, the step is halved, for each draw by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from mfd_bayes.friction.banks import PlasticBank
+from mfd_bayes.response.building import Building
+from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.recorder import Piece, Recorder
+from mfd_bayes.response.result import Response
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+LONGEST = 0.02
+"""Longest step, s."""
+
+HALVINGS = 6
+"""Most halvings of a step."""
+
+CLOSE = 1e-4
+"""A force is in equilibrium when it is answered within this share of the slip force."""
+
+NEWTON = 3
+"""Iterations by Newton's method alone; from then on each force is held in a bracket."""
+
+ITERATIONS = (8, 30)
+"""Most iterations of a step; one that needs more is halved. Of the shortest step: more."""
+
+JUMP = 30.0
+"""Width, in tolerances, at which a bracket has closed on a jump: the force is in equilibrium."""
+
+EASY = 1 / 8
+"""Share of the largest bend below which the next step is twice as long."""
+
+RUNAWAY = 1e5
+"""Travel, in, beyond which a draw diverged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Devices:
+    """All devices of n buildings after a step: m dampers, then s storeys that yield.
+
+    Attributes
+    ----------
+    states : tuple of (state, slice)
+        States of n devices for each column of the slice: of the dampers, of what their model leaves
+        over, and of storeys.
+    force : (n, m + s), kip
+    times, scales : (T,), mapping of (n, m, T)
+        See `Dampers`.
+    """
+
+    states: tuple[tuple[Any, slice], ...]
+    force: Array
+    times: Array | None
+    scales: Mapping[str, Array]
+
+    @classmethod
+    def at_rest(cls, building: Building, dampers: Dampers, way: Array) -> Devices:
+        """Devices at rest, the dampers about to move in the directions of the signs of `way`."""
+        n, m, strong = dampers.draws, dampers.count, np.isfinite(building.yields)
+        states = [(dampers.state(np.where(way < 0, -1.0, 1.0)), slice(0, m))]
+        if dampers.leftover is not None:
+            states.append((dampers.leftover, slice(0, m)))
+        if strong.any():
+            stiffness, strength = (
+                np.tile(values[strong], n) for values in (building.storeys, building.yields)
+            )
+            yielding = PlasticBank.at_rest(stiffness, strength, elastic=stiffness)
+            states.append((yielding, slice(m, m + int(strong.sum()))))
+        none = np.zeros((n, m + int(strong.sum())))
+        return cls((), none, dampers.times, dampers.scales)._with(states)
+
+    def _with(self, states: Sequence[tuple[Any, slice]]) -> Devices:
+        force = np.zeros(self.force.shape)
+        for state, columns in states:
+            force[:, columns] += state.force.reshape(len(force), -1)
+        return Devices(tuple(states), force, self.times, self.scales)
+
+    def step(self, travel: Array, velocity: Array, size: float, time: float) -> Devices:
+        """Devices after a step to `time`, from travels and velocities (n, m + s)."""
+        scales, states = None, []
+        if self.times is not None:
+            place = float(np.interp(time, self.times, np.arange(self.times.size)))
+            left = min(int(place), self.times.size - 2)
+            share = place - left
+            scales = {
+                name: ((1.0 - share) * s[..., left] + share * s[..., left + 1]).ravel()
+                for name, s in self.scales.items()
+            }
+        for state, columns in self.states:
+            x, v = travel[:, columns].ravel(), velocity[:, columns].ravel()
+            states.append((state.step(x, v, size, scales) if x.size else state, columns))
+            scales = None  # the dampers come first
+        return self._with(states)
+
+    def chosen(self, rows: Rows) -> Devices:
+        """The devices of some buildings."""
+        some = [(state.chosen(_flat(rows, columns)), columns) for state, columns in self.states]
+        scales = {name: column[rows] for name, column in self.scales.items()}
+        return Devices(tuple(some), self.force[rows], self.times, scales)
+
+    def replaced(self, rows: Rows, part: Devices) -> Devices:
+        """The devices with the state of those of some buildings replaced."""
+        pairs = zip(self.states, part.states, strict=True)
+        return self._with(
+            [
+                (old.replaced(_flat(rows, columns), new), columns)
+                for (old, columns), (new, _) in pairs
+            ]
+        )
+
+
+def _flat(rows: Rows, columns: slice) -> Rows:
+    """Places in a state of the devices of some buildings that have these columns."""
+    width = columns.stop - columns.start
+    return np.asarray((rows[:, None] * width + np.arange(width)).ravel())
+
+
+@dataclass(frozen=True, eq=False)
+class Propagator:
+    """What a linear building with devices does in a step: exact, by matrix exponentials.
+
+    A row (x, v, f at the begin) times `free`, plus the ground's acceleration at both ends times
+    `shaken`, plus (f at the end, bump) times `forced`, is the row
+
+        x, v after ¼, ½, ¾ and the whole step; travel, v of the devices after ½; and after 1
+
+    where forces are those beyond the ones at rest, f(s) = (1 − s) f₀ + s f₁ + 4 s (1 − s) bump, and
+    travels are less what a brace takes. From the exponential of the matrix that is augmented by the
+    loads' powers of time (Van Loan, 1978).
+
+    Attributes
+    ----------
+    size : float, s
+    free, shaken, forced : (2N + m, 8N + 4m), (2, 8N + 4m), (2m, 8N + 4m)
+    """
+
+    size: float
+    free: Array
+    shaken: Array
+    forced: Array
+
+    @classmethod
+    def of(cls, building: Building, places: Array, brace: Array, size: float) -> Propagator:
+        """Step of `size` seconds, with devices at places (m, N) and braces (m,), in/kip."""
+        n, m = building.freedoms, len(places)
+        inverse = linalg.inv(building.mass)
+        whole = np.zeros((2 * n + 3 * (1 + m),) * 2)
+        whole[:n, n : 2 * n] = np.eye(n)
+        whole[n : 2 * n, :n] = -inverse @ building.stiffness
+        whole[n : 2 * n, n : 2 * n] = -inverse @ building.damping
+        whole[n : 2 * n, 2 * n] = -building.influence
+        whole[n : 2 * n, 2 * n + 1 : 2 * n + 1 + m] = -inverse @ places.T
+        whole[: 2 * n] *= size / 4.0
+        whole[2 * n : 2 * n + 2 * (1 + m), 2 * n + 1 + m :] = np.eye(2 * (1 + m)) / 4.0
+        quarter = linalg.expm(whole)
+        columns, power = [], np.eye(len(whole))
+        for _ in range(4):  # the load's powers of time go on from quarter to quarter
+            power = quarter @ power
+            columns.append(power[: 2 * n].T)
+        found = np.concatenate(columns, axis=1)
+        one, linear, square = np.split(found[2 * n :], 3)  # answers to loads 1, s and s²/2
+        first, bump = one - linear, 4.0 * linear - 8.0 * square
+        free = np.concatenate([found[: 2 * n], first[1:]])
+        shaken = np.array([first[0], linear[0]])
+        forced = np.concatenate([linear[1:], bump[1:]])
+        travels = np.kron(np.eye(4), places.T)
+        free, shaken, forced = (
+            np.concatenate([a, a[:, np.r_[2 * n : 4 * n, 6 * n : 8 * n]] @ travels], axis=1)
+            for a in (free, shaken, forced)
+        )
+        loss, rate, none = np.diag(brace), np.diag(brace) / size, np.zeros((m, m))
+        free[2 * n :, 8 * n :] -= np.concatenate([0.5 * loss, -rate, none, -rate], axis=1)
+        forced[:m, 8 * n :] -= np.concatenate([0.5 * loss, rate, loss, rate], axis=1)
+        forced[m:, 8 * n :] -= np.concatenate([loss, none, none, -4.0 * rate], axis=1)
+        return cls(size, free, shaken, forced)
+
+    def inner(self, state: Array, shaking: Array, forces: Sequence[Array]) -> Array:
+        """States after ¼, ½ and ¾ of the step, (3, r, 2N).
+
+        Parameters
+        ----------
+        state, shaking : (r, 2N), (r, 2)
+        forces : three of (r, m), kip
+            At the begin, in the middle and at the end.
+        """
+        first, middle, last = forces
+        width = 3 * state.shape[1]
+        given = np.concatenate([state, first], axis=1) @ self.free[:, :width]
+        given += shaking @ self.shaken[:, :width]
+        curve = np.concatenate([last, middle - 0.5 * (first + last)], axis=1)
+        given += curve @ self.forced[:, :width]
+        return given.reshape(len(state), 3, -1).swapaxes(0, 1)
+
+
+def equilibrium(
+    devices: Devices,
+    motion: Callable[[Array], tuple[Array, Array]],
+    when: tuple[float, float],
+    flexibility: Array,
+    begin: tuple[Array, Array],
+    tolerance: Array,
+    most: int,
+) -> tuple[Devices, Array, Array, NDArray[np.bool_]]:
+    """Devices that answer their motion with the forces that cause it, by Newton's method.
+
+    Parameters
+    ----------
+    motion : callable
+        Travel and velocity at the end of a step, (n, m) each, by the forces then.
+    when : (float, float), s
+        Length of the step, and the time at its end.
+    flexibility : (m, m), in/kip
+        Change of the travel of each device (row) by the force of each (column).
+    begin : (n, m), kip and kip/in
+        Forces to begin with, and changes of each device's force by its travel: a secant of the
+        last step at first, of the last two iterations then.
+    tolerance : (n, m), kip
+    most : int
+        Most iterations.
+
+    Returns
+    -------
+    devices, force, slope, closed : Devices, (n, m), (n, m), (n,) bool
+        The devices, their forces, those changes, and which of n buildings are in equilibrium.
+    """
+    (force, slope), own, last = begin, np.abs(flexibility.diagonal()), begin
+    low, high = np.full_like(force, -np.inf), np.full_like(force, np.inf)
+    for iteration in range(most):
+        travel, velocity = motion(force)
+        after = devices.step(travel, velocity, *when)
+        off = after.force - force
+        far = ~(np.abs(off) <= tolerance)
+        if iteration:
+            way = travel - last[0]
+            usable = np.abs(way) > 0.1 * tolerance * own
+            secant = (after.force - last[1]) / np.where(usable, way, 1.0)
+            usable &= np.isfinite(secant)
+            slope = np.where(usable, np.clip(secant, -0.5 / own, 1e4 / own), slope)
+        if not far.any():
+            break
+        last = travel, after.force
+        new = force + _solved(slope, flexibility, off)
+        if iteration >= NEWTON:
+            # the answer less the force falls with the force; a bracket is opened again where it
+            # was passed as other devices moved
+            above, below = off > 0, off < 0
+            high = np.where(above & (force >= high), np.inf, high)
+            low = np.where(below & (force <= low), -np.inf, low)
+            low, high = (
+                np.where(above, np.maximum(low, force), low),
+                np.where(below, np.minimum(high, force), high),
+            )
+            far &= ~(high - low <= JUMP * tolerance)
+            if not far.any():
+                break
+            new = np.where(far & ~((low < new) & (new < high)), 0.5 * (low + high), new)
+        # a building in equilibrium stays as it is, whatever others do
+        force = np.where(np.isfinite(new) & far.any(axis=1, keepdims=True), new, force)
+    answered = np.abs(off) <= tolerance
+    return after, np.where(answered, after.force, force), slope, np.asarray(~far.any(axis=1))
+
+
+def _solved(slope: Array, flexibility: Array, off: Array) -> Array:
+    """Solution d of (I − K A) d = off, with slopes K (n, m) and a flexibility A (m, m)."""
+    system = np.eye(len(flexibility)) - slope[:, :, None] * flexibility
+    return np.asarray(np.linalg.solve(system, off[..., None])[..., 0])
+
+
+class _Draws:
+    """Draws of a building under one ground motion, each stepped as its forces bend."""
+
+    def __init__(
+        self, building: Building, ground: Ground, dampers: Dampers, bend: float, halvings: int
+    ) -> None:
+        self.building, self.ground, self.bend, self.halvings = building, ground, bend, halvings
+        strong = np.isfinite(building.yields)
+        self.places = np.concatenate([building.travels, building.drifts[strong]])
+        self.brace = np.zeros(len(self.places))
+        self.brace[: len(building.devices)] = [1.0 / device.brace for device in building.devices]
+        self.parts = max(1, int(np.ceil(ground.step / LONGEST - 1e-9)))
+        # the sign of the first travel, as the building's own stiffness lets it sway
+        sway = np.linalg.solve(building.stiffness, building.mass @ building.influence)
+        way = -ground.acceleration[np.flatnonzero(ground.acceleration)[0]]
+        self.devices = Devices.at_rest(building, dampers, way * (building.travels @ sway))
+        self.rest = self.devices.force
+        n, m = self.rest.shape
+        yields = np.broadcast_to(building.yields[strong], (n, int(strong.sum())))
+        self.scale = np.concatenate([dampers.slip, yields], axis=1)
+        self.state, self.error = np.zeros((2, n, 2 * building.freedoms))
+        self.slope, self.rate = np.zeros((2, n, m))
+        self.level, self.deepest = np.zeros((2, n), dtype=np.intp)
+        self.change, self.open = np.zeros((2, n))
+        self.unstable = np.zeros(n, dtype=bool)
+        self.steps: dict[int, Propagator] = {}
+        self.pieces: list[Piece] = []
+
+    def advance(self, rows: Rows, begin: float, level: int) -> None:
+        """Move draws by a step of a level, from `begin`, in samples; or by two of the next one."""
+        wish = self.level[rows] > level
+        ready, deeper = rows[~wish], rows[wish]
+        if ready.size:
+            late = ready[~self.step(ready, begin, level)]
+            self.level[late] = level + 1
+            deeper = np.sort(np.concatenate([deeper, late]))
+        for half in (0.0, 0.5):
+            deeper = deeper[~self.unstable[deeper]]
+            if deeper.size:
+                self.advance(deeper, begin + half / (self.parts * 2**level), level + 1)
+
+    def step(self, rows: Rows, begin: float, level: int) -> NDArray[np.bool_]:
+        """Move draws by one step of a level, unless forces bend too much in it: which, (r,)."""
+        n, m = self.building.freedoms, len(self.places)
+        size = self.ground.step / (self.parts * 2**level)
+        if level not in self.steps:
+            self.steps[level] = Propagator.of(self.building, self.places, self.brace, size)
+        linear, k = self.steps[level], int(begin + 1e-9)
+        low, high = self.ground.acceleration[k : k + 2].tolist()
+        ends = np.array([begin, begin + size / self.ground.step])
+        shaking, time = low + (ends - k) * (high - low), begin * self.ground.step
+        every = rows.size == len(self.state)
+        devices = self.devices if every else self.devices.chosen(rows)
+        state, rest, scale = self.state[rows], self.rest[rows], self.scale[rows]
+        first, slope = devices.force - rest, self.slope[rows]
+        free = np.concatenate([state, first], axis=1) @ linear.free[:, 6 * n :]
+        free += shaking @ linear.shaken[:, 6 * n :]
+        forced, half, full = linear.forced[:, 6 * n :], 2 * n, 2 * n + 2 * m
+
+        def motion(force: Array) -> tuple[Array, Array]:
+            moved = free[:, full:] + (force - rest) @ forced[:m, full:]
+            return moved[:, :m], moved[:, m:]
+
+        after, force, slope, closed = equilibrium(
+            *(devices, motion, (size, time + size), forced[:m, full : full + m].T),
+            *((devices.force + size * self.rate[rows], slope), CLOSE * scale),
+            ITERATIONS[level == self.halvings],
+        )
+        last = force - rest
+        moved = free[:, half:full] + last @ forced[:m, half:full]
+        there = devices.step(moved[:, :m], moved[:, m:], 0.5 * size, time + 0.5 * size)
+        bump = there.force - rest - 0.5 * (first + last)
+        # the bump itself takes from the travel in the middle: one iteration of Newton's
+        bump = _solved(slope, forced[m:, half : half + m].T, bump)
+        curve = np.concatenate([last, bump], axis=1)
+        end = free[:, : 2 * n] + curve @ forced[:, : 2 * n]
+        bent = np.max(np.abs(bump) / scale, axis=1, initial=0.0) * size / (LONGEST * self.bend)
+        sound = (np.abs(end).max(axis=1) < RUNAWAY) & np.isfinite(last).all(axis=1)
+        good = closed & (bent <= 1.0) & sound
+        if level == self.halvings:
+            self.open[rows[~good]] += size
+            self.unstable[rows[~sound]] = True
+            self.state[rows[~sound]] = 0.0
+            good = sound
+        if not good.any():
+            return np.asarray(good)
+        taken, error = rows[good], self.error[rows] @ linear.free[: 2 * n, 6 * n : 8 * n]
+        error += bump @ forced[m:, : 2 * n]
+        off = np.abs(error[:, :n] @ self.building.drifts.T).max(axis=1)
+        for column, new in (
+            (self.state, end),
+            (self.error, error),
+            (self.slope, slope),
+            (self.rate, (last - first) / size),
+            (self.level, np.maximum(level - (bent < EASY), 0)),
+            (self.deepest, np.maximum(self.deepest[rows], level)),
+            (self.change, np.maximum(self.change[rows], off)),
+        ):
+            column[taken] = new[good]
+        forces = [each[good] for each in (first, 0.5 * (first + last) + bump, last)]
+        self.pieces.append(
+            Piece(linear.inner, size, taken, time, shaking, state[good], end[good], forces)
+        )
+        if every and good.all():
+            self.devices = after
+        else:
+            self.devices = self.devices.replaced(taken, after.chosen(np.flatnonzero(good)))
+        return np.asarray(good)
+
+
+def integrate(
+    building: Building,
+    ground: Ground,
+    dampers: Dampers,
+    bend: float,
+    *,
+    halvings: int = HALVINGS,
+    kept: int = 0,
+    tick: Callable[[float], object] = lambda share: None,
+) -> Response:
+    """Response of every draw to one ground motion.
+
+    Parameters
+    ----------
+    dampers : Dampers
+        Of n draws.
+    bend : float
+        A step is halved where a device's force in its middle, off the mean of those at its ends,
+        gives a larger impulse than this share of the slip force in the longest step.
+    halvings : int
+        Most halvings of a step.
+    kept : int
+        Number of first draws whose dampers' histories are kept.
+    tick : callable, optional
+        Called with the share of the motion that is done.
+    """
+    draws = _Draws(building, ground, dampers, bend, halvings)
+    recorder = Recorder(building, ground, draws.places, draws.brace, draws.rest, kept)
+    samples = ground.acceleration.size
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(samples):
+            recorder.include(draws.pieces, draws.state, draws.devices.force, last=k == samples - 1)
+            draws.pieces = []
+            for part in range(draws.parts if k < samples - 1 else 0):
+                draws.advance(np.flatnonzero(~draws.unstable), k + part / draws.parts, 0)
+            if not k % 100:
+                tick(k / samples)
+    found = recorder.arrays()
+    drift = np.maximum(found["drift"].max(axis=1), 1e-300)
+    found |= {"unstable": draws.unstable, "change": draws.change / drift}
+    found |= {"open": draws.open / ground.time[-1]}
+    found |= {"steps": ground.step / draws.parts / 2.0**draws.deepest}
+    return Response.of_ground(building, ground, dampers, found)

@@ -1,0 +1,234 @@
+"""Modes, proposals and draws of densities that are known, each with a control that must fail."""
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.modes import around_modes, climb, least_squares, mode_shares
+from mfd_bayes.calibration.proposal import Adaptive, Mixture, fit_mixture, joined
+from mfd_bayes.calibration.sampling import sample_density
+
+DIM = 5
+MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])
+SD = np.array([1.0, 0.1, 3.0, 1.0, 20.0])
+COVARIANCE = SD * SD[:, None] * (0.8 ** np.abs(np.subtract.outer(np.arange(DIM), np.arange(DIM))))
+EFFORT = Effort(ess=800, limit=4000, ensembles=4, walkers=24)
+
+
+def normal(q, _=-np.inf):
+    """A correlated normal of very different widths, unnormalised."""
+    return -0.5 * np.einsum("ni,ij,nj->n", q - MEAN, np.linalg.inv(COVARIANCE), q - MEAN)
+
+
+def bent(q, _=-np.inf):
+    """The same normal, whose first coordinate bends the fourth; its moments are known."""
+    return normal(np.column_stack([q[:, :3], q[:, 3] - 0.7 * (q[:, 0] ** 2 - 1.0), q[:, 4]]))
+
+
+def modes_of(density, *begin):
+    return [climb(density, np.asarray(b, dtype=float), np.diag(SD), SD) for b in begin]
+
+
+def draws_of(density, *begin, seed=1, effort=EFFORT, **more):
+    modes = modes_of(density, *begin)
+    return sample_density(density, modes, effort, np.random.default_rng(seed), **more)
+
+
+def agrees(chains, mean, sd):
+    """Whether means lie within 4 standard errors and standard deviations within 12 %."""
+    q, ess = chains.q.reshape(-1, DIM), chains.convergence.ess_bulk[:DIM]
+    near = np.abs(q.mean(axis=0) - mean) < 4.0 * sd / np.sqrt(ess)
+    return bool(np.all(near) and np.all(np.abs(q.std(axis=0) / sd - 1.0) < 0.12))
+
+
+@pytest.mark.parametrize("density", [normal, bent])
+def test_draws_have_the_moments_of_the_density(density):
+    sd = np.where((np.arange(DIM) == 3) & (density is bent), np.sqrt(1.0 + 0.49 * 2.0), SD)
+    chains = draws_of(density, MEAN + 0.3 * SD)
+    assert chains.convergence.reached(EFFORT.r_hat, EFFORT.ess)
+    assert agrees(chains, MEAN, sd)
+    assert not agrees(chains, MEAN + 0.3 * sd, sd)
+    assert not agrees(chains, MEAN, 1.2 * sd)
+
+
+def test_chains_are_ordered_by_walker_and_counted():
+    chains = draws_of(normal, MEAN)
+    ensembles, walkers = EFFORT.ensembles, chains.walkers
+    assert walkers == EFFORT.walkers
+    np.testing.assert_allclose(chains.log_prob, normal(chains.q.reshape(-1, DIM)).reshape(4, -1))
+    steps = chains.q.reshape(ensembles, walkers, -1, DIM)
+    assert np.mean(steps[:, :, 1:] == steps[:, :, :-1]) > 0.1  # a walker that stays is its own
+    assert chains.steps - chains.discarded >= steps.shape[2] * chains.thin
+    assert np.all((chains.acceptance > 0.2) & (chains.acceptance < 1.0))
+    assert chains.slowest < 20.0
+
+
+def test_the_seed_decides_and_what_is_told_does_not():
+    short = Effort(ess=50, limit=300, length=1.0, ensembles=2, walkers=20)
+    told = []
+    first, again, other = (
+        draws_of(bent, MEAN, seed=seed, effort=short, report=report).q
+        for seed, report in ((3, None), (3, told.append), (4, None))
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first[:, :5], other[:, :5])
+    assert told
+
+
+def test_progress_names_the_targets_that_are_missing():
+    told = []
+    effort = Effort(ess=1e6, limit=300, length=1.0, ensembles=2, walkers=20)
+    draws_of(normal, MEAN, effort=effort, report=told.append)
+    assert "ESS 1e+06" in told[-1].missing
+    told.clear()
+    draws_of(normal, MEAN, report=told.append)
+    assert told[-1].missing == ""
+
+
+def test_what_is_surely_rejected_needs_no_density():
+    def bounded(q, least):
+        found = normal(q) - 3.0 * np.sum(((q - MEAN) / SD) ** 6, axis=1)
+        spared.append(int(np.sum(found < least)))
+        return np.where(found < least, -np.inf, found)
+
+    def draws(density):
+        modes = [climb(lambda q: bounded(q, -np.inf), MEAN + 0.1 * SD, np.diag(SD), SD)]
+        return sample_density(density, modes, short, np.random.default_rng(1)).q
+
+    spared = []
+    short = Effort(ess=50, limit=250, length=1.0, ensembles=2, walkers=20)
+    every = draws(lambda q, _: bounded(q, -np.inf))
+    spared.clear()
+    np.testing.assert_array_equal(draws(bounded), every)
+    assert sum(spared) > 0
+
+
+def funnel(q, _=-np.inf):
+    """Neal's funnel, which no mixture fits."""
+    wide = q[:, :1]
+    return -0.5 * (wide[:, 0] / 2) ** 2 - 0.5 * np.sum(q[:, 1:] ** 2 * np.exp(-wide) + wide, axis=1)
+
+
+def test_the_second_half_of_the_limit_is_kept():
+    effort = Effort(ess=1e6, limit=600, ensembles=2, walkers=20)
+    chains = draws_of(funnel, np.full(DIM, 0.1), effort=effort)
+    assert chains.steps == effort.limit
+    assert chains.discarded <= effort.limit // 2 + 200
+
+
+# --- modes
+
+
+def test_a_climb_ends_at_the_mode_with_its_covariance():
+    (mode,) = modes_of(normal, MEAN + 2.0 * SD)
+    assert np.all(np.abs(mode.q - MEAN) < 0.01 * SD)
+    np.testing.assert_allclose(mode.covariance, COVARIANCE, rtol=1e-4)
+    exact = 0.5 * (DIM * np.log(2 * np.pi) + np.linalg.slogdet(COVARIANCE)[1])
+    assert mode.log_evidence == pytest.approx(exact, abs=1e-3)
+
+
+def test_a_climb_that_meets_a_known_mode_ends_there():
+    (known,) = modes_of(normal, MEAN + SD)
+    assert climb(normal, MEAN - 2.0 * SD, np.diag(SD), SD, [known]) is known
+
+
+def test_draws_are_shared_out_to_the_nearest_mode():
+    near, far = modes_of(normal, MEAN)[0], MEAN + 20.0 * SD
+    other = type(near)(far, 0.0, near.covariance)
+    q = np.stack([np.stack([MEAN, far, far, far]), np.stack([MEAN, MEAN, MEAN, far])])
+    np.testing.assert_allclose(mode_shares([near, other], q), [[0.25, 0.75], [0.75, 0.25]])
+
+
+TIME = np.linspace(0.0, 3.0, 60)
+
+
+def decay(points, _=None):
+    """Misfit of a decaying oscillation, (n, 3) -> (n, 60)."""
+    size, rate, pace = np.exp(points).T[:, :, None]
+    data = 2.0 * np.exp(-0.7 * TIME) * np.cos(3.0 * TIME)
+    return 5.0 * (size * np.exp(-rate * TIME) * np.cos(pace * TIME) - data)
+
+
+@pytest.mark.parametrize("reach", [8.0, 0.9])
+def test_least_squares_ends_where_scipy_does(reach):
+    begin = np.log([2.0, 0.7, 3.0]) + 0.25 * np.random.default_rng(5).standard_normal((6, 3))
+    expected = [
+        optimize.least_squares(
+            lambda x: np.concatenate([decay(x[None])[0], x]),
+            np.clip(one, 0.01 - reach, reach - 0.01),
+            bounds=(-reach, reach),
+        ).x
+        for one in begin
+    ]
+    np.testing.assert_allclose(least_squares(decay, begin, reach), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf])
+def test_least_squares_stays_where_there_is_no_number(hole):
+    def residual(points, _):
+        return np.where(points < 1.0, hole, points - 0.5)
+
+    with np.errstate(all="ignore"):
+        found = least_squares(residual, np.array([[0.0], [1.00005], [3.0]]), 8.0)
+    assert found[0, 0] == 0.0
+    assert np.all(np.isfinite(found))
+    assert found[2, 0] == pytest.approx(1.0, abs=0.05)
+
+
+# --- proposals
+
+MIXTURE = Mixture(
+    np.array([0.3, 0.7]),
+    np.array([MEAN, MEAN + 2.0 * SD]),
+    np.linalg.cholesky(np.array([COVARIANCE, 0.5 * COVARIANCE])),
+    np.array([5.0, 12.0]),
+)
+
+
+def test_the_density_of_a_mixture_is_that_of_scipy():
+    points = np.random.default_rng(0).normal(MEAN, 2.0 * SD, size=(50, DIM))
+    parts = zip(MIXTURE.weights, MIXTURE.means, MIXTURE.factors, MIXTURE.dof, strict=True)
+    known = sum(w * stats.multivariate_t(m, f @ f.T, df=d).pdf(points) for w, m, f, d in parts)
+    np.testing.assert_allclose(np.exp(MIXTURE.log_density(points)), known, rtol=1e-8)
+    both = joined([MIXTURE, MIXTURE], [0.25, 0.75])
+    np.testing.assert_allclose(both.log_density(points), MIXTURE.log_density(points))
+
+
+def test_draws_of_a_mixture_have_its_density():
+    # the mean of f/q over draws from q is the integral of f, which is 1
+    draws = MIXTURE.draw(np.random.default_rng(1), 20000)
+    f = stats.multivariate_normal(MIXTURE.means[1], 0.4 * COVARIANCE).pdf(draws)
+    other = Mixture(MIXTURE.weights[::-1], MIXTURE.means, MIXTURE.factors, MIXTURE.dof)
+    for mixture, close in ((MIXTURE, True), (other, False)):
+        ratios = f / np.exp(mixture.log_density(draws))
+        error = abs(ratios.mean() - 1.0) / (ratios.std() / np.sqrt(len(draws)))
+        assert (error < 4.0) == close
+
+
+def test_a_fitted_mixture_follows_narrow_parts_that_are_far_apart():
+    rng = np.random.default_rng(2)
+    draws = rng.normal(size=(6000, 3)) * [1.0, 1.0, 0.01] + np.outer(
+        rng.random(6000) < 0.3, [0, 0, 9]
+    )
+    found, fresh = fit_mixture(draws, rng), rng.normal(size=(2000, 3)) * [1.0, 1.0, 0.01]
+    exact = stats.multivariate_normal(np.zeros(3), np.diag([1.0, 1.0, 1e-4]))
+    log_ratio = exact.logpdf(fresh) + np.log(0.7) - found.log_density(fresh)
+    assert log_ratio.mean() < 0.8
+    wider = found.draw(rng, 4000).std(axis=0) / draws.std(axis=0)
+    assert np.all((wider > 1.0) & (wider < 1.7))
+
+
+def test_weighted_draws_have_the_moments_of_the_density():
+    found = Adaptive(bent, around_modes(modes_of(bent, MEAN), 0.3), np.random.default_rng(3), 1000)
+    while len(found.proposals) < 11:
+        found.run()
+    mean = found.weights @ found.q
+    assert found.k < 0.7
+    assert found.size > 500
+    sd = np.where(np.arange(DIM) == 3, np.sqrt(1.98), SD)
+    assert np.all(np.abs(mean - MEAN) < 4.0 * sd / np.sqrt(found.size))
+    plain = found.q.mean(axis=0)  # the control: without the weights
+    assert np.any(np.abs(plain - MEAN) > 4.0 * sd / np.sqrt(found.size)) or np.any(
+        np.abs(found.q.std(axis=0) / sd - 1.0) > 0.1
+    )

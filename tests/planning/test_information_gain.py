@@ -1,0 +1,139 @@
+"""Expected remaining variance and information where both have a closed form; sets of tests."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.planning.information_gain import (
+    Goals,
+    directions_of,
+    fit_left_out,
+    gain_of,
+    greedy,
+)
+
+DRAWS = 6000
+
+
+class LinearGaussian:
+    """Goals A u and summaries B u + noise of standard normal u."""
+
+    def __init__(self, seed, goals=3, summaries=5, unknown=6, noise=1.0):
+        self.rng = np.random.default_rng(seed)
+        self.a = self.rng.standard_normal((goals, unknown))
+        self.b = self.rng.standard_normal((summaries, unknown))
+        self.noise = noise * self.rng.uniform(0.5, 2.0, summaries)
+
+    def draw(self):
+        u = self.rng.standard_normal((DRAWS, self.a.shape[1]))
+        s = u @ self.b.T + self.noise * self.rng.standard_normal((DRAWS, self.noise.size))
+        return u @ self.a.T, s
+
+    @property
+    def after(self):
+        """Covariance of the goals once the summaries are known."""
+        told = np.linalg.inv(self.b @ self.b.T + np.diag(self.noise**2))
+        return self.a @ self.a.T - self.a @ self.b.T @ told @ self.b @ self.a.T
+
+    @property
+    def reduction(self):
+        now, after = np.sqrt(np.diag(self.a @ self.a.T)), np.sqrt(np.diag(self.after))
+        return 1.0 - after.sum() / now.sum()
+
+    @property
+    def information(self):
+        signs = np.linalg.slogdet(self.a @ self.a.T)[1], np.linalg.slogdet(self.after)[1]
+        return 0.5 * (signs[0] - signs[1])
+
+
+def judged(goals, summaries):
+    left = fit_left_out(goals, directions_of(summaries))
+    return gain_of(Goals(goals), left, np.random.default_rng(0)), left
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0, 3.0])
+def test_a_linear_gaussian_population_gives_its_closed_form(noise):
+    for seed in range(3):
+        case = LinearGaussian(seed, noise=noise)
+        goals, summaries = case.draw()
+        gain, left = judged(goals, summaries)
+        assert abs(gain.reduction - case.reduction) < 2.5 * gain.error
+        assert gain.information == pytest.approx(case.information, rel=0.03, abs=0.01)
+        closed = np.diag(case.after) / np.diag(case.a @ case.a.T)
+        np.testing.assert_allclose(left.var(axis=0) / goals.var(axis=0), closed, rtol=0.06)
+
+
+def test_errors_are_as_large_as_the_differences_between_repetitions():
+    case, found = LinearGaussian(1), []
+    for _ in range(25):
+        found.append(judged(*(part[:500] for part in case.draw()))[0])
+    spread = np.std([gain.reduction for gain in found])
+    assert 0.7 * spread < np.mean([gain.error for gain in found]) < 1.5 * spread
+
+
+def test_a_test_that_tells_nothing_has_no_gain():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        goals = rng.standard_normal((1000, 2))
+        gain, _ = judged(goals, rng.standard_normal((1000, 8)))
+        assert 0.0 <= gain.reduction < 0.004
+        assert 0.0 <= gain.information < 0.01
+
+
+def test_summaries_that_are_constant_tell_nothing():
+    goals = np.random.default_rng(1).standard_normal((200, 1))
+    gain, left = judged(goals, np.full((200, 3), 7.0))
+    assert gain.reduction == 0.0
+    others = np.array([np.delete(goals, k).mean() for k in range(200)])
+    np.testing.assert_allclose(left[:, 0], goals[:, 0] - others)
+
+
+def test_what_is_left_is_that_of_draws_left_out_by_brute_force():
+    """PRESS by its closed form against fits without each draw."""
+    rng = np.random.default_rng(3)
+    x = rng.standard_normal((60, 3))
+    x -= x.mean(axis=0)
+    goals = (x @ [1.0, -0.5, 0.2] + 0.3 * rng.standard_normal(60))[:, None]
+    left = fit_left_out(goals, x, curved=False)
+    ones = np.column_stack([np.ones(60), x])
+    for k in (0, 17, 59):
+        kept = np.arange(60) != k
+        beta = np.linalg.lstsq(ones[kept], goals[kept], rcond=None)[0]
+        assert left[k, 0] == pytest.approx((goals[k] - ones[k] @ beta)[0], abs=2e-3)
+
+
+def test_a_curved_dependence_is_found():
+    rng = np.random.default_rng(4)
+    x = rng.standard_normal((2000, 2))
+    goals = (x[:, 0] ** 2 + 0.1 * rng.standard_normal(2000))[:, None]
+    directions = directions_of(x)
+    curved, straight = (
+        fit_left_out(goals, directions, curved=c).var() / goals.var() for c in (True, False)
+    )
+    assert curved < 0.05
+    assert straight > 0.9
+
+
+def test_outliers_and_the_form_of_a_summary_do_not_matter():
+    rng = np.random.default_rng(5)
+    x = rng.standard_normal((1000, 1))
+    goals = x + 0.5 * rng.standard_normal((1000, 1))
+    plain, _ = judged(goals, x)
+    bent, _ = judged(goals, np.exp(5.0 * x))
+    assert bent.reduction == pytest.approx(plain.reduction, abs=0.002)
+
+
+ROWS = [(2.0, 0.0), (2.0, 0.0), (0.0, 1.5), (0.3, 0.3)]
+"""A test, its copy, one about the other goal, and a weak one."""
+
+
+def test_the_second_best_test_is_not_the_copy_of_the_best():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((4000, 2))
+    tests = [(u @ row + rng.standard_normal(4000))[:, None] for row in np.array(ROWS)]
+    sets = greedy(Goals(u), [test - test.mean(axis=0) for test in tests], 3)
+    assert [len(chosen) for chosen in sets] == [1, 2, 3]
+    assert sets[0][0] in (0, 1)
+    assert sets[1] == (*sets[0], 2)
+    assert set(sets[2]) == {0, 1, 2}
+    alone = greedy(Goals(u[:, :1]), [test - test.mean(axis=0) for test in tests], 2)
+    assert set(alone[1]) == {0, 1}  # the control: of one goal the copy tells more

@@ -1,0 +1,88 @@
+"""The loop of a candidate, and what is read from it."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.cycles import cycle_energies
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.planning.candidate import Candidate
+from mfd_bayes.planning.simulation import Loop
+from mfd_bayes.records.harmonic import Harmonic
+from mfd_bayes.records.readings import read_off
+from mfd_bayes.records.trace import Trace
+
+GAP = 0.16
+VALUES = {
+    "sigma0": 80.0,
+    "sigma1": 0.02,
+    "sigma2": 0.015,
+    "Fs_fwd": 1.5,
+    "Fc_fwd": 1.3,
+    "Fs_bwd": 1.9,
+    "Fc_bwd": 1.65,
+    "k2": 0.6,
+    "k3": 20.0,
+    "d2": 0.09,
+    "d3": 0.07,
+    "gamma1": 1.0,
+    "gamma2": 0.02,
+    "v_s": 0.4,
+}
+
+
+def theta():
+    return np.array([[VALUES[name] for name in ThreeStage().parameters]])
+
+
+@pytest.mark.parametrize("waveform", ["sine", "triangle"])
+def test_a_loop_is_a_full_stroke_and_then_a_full_loop(waveform):
+    loop = Loop.of(Candidate(1.0, 0.5, 1.0, waveform=waveform), GAP)
+    x, t = loop.trace.displacement, loop.trace.time
+    assert x[0] == pytest.approx(-1.0)
+    assert x[loop.first] == pytest.approx(1.0)
+    assert x[-1] == pytest.approx(1.0)
+    assert x.min() == pytest.approx(-1.0)
+    assert t[-1] - t[loop.first] == pytest.approx(2.0)
+    assert np.all(np.diff(t) > 0)
+    assert x.size < 70
+    fastest = np.abs(loop.trace.velocity).max()
+    assert fastest == pytest.approx(Candidate(1.0, 0.5, 1.0, waveform=waveform).speed, rel=0.02)
+
+
+def test_few_samples_give_the_energy_of_many():
+    fine = Harmonic(1.0, 0.5, 4).trace(1.0)
+    energy = cycle_energies(ThreeStage().force(theta(), fine), fine)[0, -1]
+    loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
+    few = loop.energy(ThreeStage().force(theta(), loop.trace))[0]
+    assert few == pytest.approx(energy, rel=0.01)
+
+
+def test_where_the_test_began_does_not_matter():
+    loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
+    one, other = (ThreeStage().force(theta(), loop.trace, [w]) for w in (0.05, 0.95))
+    np.testing.assert_allclose(one[:, loop.first :], other[:, loop.first :], atol=1e-6)
+    assert np.abs(one - other).max() > 0.1  # but it did before the loop
+
+
+def test_summaries_are_what_is_read_off_a_record():
+    fine = Harmonic(1.0, 0.5, 4).trace(1.0)
+    force = ThreeStage().force(theta(), fine)[0]
+    read = read_off(Trace.from_arrays(fine.time, fine.displacement, 1.0, force))
+    loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
+    found = loop.summaries(ThreeStage().force(theta(), loop.trace), GAP)
+    assert found["slip_fast_fwd"][0] == pytest.approx(read.plateau_fwd, rel=0.03)
+    assert found["slip_fast_bwd"][0] == pytest.approx(read.plateau_bwd, rel=0.03)
+    assert found["energy"][0] == pytest.approx(read.energy, rel=0.01)
+    assert 0.7 * read.gap < found["gap_fwd"][0] < read.gap
+
+
+def test_a_wider_gap_and_a_stiffer_build_up_are_seen():
+    loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
+    columns = ThreeStage().parameters
+    wide, soft = theta(), theta()
+    wide[0, columns.index("d2")] += 0.05
+    soft[0, columns.index("k3")] = 8.0
+    force = ThreeStage().force(np.concatenate([theta(), wide, soft]), loop.trace)
+    found = loop.summaries(force, GAP)
+    assert found["gap_fwd"][1] - found["gap_fwd"][0] == pytest.approx(0.05, abs=0.01)
+    assert found["rise_bwd"][2] > 1.2 * found["rise_bwd"][0]

@@ -1,0 +1,189 @@
+"""Time integration beside closed forms and solve_ivp; energy, and draws that are named."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.response.building import building_of
+from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
+from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.schema import Content
+from mfd_bayes.response.step_refinement import Accuracy, settle
+from mfd_bayes.response.time_integration import integrate
+
+RATIO = 0.05
+FINE = 0.01
+"""Largest bend of forces within a step."""
+
+
+def shear_building(storeys=3, *, dampers=True, stiffness=100.0, yields=None, brace="rigid"):
+    """Equal storeys with 5 % in every mode."""
+    one = {"mass": "0.2 kip*s^2/in", "height": "144 in", "stiffness": f"{stiffness} kip/in"}
+    if yields:
+        one["yield_force"] = f"{yields} kip"
+    places = range(1, storeys + 1) if dampers else ()
+    content = {
+        "building": {"damping": {"kind": "modal", "ratio": RATIO}},
+        "storey": [one] * storeys,
+        "damper": [{"storey": i, "actuation": "1 ksi", "brace": brace} for i in places],
+    }
+    return building_of(Content.model_validate(content), Path("b.toml"))
+
+
+def shaking(samples=100, seed=1, peak=150.0):
+    white = np.random.default_rng(seed).standard_normal(samples)
+    values = np.convolve(white, np.hanning(7), mode="same")
+    return Ground("random", 0.02, peak * values / np.abs(values).max())
+
+
+def bouc_wen(n, m, slip=8.0, spread=0.1, seed=2):
+    rng = np.random.default_rng(seed)
+    row = np.array([80.0, 0.02, slip, slip, 0.6, 1.5, 0.02])
+    theta = np.broadcast_to(row, (n, m, 7)).copy()
+    theta[..., 2:4] *= np.exp(spread * rng.standard_normal((n, m, 1)))
+    return Dampers(BoucWen(), theta, np.full((n, m), 0.5), theta[..., 2])
+
+
+def three_stages(starts):
+    """Dampers that begin at places (n, m); those of the first draw are alike in both directions."""
+    known = dict.fromkeys(("Fs_fwd", "Fs_bwd"), 6.0) | dict.fromkeys(("Fc_fwd", "Fc_bwd"), 5.0)
+    known |= {"sigma0": 100.0, "sigma1": 0.1, "sigma2": 0.02, "v_s": 1.0, "k2": 1.0, "k3": 30.0}
+    known |= {"d2": 0.1, "d3": 0.1, "gamma1": 1.0, "gamma2": 0.02}
+    start, model = np.array(starts), ThreeStage()
+    row = np.array([known[name] for name in model.parameters])
+    theta = np.broadcast_to(row, (*start.shape, row.size)).copy()
+    theta[1:, :, model.parameters.index("Fc_bwd")] = 3.0  # but for the others
+    return Dampers(model, theta, start, np.full(start.shape, 5.0))
+
+
+@pytest.mark.parametrize("step", [0.02, 0.05])
+def test_a_linear_building_follows_the_closed_form_of_its_modes(step):
+    building = shear_building(dampers=False)
+    ground = Ground("constant", step, np.full(300, 40.0))
+    found = integrate(building, ground, no_dampers(), FINE)
+    modes, t = building.modes, ground.time[:, None]
+    omega = modes.frequencies
+    own = omega * np.sqrt(1 - RATIO**2)
+    wave = np.cos(own * t) + RATIO / np.sqrt(1 - RATIO**2) * np.sin(own * t)
+    share = modes.shapes.T @ building.mass @ building.influence
+    q = -40.0 * share / omega**2 * (1 - np.exp(-RATIO * omega * t) * wave)
+    drift = q @ modes.shapes.T @ building.drifts.T
+    assert np.abs(found.histories[0][0] - drift).max() < 1e-6 * np.abs(drift).max()  # in float32
+    assert np.all(found.drift[0, 0] >= (1 - 1e-9) * np.abs(drift).max(axis=0))
+    assert found.imbalance[0, 0] < 1e-7
+
+
+def test_free_vibration_has_the_decrement_of_its_damping():
+    values = np.zeros(2000)
+    values[1:4] = 100.0
+    ground = Ground("pulse", 0.005, values)
+    building = shear_building(1, dampers=False, stiffness=20.0)
+    x = integrate(building, ground, no_dampers(), FINE).histories[0][0, :, 0]
+    tops = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] > x[2:])) + 1
+    decrement = np.log(x[tops[0]] / x[tops[3]]) / 3
+    assert decrement == pytest.approx(2 * np.pi * RATIO / np.sqrt(1 - RATIO**2), rel=2e-3)
+
+
+@pytest.mark.parametrize("brace", ["rigid", "60 kip/in"])
+def test_energy_is_accounted_for(brace):
+    building = shear_building(3, brace=brace, yields=25)
+    found = integrate(building, shaking(peak=300.0), bouc_wen(3, 3), 0.03)
+    assert found.imbalance.max() < 1e-5
+    assert found.energy.min() > 0
+    assert np.all(found.open == 0)
+
+
+def test_a_storey_that_yields_holds_no_more_than_its_strength():
+    ground, slow = shaking(peak=300.0), Accuracy(tolerance=0.005)
+    weak, strong = (
+        settle(shear_building(1, dampers=False, yields=y), ground, no_dampers(), slow)
+        for y in (15, None)
+    )
+    # inertia and damping alone balance the spring's force
+    assert weak.base_shear[0, 0] < 21.0 < 0.6 * strong.base_shear[0, 0]
+
+
+def test_a_stiff_brace_is_a_rigid_one():
+    rigid, stiff, soft = (
+        integrate(shear_building(2, brace=brace), shaking(), bouc_wen(2, 2), FINE)
+        for brace in ("rigid", "1e7 kip/in", "40 kip/in")
+    )
+    assert np.allclose(stiff.drift, rigid.drift, rtol=1e-4)
+    assert np.all(soft.travel < rigid.travel)
+
+
+def test_plain_friction_slips_at_its_force():
+    slip = np.array([6.0, 4.0])
+    found = settle(shear_building(2), shaking(), plain_friction(slip), Accuracy())
+    assert found.force[0, 0] == pytest.approx(slip, rel=2e-3)
+    assert not found.unstable.any()
+
+
+@pytest.mark.parametrize("name", ["lugre", "bouc_wen", "backlash", "three_stage"])
+def test_one_storey_agrees_with_solve_ivp(benchmark_module, name):
+    cases = benchmark_module("response.cases")
+    errors, ours = cases.compared(name, 1, 90, Accuracy(tolerance=0.002))
+    assert errors.max() < 0.005
+    assert ours.travel[0, 0, 0] > 0.02
+
+
+@pytest.mark.parametrize("draws", [6, 120])
+def test_draws_do_not_meet_each_other(draws):
+    building, ground = shear_building(2), shaking(60, peak=300.0)
+    dampers, rows = bouc_wen(draws, 2, spread=0.4), np.array([0, draws // 2, draws - 1])
+    together = integrate(building, ground, dampers, FINE, kept=draws)
+    alone = integrate(building, ground, dampers.chosen(rows), FINE, kept=3)
+    assert np.unique(together.steps).size > 1
+    assert np.allclose(together.drift[rows], alone.drift, rtol=1e-6)
+    assert np.allclose(together.histories[0][rows], alone.histories[0], atol=1e-5)
+    assert np.allclose(together.forces[0][rows], alone.forces[0], atol=1e-4)
+
+
+def test_steps_are_short_where_forces_bend_and_only_there():
+    building, loud = shear_building(2), shaking(200, peak=300.0)
+    quiet = replace(loud, acceleration=0.02 * loud.acceleration)
+    short, long = (
+        integrate(building, ground, bouc_wen(4, 2), FINE).steps for ground in (loud, quiet)
+    )
+    assert short.max() < 0.01 < long.min()
+
+
+def test_shorter_steps_change_little_and_less_than_is_estimated():
+    building, ground = shear_building(2), shaking(200, peak=300.0)
+    usual, fine = (integrate(building, ground, bouc_wen(6, 2), bend) for bend in (0.03, 0.0005))
+    assert np.abs(usual.drift / fine.drift - 1.0).max() < 0.003
+    off = np.abs(usual.drift - fine.drift).max(axis=2) / fine.drift.max(axis=2)
+    assert np.all(off < usual.change)
+    rough = settle(building, ground, bouc_wen(6, 2), Accuracy(tolerance=1e-6, rounds=0))
+    assert rough.change.max() > 1e-6  # a tolerance that cannot be reached is not said to be
+
+
+def test_a_draw_that_runs_away_is_named():
+    building, drive = shear_building(1), bouc_wen(3, 1)
+    drive.theta[1, 0, 6] = 1e9  # a dashpot beyond all reason
+    found = settle(building, shaking(peak=1e9), drive, Accuracy())
+    assert found.unstable[0, 0]
+    assert np.all(np.isfinite(found.drift[~found.unstable]))
+
+
+def test_the_mirrored_earthquake_has_the_mirrored_response():
+    building, ground = shear_building(2), shaking()
+    mirrored = replace(ground, acceleration=-ground.acceleration)
+    one, other = (
+        integrate(building, g, three_stages(np.full((2, 2), 0.5)), FINE).histories[0]
+        for g in (ground, mirrored)
+    )
+    assert np.allclose(one[0], -other[0], atol=1e-5)
+    assert not np.allclose(one[1], -other[1], atol=1e-2)  # the control
+
+
+def test_kept_forces_begin_with_that_at_rest():
+    ground, dampers = shaking(), three_stages([[0.98], [0.5]])
+    found = integrate(shear_building(1), ground, dampers, FINE, kept=2)
+    at_rest = dampers.state(-np.sign(ground.acceleration[:1])).force
+    assert np.max(np.abs(at_rest)) > 1.0
+    assert np.allclose(found.forces[0][:, 0, 0], at_rest, rtol=1e-5)
