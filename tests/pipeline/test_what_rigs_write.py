@@ -335,7 +335,7 @@ def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
     laws = (out / "laws.csv").read_text()
     assert re.search(r"K_c_fwd,k?N/mA,", laws)
     assert re.search(r"alpha_sigma0,k?N/mm/mA,", laws)
-    asked = ("--sine", "12 mm, 0.25 Hz, 2 cycles", "-o", tmp_path / "b.csv")
+    asked = ("--sine", "12 mm, 0.25 Hz, 2 cycles", "--force", "-o", tmp_path / "b.csv")
     command("predict", out, *asked, "--actuation", "0.8 A")
     assert "must be in A or a multiple of it" in command(
         "predict", out, *asked, "--actuation", "500 psi", code=2
