@@ -11,14 +11,15 @@ from collections.abc import Mapping
 from decimal import Decimal
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mfd_bayes.errors import UnitError
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-ActuationUnit = Literal["ksi", "kip"]
+ActuationUnit = str
+"""Internal unit of an actuation: "ksi" of pressures, "kip" of forces, "A" of currents, …"""
 
 SMALLEST, LARGEST = 1e-20, 1e10  # sizes of a force or a pressure, kip or ksi, other than 0
 
@@ -66,6 +67,11 @@ _SPELLINGS = {
     **dict.fromkeys(("MPA", "Mpa"), "MPa"),
     **dict.fromkeys(("KPA", "Kpa", "kpa"), "kPa"),
     **dict.fromkeys(("psi", "psig"), "psi"),
+    **dict.fromkeys(("amp", "amps", "Amp", "Amps", "ampere"), "A"),
+    **dict.fromkeys(("rev", "revs"), "turn"),
+    "Nm": "N*m",
+    "kNm": "kN*m",
+    **{word: word for word in ("%", "percent")},
     **{word: word for word in ("klbf", "ksi", "psf", "bar", "deg")},
     **dict.fromkeys(("klb", "klbs"), "klbf"),
     **dict.fromkeys(("kp", "Kgf", "KGF"), "kgf"),
@@ -85,6 +91,14 @@ _FORCES: Mapping[str, str] = MappingProxyType(
 
 UNREAD = frozenset(_FORCES) | {"div", "volt", "volts", "v", "mv", "ma", "counts", "cts", "bits"}
 """Words, in lower case, that are units of a column, and none that a record can have."""
+
+_NONE = "dimensionless"  # pint's name of the unit 1
+
+_COUNTED = ("click", "notch", "step")
+"""Words for the setting of an adjuster, each a unit of its own."""
+
+_ACTUATIONS = ("ksi", "kip", "A", "V", "W", "N*m", "turn", "%", "K", "T", *_COUNTED)
+"""Internal units of actuations, one for each dimension; turn and % have none."""
 
 # pint's parser evaluates its input: it is given names, products and small powers alone.
 # A power may be written as in N/mm2.
@@ -137,22 +151,36 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
 
 
 def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
-    """Factor and internal unit of an actuation: a pressure (ksi) or a tension (kip).
+    """Factor and internal unit of an actuation: ksi, kip, or another such as A, V, turn.
 
     Raises
     ------
     UnitError
-        When the unit is unknown or measures neither.
+        When the unit is unknown, or none of an actuation, as a length or a time.
     """
     named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
-    measure = _measure(_parse(unit, named))
-    internal: Mapping[str, ActuationUnit] = {"pressure": "ksi", "force": "kip"}
-    if measure in internal:
-        return factor(unit, measure, of=of), internal[measure]
+    parsed = _parse(unit, named)
+    measure = _measure(parsed)
+    if measure in ("pressure", "force"):
+        return factor(unit, measure, of=of), "ksi" if measure == "pressure" else "kip"
+    is_angle = bool(_ANGLES.search(str(parsed)))
+    for internal in _ACTUATIONS:
+        own = _registry().parse_units(internal)
+        plain = internal in ("turn", "%") and (internal == "turn") != is_angle
+        if parsed.dimensionality == own.dimensionality and not plain and str(parsed) != _NONE:
+            scale = _convert(1.0, parsed, internal, named)
+            if math.isclose(_convert(2.0, parsed, internal, named), 2.0 * scale):
+                return scale, internal
     raise UnitError(
-        f"{named} measures {measure}; actuation needs a pressure such as 'psi' "
-        f"or a force such as 'lbf'{force_meant(unit)}"
+        f"{named} measures {measure}; actuation needs a pressure such as 'psi', a force such as "
+        f"'lbf', or a unit such as 'A', 'V', 'N*m', 'turn' or '%'{force_meant(unit)}"
     )
+
+
+def actuation_kind(internal: ActuationUnit) -> str:
+    """What an internal unit of actuation measures, with its article: "a pressure"."""
+    named = {"ksi": "a pressure", "kip": "a force"}
+    return named.get(internal, f"in {internal} or a multiple of it")
 
 
 def convert(unit: str, target: str) -> float:
@@ -243,7 +271,7 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     Raises
     ------
     UnitError
-        When it is not a number and a unit of pressure or force, or is negative.
+        When it is not a number and a unit of an actuation, or is negative.
     """
     value, unit = split_quantity(text, of=of)
     if value < 0:
@@ -289,7 +317,10 @@ def _registry() -> UnitRegistry[Any]:
     """Registry of pint, built once in a tenth of a second."""
     from pint import UnitRegistry
 
-    return UnitRegistry()
+    registry: UnitRegistry[Any] = UnitRegistry()
+    for word in _COUNTED:
+        registry.define(f"{word} = [{word}] = _ = {word}{'es' if word[-1] == 'h' else 's'}")
+    return registry
 
 
 def _parse(unit: str, named: str) -> Any:

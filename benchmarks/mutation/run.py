@@ -57,7 +57,7 @@ LOADED = (
         "mfd_bayes.store.files",
         "mfd_bayes.records.trace",
         "mfd_bayes.units",
-        "mfd_bayes.records.readers.hdf5",
+        "mfd_bayes.store.hdf5",
     ),
 )
 

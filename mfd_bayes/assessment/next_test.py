@@ -107,9 +107,7 @@ def together_words(advice: Advice, system: System, unit: str) -> list[str]:
 
 def advice_rows(advice: Advice, system: System, unit: str) -> list[dict[str, str | float]]:
     """Rows of the table, the best first, and then what the limits rule out; by column."""
-    level = "psi" if unit == "ksi" else "lbf"
-    by = system.factor(unit) if system.name == "si" else 1000.0
-    name = system.unit(unit) if system.name == "si" else level
+    by, name = system.of_actuation(unit)
 
     def row(candidate: Candidate, found: Row | None, why: str) -> dict[str, str | float]:
         nan = float("nan")

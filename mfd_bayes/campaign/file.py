@@ -17,20 +17,27 @@ from mfd_bayes.campaign.schema import (
     Entry,
     NoiseName,
     Role,
+    TimeColumn,
 )
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.planning.goal import check_session
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.regular import file_inside
 from mfd_bayes.records.roles import header_unit
 from mfd_bayes.records.sources import Source, Subtracted
-from mfd_bayes.units import ActuationUnit, actuation_factor, measure, parse_actuation
+from mfd_bayes.units import (
+    ActuationUnit,
+    actuation_factor,
+    actuation_kind,
+    measure,
+    parse_actuation,
+)
 
-_PARTS = ("minus_mass", "tare", "arm", "measured_at")  # of a source, with these keys
+_PARTS = ("minus_mass", "tare", "arm", "measured_at", "rate", "dates")  # keys of a source
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +53,7 @@ class Test:
     actuation: str | None
     """Constant actuation with its unit; None where `columns` has the role "actuation"."""
     actuation_unit: ActuationUnit
-    """"ksi" where the actuation is a pressure, "kip" where it is a force."""
+    """"ksi" where the actuation is a pressure, "kip" where it is a force, or as "A"."""
     window: Window | None
     """The part of the record that is fitted, s."""
     role: Role
@@ -159,7 +166,13 @@ def load_campaign(
 
 def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
     """Test of an entry, with the campaign's columns where the entry gives none."""
-    chosen = {**dict(defaults), **{k: v for k, v in entry.columns if v is not None}}
+    chosen = defaults.given | entry.columns.given
+    if entry.rate is not None:
+        if "time" in entry.columns.given:
+            raise CampaignError(
+                f"test {entry.id!r} in {path}: a time is given either by its column or by a rate"
+            )
+        chosen["time"] = TimeColumn(rate=entry.rate)
     file = _inside(path, folder, entry)
     level: str | None = None
     if isinstance(entry.actuation, str):
@@ -174,7 +187,7 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
         actuation_unit=unit,
         window=None if entry.fit is None else parse_window(entry.fit),
         role=entry.role,
-        columns={role: _source(c) for role, c in chosen.items() if c is not None},
+        columns={role: _source(c) for role, c in chosen.items()},
         session=entry.session,
         after=entry.after,
     )
@@ -182,16 +195,17 @@ def _test(path: Path, folder: Path, defaults: Columns, entry: Entry) -> Test:
 
 def _source(column: Column) -> Source:
     """Source of a column of the campaign file."""
-    parts = {name: getattr(column, name, "") for name in _PARTS}
+    parts = {name: getattr(column, name, None) or "" for name in _PARTS}
     other = column.minus if isinstance(column, DisplacementColumn) else None
     minus = None if other is None else Subtracted(other.key, other.unit, other.times)
-    return Source(column.key, column.unit, minus, **parts)
+    key = None if parts["rate"] else column.key
+    return Source(key, column.unit, minus, sign=getattr(column, "sign", 1), **parts)
 
 
 def _history_unit(path: Path, test: str, column: Column, file: Path) -> ActuationUnit:
     """Whether a measured actuation is a pressure or a force: by its unit, name or row of units."""
     unit = column.unit or header_unit(column.name or "")
-    if column.unit is None and (unit is None or measure(unit) not in ("pressure", "force")):
+    if column.unit is None and (unit is None or not _actuates(unit)):
         table = read_table(file)
         name = table.name_of(column.key)
         unit = table.units.get(name, unit or header_unit(own_name(name)))
@@ -203,6 +217,15 @@ def _history_unit(path: Path, test: str, column: Column, file: Path) -> Actuatio
         return actuation_factor(unit, of=f"the {where}")[1]
     except UnitError as error:
         raise CampaignError(str(error)) from error
+
+
+def _actuates(unit: str) -> bool:
+    """Whether a unit is one of an actuation; "force" of "axial_force" is none, nor 1 of "p_1"."""
+    try:
+        actuation_factor(unit)
+    except UnitError:
+        return False
+    return measure(unit) != "ratio"
 
 
 def _inside(path: Path, folder: Path, entry: Entry) -> Path:
@@ -231,13 +254,16 @@ def _check_together(path: Path, tests: tuple[Test, ...], area: float | None) -> 
     units = {test.actuation_unit: test.id for test in reversed(tests)}
     if len(units) > 1:
         raise CampaignError(
-            f"actuations of {path} must be all pressures or all forces; test {units['ksi']!r} "
-            f"has a pressure, test {units['kip']!r} a force"
+            f"actuations of {path} must be all of one kind, as all pressures or all forces; "
+            + ", ".join(
+                f"that of test {name!r} is {actuation_kind(u)}" for u, name in units.items()
+            )
         )
     if all(test.role == "validate" for test in tests):
         raise CampaignError(f"{path} has no test with role 'calibrate'")
-    if area is not None and "kip" in units:
+    if area is not None and "ksi" not in units:
+        unit, name = next(iter(units.items()))
         raise CampaignError(
             f"area in [campaign] of {path} is for actuations that are pressures; the actuation of "
-            f"test {units['kip']!r} is a force: leave area out"
+            f"test {name!r} is {actuation_kind(unit)}: leave area out"
         )

@@ -14,6 +14,7 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -24,7 +25,8 @@ from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.clock import parse_window
-from mfd_bayes.records.readers.bounds import COLUMNS, NAME
+from mfd_bayes.records.readers.table import COLUMNS, NAME
+from mfd_bayes.records.sources import step_of
 from mfd_bayes.units import parse_actuation, parse_quantity
 
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]
@@ -109,6 +111,9 @@ def _checked(parse: Callable[[str], object]) -> Callable[[str], str]:
 _rate = BeforeValidator(_parsed(lambda text: parse_quantity(text, "rate")))
 _area = BeforeValidator(_parsed(lambda text: parse_quantity(text, "area")))
 
+SampleRate = Annotated[str, AfterValidator(_checked(lambda text: step_of(text, "rate")))]
+"""Rate of samples, "100 Hz", or their step, "10 ms"."""
+
 Area = Annotated[float, Field(ge=1e-10, le=1e10)]
 """Area of an actuator, in²: of a campaign file, and of the manifest that is written of it."""
 
@@ -143,13 +148,41 @@ class Column(Part):
         return self.name if self.name is not None else int(self.column or 0)
 
 
+class TimeColumn(Column):
+    """A column of times, or in its place the rate at which samples were taken."""
+
+    rate: SampleRate | None = None
+    dates: Literal["day first", "month first"] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if self.rate is None:
+            _ = Column(name=self.name, column=self.column, unit=self.unit)
+        elif self.name is not None or self.column is not None or self.dates is not None:
+            raise ValueError("a time is given either by its column or by a rate")
+        return self
+
+
+class SignedColumn(Column):
+    """A column whose sign may be turned."""
+
+    sign: Annotated[int, Field(strict=True)] = 1
+
+    @field_validator("sign")
+    @classmethod
+    def _one(cls, sign: int) -> int:
+        if sign not in (1, -1):
+            raise ValueError("a sign is 1 or -1")
+        return sign
+
+
 class Minus(Column):
     """A column that is taken off another, times a quantity."""
 
     times: Annotated[str, Field(max_length=200)] = ""
 
 
-class DisplacementColumn(Column):
+class DisplacementColumn(SignedColumn):
     """A displacement, and what is taken off it."""
 
     minus: Minus | None = None
@@ -165,12 +198,31 @@ class ForceColumn(DisplacementColumn):
 
 
 class Columns(Part):
-    """The column of each role in a test file."""
+    """The column of each role in a test file; a `rate` is that of the time without a column."""
 
-    time: Column | None = None
+    time: TimeColumn | None = None
     displacement: DisplacementColumn | None = None
     force: ForceColumn | None = None
-    velocity: Column | None = None
+    velocity: SignedColumn | None = None
+    rate: SampleRate | None = None
+
+    @model_validator(mode="after")
+    def _time_or_rate(self) -> Self:
+        if self.rate is not None and self.time is not None:
+            raise ValueError("a time is given either by its column or by a rate")
+        return self
+
+    @property
+    def given(self) -> dict[str, Column]:
+        """Role to column, of those that are given."""
+        time = TimeColumn(rate=self.rate) if self.rate is not None else self.time
+        named = {
+            "time": time,
+            "displacement": self.displacement,
+            "force": self.force,
+            "velocity": self.velocity,
+        }
+        return {role: column for role, column in named.items() if column is not None}
 
 
 def _once(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -234,6 +286,7 @@ class Entry(Part):
     fit: Annotated[str, AfterValidator(_checked(parse_window))] | None = None
     role: Role = "calibrate"
     columns: Columns = Columns()
+    rate: SampleRate | None = None
     session: Annotated[str, Field(max_length=100)] = ""
     after: Annotated[str, Field(max_length=100)] = ""
 
@@ -277,7 +330,9 @@ def known_keys(table: str) -> list[str]:
         "goal": Wish,
         "test": Entry,
         "minus": Minus,
+        "time": TimeColumn,
         "displacement": DisplacementColumn,
         "force": ForceColumn,
+        "velocity": SignedColumn,
     }
     return list(tables.get(table, Column).model_fields)

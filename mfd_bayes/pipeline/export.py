@@ -20,7 +20,7 @@ from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested import Span, far_sentences, leaving
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
-from mfd_bayes.units import parse_actuation
+from mfd_bayes.units import actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]
 
@@ -118,8 +118,8 @@ def _level(run: Run, actuation: str) -> float:
         return float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
     level, unit = parse_actuation(actuation, of="--actuation")
     if unit != run.actuation_unit:
-        kind = "pressure" if run.actuation_unit == "ksi" else "force"
-        raise CampaignError(f"--actuation {actuation!r} must be a {kind}, as in the campaign")
+        kind = actuation_kind(run.actuation_unit)
+        raise CampaignError(f"--actuation {actuation!r} must be {kind}, as in the campaign")
     return level
 
 

@@ -202,7 +202,8 @@ def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
 def _stored(source: Source) -> list[Any]:
     """A column and its unit, then what is done to it, if anything."""
     parts = [source.column, source.unit]
-    return parts if source.plain else [*parts, {k: v for k, v in asdict(source).items() if v}]
+    done = {k: v for k, v in asdict(source).items() if v and (k, v) != ("sign", 1)}
+    return parts if source.plain else [*parts, done]
 
 
 def _inside(campaign: Campaign, test: Test) -> str:

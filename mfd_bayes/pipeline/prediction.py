@@ -25,7 +25,7 @@ from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import far_sentences
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
-from mfd_bayes.units import parse_actuation
+from mfd_bayes.units import actuation_kind, parse_actuation
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +144,8 @@ def _level(run: Run, question: Question) -> float:
     level, unit = parse_actuation(question.actuation, of="--actuation")
     if unit != run.actuation_unit:
         raise CampaignError(
-            f"--actuation {question.actuation!r} must be a "
-            f"{'pressure' if run.actuation_unit == 'ksi' else 'force'}, as in the campaign"
+            f"--actuation {question.actuation!r} must be {actuation_kind(run.actuation_unit)}, as "
+            "in the campaign"
         )
     return level
 

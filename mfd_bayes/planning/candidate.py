@@ -16,7 +16,13 @@ from mfd_bayes.records.harmonic import MOST_CYCLES
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import ActuationUnit, measure, parse_actuation, parse_quantity
+from mfd_bayes.units import (
+    ActuationUnit,
+    actuation_kind,
+    measure,
+    parse_actuation,
+    parse_quantity,
+)
 
 SETUP = 0.25
 """Time on the frame beside the motion itself, h: setting the actuation, a check of the record."""
@@ -269,11 +275,10 @@ def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
         if not 1.0 <= float(match[1]) <= MOST_CYCLES:
             raise UnitError(f"a test has 1 to {MOST_CYCLES} cycles, not {text!r}")
         return "cycles", float(match[1])
-    if _measured(text) in ("pressure", "force"):
+    if _measured(text) not in ("length", "time", "rate", None):
         level, own = parse_actuation(text)
         if own != unit:
-            kind = "a pressure" if unit == "ksi" else "a force"
-            raise UnitError(f"the campaign's actuation is {kind}, {text!r} is not")
+            raise UnitError(f"the campaign's actuation is {actuation_kind(unit)}, {text!r} is not")
         return "actuation", level
     named = {"length": ("amplitude", "displacement"), "time": ("price", "time")}
     name, dimension = named.get(_measured(text), ("frequency", "rate"))

@@ -124,15 +124,21 @@ def shape_prior(shape: str) -> Prior:
     return Prior("normal", {"mean": EXPONENT[0], "sd": EXPONENT[1]})
 
 
+def _grouped(unit: str) -> str:
+    """A unit as it stands below a fraction's line."""
+    return f"({unit})" if "*" in unit else unit
+
+
 def law_unit(name: str, actuation_unit: str) -> str:
     """Unit of a law's constant: K in kip per unit of actuation, α in kip/in per unit.
 
     Scatter and deviations are of logarithms and have none, but for the offset's.
     """
     if name.startswith("K_"):
-        return "in^2" if actuation_unit == "ksi" else "1"
+        return {"ksi": "in^2", "kip": "1"}.get(actuation_unit, f"kip/{_grouped(actuation_unit)}")
     if name == "alpha_sigma0":
-        return "in" if actuation_unit == "ksi" else "1/in"
+        own = f"kip/in/{_grouped(actuation_unit)}"
+        return {"ksi": "in", "kip": "1/in"}.get(actuation_unit, own)
     if name in INTERCEPTS:
         return INTERCEPTS[name]
     spread = name.startswith(("scatter_", "deviation_"))

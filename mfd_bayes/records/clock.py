@@ -116,9 +116,11 @@ def check_increasing(table: Table, time: Array) -> None:
                 f"{table.blocks[row]}, and time starts again below it, {time[row]:g} s after "
                 f"{time[row - 1]:g} s: keep one block in a file"
             )
+        coarse = table.stamped and steps[row - 1] == 0.0
         raise RecordError(
             f"time in {path} does not increase at {place(row)}: "
             f"{time[row]:g} s after {time[row - 1]:g} s"
+            + ('; where time stamps are too coarse, write rate = "100 Hz"' if coarse else "")
         )
     shortest = int(np.argmin(steps))
     if steps[shortest] < SHORTEST:

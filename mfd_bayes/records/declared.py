@@ -9,7 +9,7 @@ import numpy as np
 
 from mfd_bayes.records.faults import Fault
 from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.roles import ROLES, header_unit, stated_unit
 from mfd_bayes.records.trace import Trace

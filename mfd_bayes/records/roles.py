@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from unicodedata import normalize
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.readers.cells import bare_unit
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.table import bare_unit, own_name
 from mfd_bayes.units import UNREAD, measure, same_unit
 
 ROLES = ("time", "displacement", "force", "velocity", "actuation")
 """What a column can be; a record needs a time and a displacement."""
 
 _EXAMPLES = {"time": "time_s", "displacement": "displacement_mm"}
+_NO_TIME = '; where it has none, give its rate: rate = "100 Hz"'
 _SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
 _BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
 _REMARKS = frozenset(
@@ -38,8 +39,11 @@ def header_unit(name: str) -> str | None:
     None where the name has one part. The last part may be no unit: ``"force"`` of
     ``"axial_force"``.
     """
+    name = normalize("NFKC", name)  # as the brackets of a Japanese keyboard, and ㎜
     match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
-    return match[1].strip().replace("_per_", "/") if match else None
+    if match is None or match[1].strip(" :,;0123456789") == "" != match[1].strip():  # "log(:,1)"
+        return None
+    return match[1].strip().replace("_per_", "/")
 
 
 def stated_unit(name: str, row: str = "") -> str | None:
@@ -49,6 +53,7 @@ def stated_unit(name: str, row: str = "") -> str | None:
     """
     if bare_unit(row):
         return bare_unit(row)
+    name = normalize("NFKC", name)
     for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
         text = bare_unit(square or round_ or angle)
         if not re.search(r"[^\W\d_]|[%°]", text) or text.lower() in _REMARKS:
@@ -67,11 +72,13 @@ def roles_of(
     units: Mapping[str, str],
     *,
     actuation: str | None = None,
+    timed: bool = True,
 ) -> dict[str, str]:
     """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
 
     A column is given by its name, or by its number from 1. One for the actuation is looked for
-    only where `actuation`, a constant, is not given.
+    only where `actuation`, a constant, is not given; one for the time only where the file is
+    `timed`.
 
     Raises
     ------
@@ -86,10 +93,13 @@ def roles_of(
     chosen = bool({"time", "displacement"} & columns.keys())  # then what is not named is not used
     used: tuple[str, ...] = ("time", "displacement") if chosen else ROLES
     wanted = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
+    if not timed:
+        wanted = [role for role in wanted if role != "time"]
     roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
-    missing = [role for role in ("time", "displacement") if role not in roles]
+    needed = ("time", "displacement") if timed else ("displacement",)
+    missing = [role for role in needed if role not in roles]
     if missing and not table.headed:
         raise RecordError(
             f"{table.path} has no names, only {', '.join(table.names[:20])}: say in a campaign "
@@ -99,7 +109,7 @@ def roles_of(
         raise RecordError(
             f"no column for {missing[0]} in {table.path}, which has {', '.join(table.names[:20])}: "
             f"rename it in the file, as {_EXAMPLES[missing[0]]}, or name it in [columns] of a "
-            "campaign, or in Python by columns"
+            "campaign, or in Python by columns" + (_NO_TIME if missing[0] == "time" else "")
         )
     return {role: roles[role] for role in ROLES if role in roles}
 

@@ -12,9 +12,11 @@ from mfd_bayes.errors import RecordError
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.roles import check_once, roles_of, unit_of
-from mfd_bayes.records.sources import Source, scale_of, take_off, wanted_of
+from mfd_bayes.records.sources import Source, scale_of, step_of, take_off, wanted_of
 from mfd_bayes.records.trace import check_size
-from mfd_bayes.units import ActuationUnit, actuation_factor, factor
+from mfd_bayes.units import ActuationUnit, actuation_factor
+
+DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
 
 
 def sources_of(
@@ -34,11 +36,14 @@ def sources_of(
     units = _by_role("units", units, {"force": "kN"})
     given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
     stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units)
-    roles = roles_of(table, {r: s.column for r, s in given.items()}, stated, actuation=actuation)
-    found = {}
+    for role, source in given.items():
+        source.check(role, table.path)
+    named = {r: s.column for r, s in given.items() if s.column is not None}
+    rated = "time" in given and bool(given["time"].rate)
+    roles = roles_of(table, named, stated, actuation=actuation, timed=not rated)
+    found = {"time": given["time"]} if rated else {}
     for role, name in roles.items():
         source = given.get(role, Source(name))
-        source.check(role, table.path)
         found[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
     return found
 
@@ -60,13 +65,18 @@ def signals_of(
     MfdError
         When a column cannot be read, or its unit does not measure what its role needs.
     """
-    raw = table.columns(wanted_of(table, sources))
+    raw = table.columns(wanted_of(table, sources), sources["time"].dates)
     signals: dict[str, Array] = {}
     named: dict[str, tuple[str, str]] = {}
     internal: ActuationUnit | None = None
     for role, source in sources.items():
         name, unit = str(source.column), str(source.unit)
         of = f"column {name!r} of {table.path}"
+        if role == "time":
+            signals[role] = _times(table, source, raw)
+            named[role] = (f"sample number at {source.rate}", "s") if source.rate else (name, unit)
+            check_size(of, role, signals[role])
+            continue
         if role == "actuation":
             scale, internal = actuation_factor(unit, of=of)
         else:
@@ -77,11 +87,27 @@ def signals_of(
         check_size(of, role, signals[role])
     check_once(table, {role: name for role, (name, _) in named.items()})
     for role, source in sources.items():
-        if not source.plain:
+        if not source.plain and source.column is not None:
             signals[role] = take_off(table, role, source, signals, raw)
             check_size(f"the {role} of {table.path}", role, signals[role])
     _settle(table, signals)
     return signals, named, internal
+
+
+def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
+    """Times, s: of a rate, or of a column; dates, counted since 1904 or 1970, from the first row.
+
+    NaN where a cell holds none.
+    """
+    if source.rate:
+        rows = next(iter(raw.values())).size
+        return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows, dtype=np.float64)
+    name, unit = str(source.column), str(source.unit)
+    scale, values = scale_of(source, "time", unit, f"column {name!r} of {table.path}")[0], raw[name]
+    start = values[np.argmax(np.isfinite(values))]
+    with np.errstate(over="ignore", invalid="ignore"):  # check_size refuses infinity
+        times: Array = (values - start if start * scale >= DATE else values) * scale
+    return times
 
 
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
@@ -92,29 +118,23 @@ def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, f
     MfdError
         When a cell inside the window holds none.
     """
-    names = wanted_of(table, sources)
-    try:
-        table.columns(names)
-    except RecordError:
-        if table.patchy is None or any(table.names.count(name) != 1 for name in names):
-            raise
-        raw = table.patchy(names)
-        source = sources["time"]
-        time = raw[str(source.column)] * factor(str(source.unit), "time")
-        good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
-        inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
-        if not inside.size or not good[inside[0] : inside[-1] + 1].all():
-            raise
-        bad = np.flatnonzero(~good)
-        first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
-        last = int(np.min(bad[bad > inside[-1]], initial=time.size))
-        return table.part(
-            first,
-            last,
-            f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
-            f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
-        )
-    return table
+    raw = table.values(wanted_of(table, sources), sources["time"].dates)
+    good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
+    if good.all():
+        return table
+    time = _times(table, sources["time"], raw)
+    inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
+    if not inside.size or not good[inside[0] : inside[-1] + 1].all():
+        return table  # whose columns are refused, with the place of the cell
+    bad = np.flatnonzero(~good)
+    first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
+    last = int(np.min(bad[bad > inside[-1]], initial=time.size))
+    return table.part(
+        first,
+        last,
+        f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
+        f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
+    )
 
 
 def _settle(table: Table, signals: dict[str, Array]) -> None:
@@ -139,5 +159,5 @@ def in_words(sources: Mapping[str, Source]) -> dict[str, str]:
     return {
         role: source.words(str(source.column), str(source.unit))
         for role, source in sources.items()
-        if not source.plain
+        if not source.plain and source.column is not None
     }

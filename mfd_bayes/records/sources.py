@@ -21,6 +21,7 @@ from mfd_bayes.units import factor, measure, parse_mass, parse_quantity, split_q
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
 _ORDER = 3  # of the polynomial of the differentiator
 _PARTS = ("force", "displacement")  # roles of which something may be taken off
+ORDERS = ("day first", "month first")  # of dates such as 05/03/2024
 _MINUS = "Subtracted('pressure', times='518.7 mm^2')"
 _EXAMPLES = {
     "minus_mass": "3 kg",
@@ -60,15 +61,25 @@ class Source:
         a torque over it is the force.
     measured_at : str
         Radius at which a travel or a force was measured, where that is not `arm`.
+    sign : 1 or -1
+        -1 turns the sign of the column, before anything is taken off.
+    rate : str
+        In place of a column of times: the samples were taken at this rate, "100 Hz", or with this
+        step, "10 ms".
+    dates : str
+        Order of the dates in time stamps: "day first" or "month first".
     """
 
-    column: str | int
+    column: str | int | None = None
     unit: str | None = None
     minus: Subtracted | None = None
     minus_mass: str = ""
     tare: str = ""
     arm: str = ""
     measured_at: str = ""
+    sign: int = 1
+    rate: str = ""
+    dates: str = ""
 
     @property
     def plain(self) -> bool:
@@ -84,7 +95,24 @@ class Source:
             When there is one, or a part is of a kind that it cannot have.
         """
         self._check_kinds(f"the {role} of {path}")
-        if self.plain:
+        if (self.rate or self.dates) and role != "time":
+            raise RecordError(f"rate and dates belong to the time of {path}, not to the {role}")
+        if (self.column is None) != bool(self.rate):
+            raise RecordError(
+                f"the {role} of {path} needs a column"
+                + (", or a rate such as '100 Hz' and no column" if role == "time" else "")
+            )
+        if self.dates not in ("", *ORDERS):
+            raise RecordError(
+                f"dates of {path} must be {' or '.join(map(repr, ORDERS))}, got {self.dates!r}"
+            )
+        if self.sign not in (1, -1) or isinstance(self.sign, bool):
+            raise RecordError(f"sign of the {role} of {path} must be 1 or -1, got {self.sign!r}")
+        if self.sign != 1 and role in ("time", "actuation"):
+            raise RecordError(
+                f"sign of {path} belongs to force, displacement or velocity, not to the {role}"
+            )
+        if self == Source(self.column, self.unit, sign=self.sign, rate=self.rate, dates=self.dates):
             return
         if role not in _PARTS:
             raise RecordError(
@@ -116,7 +144,7 @@ class Source:
 
     def words(self, name: str, unit: str) -> str:
         """What the signal is, in words, from the name and the unit that its column has."""
-        text = f"{name} [{unit}]"
+        text = f"{'-1 × ' if self.sign < 0 else ''}{name} [{unit}]"
         if self.measured_at:
             text += f" measured at a radius of {self.measured_at}, wanted at {self.arm}"
         elif self.arm:
@@ -135,7 +163,7 @@ class Source:
 
 def wanted_of(table: Table, sources: Mapping[str, Source]) -> list[str]:
     """Names of all columns that the sources need, each once."""
-    columns = [source.column for source in sources.values()]
+    columns = [source.column for source in sources.values() if source.column is not None]
     columns += [s.minus.column for s in sources.values() if s.minus is not None]
     return list(dict.fromkeys(table.name_of(column) for column in columns))
 
@@ -149,20 +177,38 @@ def scale_of(source: Source, role: str, unit: str, of: str) -> tuple[float, str]
         When a unit or a radius is none, or does not lead to what the role needs.
     """
     if not source.arm:
-        return factor(unit, role, of=of), unit
+        return source.sign * factor(unit, role, of=of), unit
     arm, length = split_quantity(source.arm, of=f"arm of {of}")
     radius = _radius(source.arm, f"arm of {of}")
     if source.measured_at:
         ratio = radius / _radius(source.measured_at, f"measured_at of {of}")
-        return factor(unit, role, of=of) * (ratio if role == "displacement" else 1 / ratio), unit
+        scale = ratio if role == "displacement" else 1 / ratio
+        return source.sign * factor(unit, role, of=of) * scale, unit
     if role == "displacement" and measure(unit) == "ratio":
-        return factor(unit, "dimensionless", of=of) * radius, length
+        return source.sign * factor(unit, "dimensionless", of=of) * radius, length
     if role == "displacement":
         raise UnitError(
             f"unit {unit!r} of {of} is no angle: with an arm it must be one such as 'deg' or "
             "'rad', or a length with measured_at, the radius at which it was measured"
         )
-    return factor(f"{unit}/{length}", role, of=f"{of} over its arm") / arm, _force_of(unit)
+    scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
+    return source.sign * scale / arm, _force_of(unit)
+
+
+def step_of(rate: str, of: str) -> float:
+    """Step of time, s, of a rate, "100 Hz", or of a step itself, "10 ms".
+
+    Raises
+    ------
+    UnitError
+        When it is neither, or none above zero.
+    """
+    value, unit = split_quantity(rate, of=of, example="100 Hz")
+    if not value > 0.0:
+        raise UnitError(f"{of}: expected a rate above 0, got {rate!r}")
+    if measure(unit) == "time":
+        return value * factor(unit, "time", of=of)
+    return 1.0 / (value * factor(unit, "rate", of=of))
 
 
 def take_off(

@@ -23,6 +23,7 @@ from mfd_bayes.response.result import Response
 from mfd_bayes.response.step_refinement import Accuracy
 from mfd_bayes.runs.systems import System
 from mfd_bayes.runs.tested import MARGIN, Departure, Span
+from mfd_bayes.units import actuation_kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +138,9 @@ def check_actuation(source: Source, building: Building) -> None:
 
 
 def check_kind(where: str, unit: str, wanted: str) -> None:
-    """Refuse an actuation in a unit, "ksi" or "kip", of another kind than the tests had."""
+    """Refuse an actuation whose internal unit is of another kind than the tests had."""
     if unit != wanted:
-        kind = "pressure" if wanted == "ksi" else "force"
-        raise BuildingError(f"{where} must be a {kind}, as in the campaign")
+        raise BuildingError(f"{where} must be {actuation_kind(wanted)}, as in the campaign")
 
 
 def uncovered(building: Building, grounds: Sequence[Ground]) -> Iterator[str]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, get_args
 
 from pydantic import AfterValidator
 
 from mfd_bayes.campaign.schema import Area, LawName, check_id
+from mfd_bayes.errors import UnitError
 from mfd_bayes.population.inference import InferenceSettings
 from mfd_bayes.records.roles import header_unit
 from mfd_bayes.store.schema import Part, Positive
+from mfd_bayes.units import actuation_factor
 
 Id = Annotated[str, AfterValidator(check_id)]
 LAWS = get_args(LawName)
@@ -20,6 +22,16 @@ def _known_law(name: str) -> str:
     if name not in LAWS:
         raise ValueError(f"must be one of {', '.join(LAWS)}")
     return name
+
+
+def _known_unit(unit: str) -> str:
+    try:
+        internal = actuation_factor(unit)
+    except UnitError as error:
+        raise ValueError(str(error)) from error
+    if internal != (1.0, unit):
+        raise ValueError("must be an internal unit of actuation, such as 'ksi' or 'kip'")
+    return unit
 
 
 class TestSettings(Part):
@@ -62,7 +74,7 @@ class Settings(Part):
     tolerances: Mapping[str, Positive] | None = None
     rate: Any = None
     area: Area | None = None
-    actuation_unit: Literal["ksi", "kip"]
+    actuation_unit: Annotated[str, AfterValidator(_known_unit)]
     tests: Mapping[Id, TestSettings]
 
     def checks_noise(self, effort: str) -> bool:

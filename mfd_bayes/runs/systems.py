@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import convert, factor, in_digits, split_quantity
+from mfd_bayes.units import actuation_factor, convert, factor, in_digits, split_quantity
 
 _TOKEN = re.compile(r"[A-Za-z]+")
 
@@ -21,6 +21,9 @@ SMALL = 0.2
 
 PRESSURES = frozenset({"bar", "kPa"})
 """Metric units of pressure that a report keeps where all actuations are in one of them."""
+
+
+_SET = {"ksi": "psi", "kip": "lbf"}
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class System:
     length: str
     force: str
     pressure: str
+    level: tuple[str, str] = ("", "")
+    """Internal unit of actuations that are neither pressures nor forces, and the one shown."""
 
     @property
     def velocity(self) -> str:
@@ -46,7 +51,12 @@ class System:
     def unit(self, internal: str) -> str:
         """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
         own = {"kip": self.force, "in": self.length, "ksi": self.pressure}
-        return _TOKEN.sub(lambda word: own.get(word[0], word[0]), internal)
+        level, shown = self.level
+        own |= {level: shown} if level else {}
+        text = _TOKEN.sub(lambda word: own.get(word[0], word[0]), internal)
+        if "*" not in level:
+            return text
+        return re.sub(rf"(?<![A-Za-z]){re.escape(level)}(?![A-Za-z])", shown, text)
 
     def factor(self, internal: str) -> float:
         """Factor from an internal unit to this system's."""
@@ -65,10 +75,16 @@ class System:
         An actuation is given in psi or lbf in the customary system, as it is set in tests.
         """
         by, unit = self.factor(internal), self.unit(internal)
-        if actuation and self.name == "us":
-            by, unit = 1000.0, "psi" if internal == "ksi" else "lbf"
+        if actuation:
+            by, unit = self.of_actuation(internal)
         shown = dict.fromkeys(in_digits(value * by, digits) for value in values)
         return f"{' to '.join(shown)} {unit}"
+
+    def of_actuation(self, internal: str) -> tuple[float, str]:
+        """Factor from an internal unit, and the unit, in which an actuation is said."""
+        if self.name == "us" and internal in _SET:
+            return 1000.0, _SET[internal]
+        return self.factor(internal), self.unit(internal)
 
     def reworded(self, text: str) -> str:
         """Text with its quantities in internal units given in this system: "0.2 to 0.3 kip".
@@ -125,6 +141,7 @@ SMALL_SYSTEMS = (US_SMALL, SI_SMALL)
 def systems_beside(own: System) -> tuple[System, System]:
     """Customary and metric system for the same device, one of which is `own`."""
     customary, metric = SMALL_SYSTEMS if own.small else SYSTEMS
+    customary, metric = replace(customary, level=own.level), replace(metric, level=own.level)
     return (customary, own) if own.name == metric.name else (customary, metric)
 
 
@@ -167,9 +184,16 @@ def system_of(
     metric = sum(1 if _is_metric(unit) else -1 for unit in lengths) > 0
     system = (SMALL_SYSTEMS if small else SYSTEMS)[metric]
     units = {_unit_of(actuation) for actuation in actuations}
-    if metric and len(units) == 1 and units <= PRESSURES:
-        return replace(system, pressure=units.pop())
-    return system
+    if len(units) != 1:
+        return system
+    unit = units.pop()
+    if metric and unit in PRESSURES:
+        return replace(system, pressure=unit)
+    try:
+        internal = actuation_factor(unit)[1]
+    except UnitError:
+        return system
+    return system if internal in _SET else replace(system, level=(internal, unit))
 
 
 def _unit_of(actuation: object) -> str:

@@ -14,10 +14,10 @@ import numpy as np
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.records.motion import Array
-from mfd_bayes.records.readers.hdf5 import UnsafeError, check_objects
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.arviz import import_arviz
 from mfd_bayes.store.files import json_text, write_bytes
+from mfd_bayes.store.hdf5 import UnsafeError, check_objects
 
 if TYPE_CHECKING:
     import h5py

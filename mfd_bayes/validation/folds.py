@@ -32,6 +32,7 @@ from mfd_bayes.runs.predictions import read_predictions_of
 from mfd_bayes.runs.results import PartKind, Prediction, Score
 from mfd_bayes.runs.resumption import population_digest
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.systems import US
 from mfd_bayes.store.files import read_json, write_json
 from mfd_bayes.validation.scores import score
 
@@ -155,8 +156,8 @@ def parts_of(
     parts: dict[str, tuple[str, ...]] = {name: (name,) for name in names} if by == "test" else {}
     if by == "level":
         for fold in levels_of(list(settings.values())):
-            level = 1000.0 * settings[names[fold[0]]].actuation
-            unit = "psi" if actuation_unit == "ksi" else "lbf"
+            scale, unit = US.of_actuation(actuation_unit)
+            level = scale * settings[names[fold[0]]].actuation
             parts[f"{level:.4g} {unit}"] = tuple(names[j] for j in fold)
     elif by == "session":
         sessions = dict.fromkeys(setting.session for setting in settings.values())

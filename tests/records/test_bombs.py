@@ -144,13 +144,13 @@ def objects_of_different_keys(path):
 
 TEST = '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "1 psi"\n'
 BOMBS = {
-    "record:unallocated.mat": (lambda p: matlab_v73(p), "declares 10,000 MB"),
-    "record:chunked.mat": (lambda p: matlab_v73(p, chunks=(1000,)), "declares 10,000 MB"),
-    "record:piece.mat": (unpacking_piece, "larger than it declares"),
+    "record:unallocated.mat": (lambda p: matlab_v73(p), "needs more than 2 GB"),
+    "record:chunked.mat": (lambda p: matlab_v73(p, chunks=(1000,)), "needs more than 2 GB"),
+    "record:piece.mat": (unpacking_piece, "{'force': 1000}"),
     "record:declared_v5.mat": (declared_v5, "not a MATLAB file"),
-    "record:unpacking_v5.mat": (unpacking_v5, "more than 256 MB"),
-    "record:nested_v5.mat": (nested_v5, "no numeric column"),
-    "record:cells_v5.mat": (cells_v5, "no numeric column"),
+    "record:unpacking_v5.mat": (unpacking_v5, "not a MATLAB file"),
+    "record:nested_v5.mat": (nested_v5, "not a MATLAB file"),
+    "record:cells_v5.mat": (cells_v5, "needs more than 2 GB"),
     "run:declared.nc": (netcdf, "declares 10,000 MB"),
     "record:line.csv": (long_line, "line 2 of"),
     "record:columns.csv": (many_columns, "line 1 of"),

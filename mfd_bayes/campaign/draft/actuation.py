@@ -13,7 +13,7 @@ from mfd_bayes.campaign.draft.columns import Guess, numbers_of, unit_of
 from mfd_bayes.campaign.draft.levels import Level
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table
-from mfd_bayes.units import ActuationUnit, actuation_factor
+from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind
 
 CONSTANT = 0.02
 """An actuation is constant when its standard deviation is below this share of its mean."""
@@ -53,7 +53,7 @@ def without_shared_levels(files: list[Candidate]) -> list[Candidate]:
 
 
 def prevailing_unit(files: Sequence[Candidate]) -> ActuationUnit | None:
-    """Unit of most files: "ksi" (pressures; also on a tie) or "kip" (tensions); None if unknown."""
+    """Unit of most files, on a tie "ksi" (pressures) or "kip" (tensions); None if unknown."""
     count: Counter[ActuationUnit] = Counter()
     for one in files:
         certain = [level for level in one.levels if not level.doubt]
@@ -63,7 +63,7 @@ def prevailing_unit(files: Sequence[Candidate]) -> ActuationUnit | None:
         count.update(units)
     if not count:
         return None
-    return "ksi" if count["ksi"] >= count["kip"] else "kip"
+    return max(count, key=lambda unit: (count[unit], unit == "ksi", unit == "kip"))
 
 
 IDLE = "no actuation: only laws with an intercept learn from it, affine and residual_power"
@@ -102,8 +102,8 @@ def actuation_of(
         return level.text, "in the header" if level == one.header else "in the file's name", doubts
     if stated:
         raise RecordError(
-            f"its actuation of {stated[0].text} is a "
-            f"{'force' if stated[0].unit == 'kip' else 'pressure'}, and those of most files are not"
+            f"its actuation of {stated[0].text} is {actuation_kind(stated[0].unit)}, and those of "
+            "most files are not"
         )
     return None, _candidates(one), doubts
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +17,11 @@ from mfd_bayes.records.declared import SLOW_PERIOD, SLOW_RATE
 from mfd_bayes.records.loops import roughness
 from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.roles import stated_unit
+from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import check_magnitude
-from mfd_bayes.units import factor, force_meant
+from mfd_bayes.units import actuation_factor, factor, force_meant
 
 Array = NDArray[np.float64]
 
@@ -37,6 +40,7 @@ _WORDS: Mapping[str, Mapping[str, int]] = {
     "actuation": {
         **dict.fromkeys(("pressure", "actuation", "tension", "preload", "druck"), 6),
         **dict.fromkeys(("press", "clamping", "clamp", "psi", "kpa", "mpa", "bar"), 5),
+        **dict.fromkeys(("current", "amperage", "voltage", "torque", "strom"), 3),
     },
 }
 """Score of a word in a column's name for each role."""
@@ -48,12 +52,14 @@ _NOT_MEASURED = frozenset(
     {"command", "cmd", "setpoint", "target", "ref", "reference", "desired", "error", "nominal"}
 )
 
+_ANY = "any actuation"
+
 _KINDS = {
     "time": ("time",),
     "displacement": ("displacement",),
     "force": ("force",),
     "velocity": ("velocity",),
-    "actuation": ("pressure", "force"),
+    "actuation": ("pressure", "force", _ANY),
 }
 
 FAST_CYCLE, SLOWEST_STEP = 100.0, 10.0
@@ -69,8 +75,12 @@ _COUNTERS = frozenset(
 )
 """Words in the name of a column that counts samples."""
 
-_DATES = ((20_000.0, 80_000.0), (690_000.0, 800_000.0))
-"""Days since 1900 and since the year 0, of the last and the coming decades."""
+_EARLIEST = 20_000.0
+_DATES = {
+    "day": (_EARLIEST, 800_000.0),
+    **{unit: (5e8 * by, 6e9 * by) for unit, by in (("s", 1.0), ("ms", 1e3), ("us", 1e6))},
+}
+"""Ranges of dates of these decades: days of Excel and of MATLAB, seconds since 1970 and 1904."""
 
 _BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$")
 _BEHIND = re.compile(r"[\s,/:]+([^\s,:]+)\s*$")
@@ -91,6 +101,21 @@ class Guess:
     """Number of a column, from 1, that has no name of its own; None of others."""
     lacking: str = ""
     """Why its unit is unknown, and what may be written; empty where nothing more is known."""
+    sign: int = 1
+    rate: str = ""
+    """In place of a column of times: the rate, or the step, that the file states."""
+
+    @property
+    def key(self) -> tuple[str, str | None, int | None, int, str]:
+        """What the campaign file says of it."""
+        return self.name, self.unit, self.number, self.sign, self.rate
+
+    @property
+    def source(self) -> Source:
+        """The column as it is read; one of an unknown unit or rate is read somehow."""
+        if not self.name:
+            return Source(rate=self.rate or "1 Hz")
+        return Source(self.name, self.unit, sign=self.sign)
 
 
 def guess_columns(table: Table) -> dict[str, Guess]:
@@ -114,6 +139,24 @@ def guess_columns(table: Table) -> dict[str, Guess]:
     return {role: _numbered(table, guess) for role, guess in found.items()}
 
 
+NO_TIME = 'the file has none, and states no rate: write time = { rate = "100 Hz" } with its own'
+
+
+def timed_by_rate(found: dict[str, Guess], rate: str, doubt: str) -> dict[str, Guess]:
+    """Guesses with the rate that a file states, where no column is a time.
+
+    Where it states none, the time is left open, if displacement and force have their names.
+    """
+    time = found.get("time")
+    if time is None and not {"displacement", "force"} <= found.keys():
+        return found
+    if time is None or (rate and time.lacking):
+        doubts = (doubt,) if doubt else ()
+        guess = Guess("", "s", doubts, rate=rate) if rate else Guess("", None, lacking=NO_TIME)
+        return found | {"time": guess}
+    return found
+
+
 def _numbered(table: Table, guess: Guess) -> Guess:
     """Guess with the column's number where it has no name of its own."""
     if own_name(guess.name) == guess.name:
@@ -123,7 +166,7 @@ def _numbered(table: Table, guess: Guess) -> Guess:
 
 def unit_of(table: Table, name: str, role: str) -> str | None:
     """Unit of a column for a role, from its name or the file's row of units; None if unknown."""
-    own = own_name(name)
+    own = normalize("NFKC", own_name(name))
     candidates = [m[1] for m in (p.search(own) for p in (_BRACKETS, _SUFFIX, _BEHIND)) if m]
     candidates += [table.units.get(name, ""), own.strip()]
     for text in candidates:
@@ -143,9 +186,20 @@ def numbers_of(table: Table, name: str) -> Array | None:
     return numbers
 
 
+def times_of(table: Table, name: str) -> Array | None:
+    """As `numbers_of`, for a time: a date in ns or us may be large."""
+    try:
+        return table.columns([name])[name]
+    except MfdError:
+        return None
+
+
 def _measures(unit: str, kind: str) -> bool:
     try:
-        factor(unit, kind)
+        if kind != _ANY:
+            factor(unit, kind)
+        elif actuation_factor(unit)[1] == "%" and unit != "%":
+            return False
     except UnitError:
         return False
     return True
@@ -175,7 +229,7 @@ def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
 
 def _score(table: Table, name: str, role: str) -> float:
     """Score of a column's name and unit for a role; 0 where it cannot have the role."""
-    plain = _BRACKETS.sub("", own_name(name))
+    plain = _BRACKETS.sub("", normalize("NFKC", own_name(name)))
     words = re.findall(r"[a-z]+", _CAMEL.sub(" ", plain).lower())
     own = max((_WORDS[role].get(word, 0) for word in words), default=0)
     others = [known.get(w, 0) for r, known in _WORDS.items() if r != role for w in words]
@@ -194,10 +248,14 @@ def _score(table: Table, name: str, role: str) -> float:
 
 def _measures_else(table: Table, name: str, role: str) -> bool:
     """Whether the unit of a column is that of another role."""
-    match = _BRACKETS.search(own_name(name))
+    match = _BRACKETS.search(normalize("NFKC", own_name(name)))
     stated = match[1] if match else table.units.get(name, "")
     return bool(stated) and any(
-        _measures(stated, kind) for r, kinds in _KINDS.items() if r != role for kind in kinds
+        _measures(stated, kind)
+        for r, kinds in _KINDS.items()
+        if r != role
+        for kind in kinds
+        if kind != _ANY
     )
 
 
@@ -207,7 +265,8 @@ def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, G
         name: values
         for name in table.names
         if name not in taken and table.names.count(name) == 1
-        if (values := numbers_of(table, name)) is not None and values.size > 2
+        if (values := times_of(table, name)) is not None and values.size > 2
+        if _steady(values) or numbers_of(table, name) is not None
     }
     found: dict[str, Guess] = {}
     if "time" in missing:
@@ -277,13 +336,25 @@ def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
 
 def _timed(table: Table, guess: Guess, found: Mapping[str, Guess]) -> Guess:
     """Time with its unit, from the steps where none is given and they can tell it."""
+    stamps = times_of(table, guess.name) if guess.name in table.stamped else None
+    if stamps is not None and np.any(np.diff(stamps) == 0.0) and stamps[-1] > stamps[0]:
+        new = np.flatnonzero(np.diff(stamps) > 0.0)
+        first, last = (new[0], new[-1]) if new.size > 1 else (0, stamps.size - 1)
+        rate = (last - first) / (stamps[last] - stamps[first])
+        return Guess(
+            *("", None),
+            lacking=f"time stamps of {guess.name!r} are equal in several rows, about {rate:.3g} in "
+            'a second: write the rate in place of the column, time = { rate = "100 Hz" }',
+        )
     if guess.unit is not None:
         return guess
     if said := stated_unit(own_name(guess.name), table.units.get(guess.name, "")):
         return replace(guess, lacking=unread(said, "time"))
-    values = numbers_of(table, guess.name)
+    values = times_of(table, guess.name)
     if values is None or values.size < 3 or values[-1] <= values[0]:
         return guess
+    if (since := float(values[0])) >= _EARLIEST and np.ptp(values) < 0.05 * since:
+        return replace(guess, **_date_unit(since))
     if lacking := _no_time(own_name(guess.name), values) or _of_two_units(table, values, found):
         return replace(guess, lacking=lacking)
     unit = "ms" if _is_slow(table, values, found) else "s"
@@ -298,12 +369,19 @@ def _no_time(name: str, values: Array) -> str:
     words = set(re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower()))
     if whole and (words & _COUNTERS or np.all(steps == 1.0)):
         return (
-            f"{name or 'this column'!r} counts samples and is no time: at which rate? At 1000 Hz "
-            'write unit = "ms", at 1 Hz unit = "s"; else add a column of seconds: it over the rate'
+            f"{name or 'this column'!r} counts samples and is no time: at which rate? Write it in "
+            'place of the column, time = { rate = "100 Hz" }'
         )
-    if np.ptp(values) < 1.0 and any(low < values[0] < high for low, high in _DATES):
-        return f'{name!r} seems to be a date, counted in days: write unit = "day"'
     return ""
+
+
+def _date_unit(since: float) -> dict[str, Any]:
+    """Unit of a time that counts from 1900, 1904, 1970 or the year 0, and the doubt about it."""
+    for unit, (low, high) in _DATES.items():
+        if low < since < high:
+            doubt = f"no unit of time is given; it looks like a date, counted in {unit}"
+            return {"unit": unit, "doubts": (doubt,)}
+    return {"lacking": "it begins at a number too large for a time: what does it count?"}
 
 
 def _of_two_units(table: Table, values: Array, found: Mapping[str, Guess]) -> str:

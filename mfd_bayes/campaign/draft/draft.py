@@ -14,15 +14,18 @@ from mfd_bayes.campaign.draft.actuation import (
     prevailing_unit,
     without_shared_levels,
 )
-from mfd_bayes.campaign.draft.columns import Guess, guess_columns
-from mfd_bayes.campaign.draft.levels import level_in_header, levels_in
+from mfd_bayes.campaign.draft.columns import Guess, guess_columns, timed_by_rate
+from mfd_bayes.campaign.draft.levels import level_in_header, levels_in, rate_in_header
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.records.declared import contradictions, length_in_name
+from mfd_bayes.records.faults import without_spikes
+from mfd_bayes.records.faults.signals import force_sign
+from mfd_bayes.records.loops import channels_swapped
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.scales import Scales, scales_of
-from mfd_bayes.units import ActuationUnit
+from mfd_bayes.units import ActuationUnit, actuation_factor
 
 _ESSENTIAL = ("time", "displacement", "force")
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip", "velocity": "in/s"}
@@ -65,7 +68,7 @@ class Draft:
     left_out: tuple[tuple[str, str], ...]
     """Files that are not tests of the campaign, and why."""
     unit: ActuationUnit | None
-    """"ksi" where actuations are pressures, "kip" of tensions, None if unknown."""
+    """"ksi" where actuations are pressures, "kip" of tensions, …; None if unknown."""
 
     @property
     def scales(self) -> dict[str, Scales]:
@@ -147,6 +150,9 @@ def _look_at(path: Path, folder: Path) -> Candidate:
         raise RecordError("written by mfd-bayes")
     columns = guess_columns(table)
     column = columns.pop("actuation", None)
+    rate, doubt = rate_in_header(table.head)
+    if rate or not (table.notes or table.blocks):
+        columns = timed_by_rate(columns, rate, doubt)
     missing = [role for role in _ESSENTIAL if role not in columns]
     if missing:
         again = next(iter(table.blocks.values()), "")
@@ -162,8 +168,11 @@ def _look_at(path: Path, folder: Path) -> Candidate:
     ]
     if odd:
         raise RecordError(f"the name of its column {odd[0]!a} is not UTF-8: rename it")
-    header = level_in_header(path, table.names)
-    return Candidate(path, table, columns, column, header, levels_in(path.stem))
+    header, named = level_in_header(table.head, table.names), levels_in(path.stem)
+    other = column is not None and column.unit and actuation_factor(column.unit)[1]
+    if (header or named) and other not in (None, False, "ksi", "kip"):
+        column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
+    return Candidate(path, table, columns, column, header, named)
 
 
 def _is_own(path: Path, table: Table) -> bool:
@@ -179,12 +188,16 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
     """Draft of a file; raises where the file cannot be read with the guessed columns."""
     actuation, source, doubts = actuation_of(one, unit)
     roles = dict(one.columns)
-    names = {role: guess.name for role, guess in roles.items()}
-    units = {role: guess.unit or _INTERNAL[role] for role, guess in roles.items()}
-    if isinstance(actuation, Guess):
-        names["actuation"], units["actuation"] = actuation.name, str(actuation.unit)
-    level = actuation if isinstance(actuation, str) else None
-    record = read_record(one.path, names, units, level)
+    record = _record(one.path, roles, actuation)
+    sound = without_spikes(record.trace())
+    if any(force_sign(sound)) and not channels_swapped(sound):
+        doubt = (
+            "its loops run backward, with negative work, so the sign of the force is turned; if "
+            "that of the displacement is wrong, write sign = -1 there instead"
+        )
+        force = roles["force"]
+        roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
+        record = _record(one.path, roles, actuation)
     known = {role for role, guess in roles.items() if guess.unit is not None}
     doubts += tuple(fault.sentence for fault in contradictions(record, known=known))
     if "displacement" not in known and (length := length_in_name(record)):
@@ -202,10 +215,19 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
     )
 
 
+def _record(path: Path, roles: dict[str, Guess], actuation: str | Guess | None) -> Record:
+    """Record of the guessed columns; unknown units are taken for the internal ones."""
+    sources = {role: guess.source for role, guess in roles.items()}
+    units = {r: _INTERNAL[r] for r, g in roles.items() if g.unit is None and g.name}
+    if isinstance(actuation, Guess):
+        sources["actuation"] = actuation.source
+    return read_record(path, sources, units, actuation if isinstance(actuation, str) else None)
+
+
 def _scales(record: Record, roles: dict[str, Guess]) -> Scales | None:
     """Scales of a record whose units are known."""
     known = all(roles[role].unit is not None for role in _ESSENTIAL)
-    return scales_of(record.trace()) if known else None
+    return scales_of(without_spikes(record.trace())) if known else None
 
 
 def _id(stem: str, taken: Sequence[str]) -> str:

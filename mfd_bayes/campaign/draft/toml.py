@@ -20,8 +20,13 @@ def commented(text: str) -> str:
     return f"# {shown}"
 
 
-def column(name: str, unit: str | None, number: int | None = None) -> str:
-    """TOML inline table of a column, given by its number where it has one."""
+def column(
+    name: str, unit: str | None, number: int | None = None, sign: int = 1, rate: str = ""
+) -> str:
+    """TOML inline table of a column, given by its number where it has one, or of a rate."""
+    if rate:
+        return f"{{ rate = {quoted(rate)} }}"
     stated = "" if unit is None else f", unit = {quoted(unit)}"
+    turned = "" if sign == 1 else f", sign = {sign}"
     given = f"name = {quoted(name)}" if number is None else f"column = {number}"
-    return f"{{ {given}{stated} }}"
+    return f"{{ {given}{stated}{turned} }}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from mfd_bayes.calibration.prior_files import WRITTEN
 from mfd_bayes.campaign.draft.columns import Guess
@@ -36,6 +37,8 @@ _PRIORS = {
     None: ("mfd", 'unsure: no actuation is known; "mfd" is for pressures, "brfd" for tensions'),
 }
 
+_OTHER = ("mfd", "for drum brakes; its priors do not depend on the unit of actuation")
+
 Shared = dict[str, Guess]
 
 
@@ -64,7 +67,7 @@ def priors_of(draft: Draft) -> tuple[str, str]:
 
     Those of a shipped file where it knows such a device, else those that are read off the records.
     """
-    name, why = _PRIORS[draft.unit]
+    name, why = _PRIORS.get(draft.unit, _OTHER)
     if not draft.scales:
         lacking = any(guess.unit is None for test in draft.tests for guess in test.columns.values())
         if lacking:
@@ -143,11 +146,11 @@ def shared_columns(tests: Iterable[TestDraft]) -> Shared:
         guesses = [test.columns[role] for test in drafts if role in test.columns]
         if len(guesses) < len(drafts):
             continue
-        name, unit, number = Counter(map(_column_of, guesses)).most_common(1)[0][0]
-        alike = [g for g in guesses if _column_of(g) == (name, unit, number)]
+        key = Counter(guess.key for guess in guesses).most_common(1)[0][0]
+        alike = [guess for guess in guesses if guess.key == key]
         told = dict.fromkeys(doubt for g in alike for doubt in g.doubts)
         lacking = "; ".join(dict.fromkeys(g.lacking for g in alike if g.lacking))
-        shared[role] = Guess(name, unit, tuple(told), number, lacking)
+        shared[role] = replace(alike[0], doubts=tuple(told), lacking=lacking)
     return shared
 
 
@@ -155,12 +158,8 @@ def _own_columns(test: TestDraft, shared: Shared) -> Iterator[tuple[str, Guess]]
     """Columns of a test that are not the shared ones."""
     for role in ROLES:
         guess, common = test.columns.get(role), shared.get(role)
-        if guess is not None and (common is None or _column_of(guess) != _column_of(common)):
+        if guess is not None and (common is None or guess.key != common.key):
             yield role, guess
-
-
-def _column_of(guess: Guess) -> tuple[str, str | None, int | None]:
-    return guess.name, guess.unit, guess.number
 
 
 def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
@@ -172,12 +171,13 @@ def _test_lines(test: TestDraft, shared: Shared, draft: Draft) -> Iterator[str]:
     if test.actuation is None:
         yield commented(f"FIXME: {_no_actuation(test, draft)}")
     elif isinstance(test.actuation, Guess):
-        told = column(*_column_of(test.actuation))
+        told = column(*test.actuation.key)
         yield f"actuation = {told}  {commented('measured during the test')}"
     else:
         yield f"actuation = {quoted(test.actuation)}  {commented(test.source)}"
     for role, guess in _own_columns(test, shared):
-        yield f"columns.{_column_line(role, guess)}"
+        line = _column_line(role, guess)
+        yield line if line.startswith("#") else f"columns.{line}"
     if test.earthquake:
         yield '# role = "validate"  # an earthquake by its name: to predict and score, not to fit'
 
@@ -186,7 +186,9 @@ def _column_line(role: str, guess: Guess) -> str:
     remarks = [f"FIXME: {_no_unit(role, guess)}"] if guess.unit is None else []
     remarks += [f"unsure: {doubt}" for doubt in guess.doubts]
     behind = f"  {commented('; '.join(remarks))}" if remarks else ""
-    return f"{role} = {column(*_column_of(guess))}{behind}"
+    if not guess.name and not guess.rate:
+        return f'# {role} = {{ rate = "100 Hz" }}{behind}'
+    return f"{role} = {column(*guess.key)}{behind}"
 
 
 def _no_unit(role: str, guess: Guess) -> str:
@@ -196,7 +198,8 @@ def _no_unit(role: str, guess: Guess) -> str:
 
 
 def _no_actuation(test: TestDraft, draft: Draft) -> str:
-    example = "30 lbf" if draft.unit == "kip" else "500 psi"
+    examples = {None: "500 psi", "ksi": "500 psi", "kip": "30 lbf"}
+    example = examples.get(draft.unit, f"1 {draft.unit}")
     return (
         f'add actuation = "{example}" or similar; no column, header line or file name has it'
         f"{test.source}"

@@ -68,7 +68,8 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
         yield Fault(
             "force sign",
             f"the force does negative work in the loops ({np.median(energy):.3g} kip·in a loop): "
-            "the sign of the force or of the displacement is swapped",
+            "the sign of the force or of the displacement is swapped; write sign = -1 for one of "
+            "them in [columns]",
         )
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.cells import unreadable
 from mfd_bayes.records.readers.excel import read_excel
 from mfd_bayes.records.readers.json_lists import read_json
 from mfd_bayes.records.readers.matlab import read_matlab
@@ -55,7 +53,7 @@ def read_table(path: Path) -> Table:
         if path.stat().st_size == 0:
             raise RecordError(f"{path} is empty")
         return FORMATS[suffix](path)
-    except (OSError, csv.Error) as error:
-        raise unreadable(path, error) from error
+    except OSError as error:
+        raise RecordError(f"cannot read {path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise RecordError(f"{path} does not fit into this machine's memory") from error

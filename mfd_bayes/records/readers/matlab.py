@@ -2,46 +2,132 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.motion import Array
-from mfd_bayes.records.readers import matlab_v5, matlab_v73
-from mfd_bayes.records.readers.bounds import COLUMNS
-from mfd_bayes.records.readers.cells import bad_cell, sample
-from mfd_bayes.records.readers.table import Table
+from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
+from mfd_bayes.records.readers.table import COLUMNS, Column, Table
+
+SIGNALS, SAMPLES = 32, 20
+"""Most signals of a matrix and fewest samples of each; another matrix is left out."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512  # bytes of text before the HDF5 part of a v7.3 file
+_DEEPEST = 4  # structs in structs
+_NAMED = 60  # characters of a name that are shown
+
+Arrays = Iterator[tuple[str, NDArray[np.generic]]]
 
 
 def read_matlab(path: Path) -> Table:
     """Table of a .mat file: vectors, columns of matrices, fields of structs as ``struct.field``."""
-    with path.open("rb") as file:
-        head = file.read(_USER_BLOCK + len(_HDF5))
-    is_v73 = head.startswith(_HDF5) or head.endswith(_HDF5)
-    names, read = (matlab_v73 if is_v73 else matlab_v5).open_columns(path)
-    if len(names) > COLUMNS:
-        names = tuple(name for name in names if not name.endswith(")"))  # vectors alone
-    if not names:
+    import h5py  # noqa: F401  # a copy of this process has both then
+    import scipy.io  # noqa: F401
+
+    facts, arrays = read_in_child(_arrays, path, "a MATLAB file, v5 or v7.3,")
+    columns: dict[str, Column] = dict(zip(facts["names"], arrays, strict=True))
+    if not columns:
         raise RecordError(f"{path} holds no numeric column")
 
-    def load(wanted: Sequence[str]) -> dict[str, Array]:
-        return _checked(path, read(wanted))
+    def load(wanted: Sequence[str]) -> dict[str, Column]:
+        return {name: np.array(columns[name], dtype=np.float64) for name in wanted}
 
-    return Table(path, names, load, sample)
+    return Table(
+        path, tuple(columns), load, lambda row: f"sample {row + 1}", head=tuple(facts["settings"])
+    )
 
 
-def _checked(path: Path, columns: Mapping[str, NDArray[np.generic]]) -> dict[str, Array]:
-    """Columns as floats, all of them finite."""
-    found = {}
-    for name, values in columns.items():
-        found[name] = values.reshape(-1).astype(np.float64)
-        bad = np.flatnonzero(~np.isfinite(found[name]))
-        if bad.size:
-            raise bad_cell(sample(int(bad[0])), path, name, found[name][bad[0]])
-    return found
+def _arrays(path: Path) -> Content:
+    """Signals of a file and their names, and its scalars as "name: value"."""
+    with path.open("rb") as file:
+        head = file.read(_USER_BLOCK + len(_HDF5))
+    found: dict[str, NDArray[np.generic]] = {}
+    settings = []
+    read = _v73 if head.startswith(_HDF5) or head.endswith(_HDF5) else _v5
+    for name, array in read(path):
+        if array.size == 1:
+            settings.append(f"{name}: {array.reshape(-1)[0]:.9g}")
+        found |= dict(_signals(name, array))
+    if len(found) > COLUMNS:
+        found = {name: array for name, array in found.items() if not name.endswith(")")}
+    return {"names": list(found), "settings": settings}, list(found.values())
+
+
+def _signals(name: str, array: NDArray[np.generic]) -> Arrays:
+    """Signals along the longer side of a matrix, by MATLAB's names; a vector by its own."""
+    if array.size < 2:
+        return
+    if max(array.shape) == array.size:
+        yield name, array.reshape(-1)
+    elif array.ndim == 2 and max(array.shape) >= SAMPLES and min(array.shape) <= SIGNALS:
+        upright = array.shape[0] >= array.shape[1]
+        for k, signal in enumerate(array.T if upright else array, start=1):
+            yield f"{name}(:,{k})" if upright else f"{name}({k},:)", signal
+
+
+def _v5(path: Path) -> Arrays:
+    """Name and numbers of each array of numbers in a file of version 5."""
+    from scipy.io import loadmat
+
+    for name, value in loadmat(path, struct_as_record=True).items():
+        if not name.startswith("__"):
+            yield from _inside(name, value, 0)
+
+
+def _inside(name: str, value: Any, depth: int) -> Arrays:
+    """A variable's numbers, or those of its fields; Simulink's label follows a signal's name."""
+    if not isinstance(value, np.ndarray):
+        return
+    if value.dtype.names is None:
+        if value.dtype.kind in "fiub":
+            yield name, value
+        return
+    if depth >= _DEEPEST or value.size > SIGNALS:
+        return
+    for number, element in enumerate(value.reshape(-1), start=1):
+        place = f"{name}({number})" if value.size > 1 else name
+        fields = dict(zip(value.dtype.names, element, strict=True))
+        label: Any = fields.get("label")
+        words = str(label.reshape(-1)[0]).strip() if _is_text(label) else ""
+        for field, content in fields.items():
+            own = f" {words}" if words and field == "values" else ""
+            yield from _inside(f"{place}.{field}{own}", content, depth + 1)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1
+
+
+def _v73(path: Path) -> Arrays:
+    """Name and numbers of each array of numbers in a file of version 7.3, which is HDF5."""
+    os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # a plugin would be foreign code
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        yield from _group(h5py, file, "", 0)
+
+
+def _group(h5py: Any, group: Any, above: str, depth: int) -> Arrays:
+    """Arrays of a group of HDF5; one that leads to another file is refused."""
+    for name in group:
+        if name.startswith("#"):  # the contents of cells and objects
+            continue
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise UnreadableError(f"has a link to elsewhere, {name[:_NAMED]!r}")
+        item = group[name]
+        if isinstance(item, h5py.Group):
+            if depth < _DEEPEST and "MATLAB_sparse" not in item.attrs:
+                yield from _group(h5py, item, f"{above}{name}.", depth + 1)
+        elif isinstance(item, h5py.Dataset):
+            if item.is_virtual or item.external:
+                raise UnreadableError(f"takes {name[:_NAMED]!r} from another file")
+            kind = item.attrs.get("MATLAB_class", b"")
+            numeric = item.dtype.kind in "fiub" and bytes(kind) not in (b"char", b"cell")
+            if numeric and item.shape and "MATLAB_empty" not in item.attrs:
+                yield above + name, np.asarray(item[()]).T  # in MATLAB's order

@@ -1,39 +1,146 @@
-"""The columns of a file, each read when it is asked for."""
+"""The columns of a file, each read when it is asked for, and the one parser of their numbers."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
+from unicodedata import normalize
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.motion import Array
-from mfd_bayes.records.readers.bounds import check_names
-from mfd_bayes.records.readers.labels import own_name
+from mfd_bayes.records.readers.time_stamps import elapsed, is_stamp
+
+Array = NDArray[np.float64]
+Cell = str | float | None
+Column = Sequence[Cell] | NDArray[np.generic]
+
+COLUMNS = 1000  # most columns of a file
+NAME = 300  # most characters of a column's name
+NUMBER = re.compile(
+    r"[+\-−]?(?:(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?|nan|inf|infinity)", re.ASCII | re.I
+)
+"""A number as programs write it, with a decimal point or a decimal comma."""
+
+# 1.234,5 · 1,234.5 · 1 234,5 · 1'234.5
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([ .,'’\u00a0\u202f])\d{3})+(?:(?!\1)[.,]\d*)?")
+# 0,5 · ,5 · 1,25 · 1,2345 · 1234,5: the comma cannot be a thousands separator.
+SURELY_DECIMAL = re.compile(r"(?<![\d.])0*,\d|\d,\d{1,2}(?!\d)|,\d{4}|\d{4},\d|,\d{3}[eE]")
+_COMMA_NUMBER = re.compile(r"[+-]?\d+,\d{3}(?!\d)")
+_LABEL = re.compile(r"column \d+(: .*)?", re.DOTALL)
+
+
+def labels(names: Sequence[str], numbers: Sequence[int] | None = None) -> tuple[str, ...]:
+    """Names of which each is there once: by its number, "column 3: force_kip", where it is not.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Empty where a column has none.
+    numbers : sequence of int, optional
+        Number of each column in its file, from 1; by default in the order of names.
+    """
+    count = Counter(names)
+    places = range(1, len(names) + 1) if numbers is None else numbers
+    return tuple(
+        f"column {number}{f': {name}' if name else ''}"
+        if not name or count[name] > 1 or _LABEL.fullmatch(name)
+        else name
+        for number, name in zip(places, names, strict=True)
+    )
+
+
+def own_name(name: str) -> str:
+    """Name that the file gives a column, without its number; empty where it gives none."""
+    return re.sub(r"^column \d+(: )?", "", name) if _LABEL.fullmatch(name) else name
+
+
+def bare_unit(text: str) -> str:
+    """Unit without brackets: ``"kN"`` of ``"[kN]"``; empty for a dash."""
+    return normalize("NFKC", text).strip().strip("[](){}<>-–— ")
+
+
+def as_number(cell: Cell, decimal: str = ".") -> float:
+    """Number of a cell with this sign of decimals; NaN where it holds none that is finite."""
+    if isinstance(cell, str):
+        text = cell.strip()
+        if not NUMBER.fullmatch(text) or (".," if decimal == "." else ",.")[1] in text:
+            return math.nan
+        cell = text.replace("−", "-").replace(",", ".").upper().replace("D", "E")
+    elif type(cell) not in (int, float):
+        return math.nan
+    try:
+        value = float(cell)  # type: ignore[arg-type]  # None is none of these types
+    except OverflowError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+def parse(column: Column, decimal: str = ".") -> Array:
+    """Numbers of a column, (T,), NaN for a cell that holds none."""
+    if isinstance(column, np.ndarray):
+        return np.asarray(column.reshape(-1), dtype=np.float64)
+    if set(map(type, column)) <= {float}:
+        return np.array(column, dtype=np.float64)
+    return np.array([as_number(cell, decimal) for cell in column], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of a file; a column that is not used may hold anything."""
+    """Columns of a file; a column that is not used may hold anything.
+
+    Attributes
+    ----------
+    path : Path
+    names : tuple of str
+        In the file's order.
+    load : callable
+        Cells, or numbers, of the columns of names that exist.
+    place : callable
+        Name of a row, from 0: "line 17".
+    units : mapping of str to str
+        By column, where the file gives one.
+    numbers : tuple of int, optional
+        Of the columns, from 1; by default in their order.
+    headed : bool
+        Whether the file has names; without them, they are "column 1", …
+    blocks : mapping of int to str
+        Row to the place of a repeated heading above it.
+    notes, doubts : tuple of str
+        Sentences on numbers of the file that are not in the table, and on those that probably
+        belong to it.
+    decimals : tuple of str
+        Signs of decimals that its numbers may have.
+    head : tuple of str
+        Texts above the table, and settings beside it: "Sample rate: 100 Hz".
+    stamped : frozenset of str
+        Columns of time stamps; they are read as seconds since the first row.
+    """
 
     path: Path
-    names: tuple[str, ...]  # in the file's order
-    load: Callable[[Sequence[str]], dict[str, Array]]  # of names that exist; checks every cell
-    place: Callable[[int], str]  # of a row, from 0: "line 17"
-    units: Mapping[str, str] = field(default_factory=dict)  # by column, where the file gives one
-    numbers: tuple[int, ...] | None = None  # of the columns, from 1; by default in their order
-    headed: bool = True  # whether the file has names; without them, they are "column 1", …
-    blocks: Mapping[int, str] = field(default_factory=dict)  # row to place of the header above it
-    notes: tuple[str, ...] = ()  # sentences on numbers of the file that are not in the table
-    doubts: tuple[str, ...] = ()  # the same, of those that probably belong to it
-    patchy: Callable[[Sequence[str]], dict[str, Array]] | None = None  # as load, NaN for bad cells
+    names: tuple[str, ...]
+    load: Callable[[Sequence[str]], Mapping[str, Column]]
+    place: Callable[[int], str]
+    units: Mapping[str, str] = field(default_factory=dict)
+    numbers: tuple[int, ...] | None = None
+    headed: bool = True
+    blocks: Mapping[int, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    decimals: tuple[str, ...] = (".",)
+    head: tuple[str, ...] = ()
+    stamped: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         check_names(self.path, self.names)
 
-    def columns(self, names: Sequence[str]) -> dict[str, Array]:
-        """Columns by name, each (T,), in the file's units.
+    def columns(self, names: Sequence[str], dates: str = "") -> dict[str, Array]:
+        """Columns by name, each (T,), in the file's units; `dates` is the order in time stamps.
 
         Raises
         ------
@@ -41,32 +148,89 @@ class Table:
             When a column is missing, named twice, empty, of another length,
             or holds text or a value that is not finite.
         """
+        cells, found = self._read(names, dates)
+        bad = {n: int(np.argmax(np.isnan(v))) for n, v in found.items() if np.isnan(v).any()}
+        if bad:
+            name = min(bad, key=lambda one: (bad[one], one))
+            raise self._bad_cell(name, bad[name], cells)
+        return found
+
+    def values(self, names: Sequence[str], dates: str = "") -> dict[str, Array]:
+        """As `columns`, with NaN for a cell that holds no finite number."""
+        return self._read(names, dates)[1]
+
+    def _read(
+        self, names: Sequence[str], dates: str
+    ) -> tuple[Mapping[str, Column], dict[str, Array]]:
+        """Cells and numbers of columns."""
         for name in names:
             if self.names.count(name) != 1:
                 raise self.no_column(name)
-        columns = self.load(names)
-        sizes = {name: column.size for name, column in columns.items()}
+        stamps = self.load([name for name in names if name in self.stamped])
+        plain = self.load([name for name in names if name not in self.stamped])
+        found = self._numbers(plain)
+        for name, column in stamps.items():
+            found[name] = elapsed(self.path, name, list(column), dates)
+        found = {n: np.where(np.isinf(v), np.nan, v) for n, v in found.items()}
+        sizes = {name: found[name].size for name in names}
         if len(set(sizes.values())) > 1:
             lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
             raise RecordError(f"columns of {self.path} have different lengths: {lengths}")
         if 0 in sizes.values():
             raise RecordError(f"{self.path} has columns but no data")
-        return columns
+        return {**stamps, **plain}, {name: found[name] for name in names}
+
+    def _numbers(self, cells: Mapping[str, Column]) -> dict[str, Array]:
+        """Numbers of columns, with the sign of decimals that reads most cells."""
+        read = [
+            {name: parse(column, sign) for name, column in cells.items()} for sign in self.decimals
+        ]
+        best = max(read, key=lambda found: sum(np.isfinite(v).sum() for v in found.values()))
+        if best is not read[0]:
+            self._check_commas()
+        return best
+
+    def _check_commas(self) -> None:
+        """Refuse numbers whose comma may be a decimal sign or a thousands separator in all."""
+        columns = self.load(self.names).values()
+        text = "\n".join(c for column in columns for c in column if isinstance(c, str))
+        if not SURELY_DECIMAL.search(text) and (found := _COMMA_NUMBER.search(text)):
+            raise RecordError(
+                f"numbers of {self.path} such as {found[0]!r} may have a decimal comma or a "
+                "thousands separator; write them with a decimal point"
+            )
+
+    def _bad_cell(self, name: str, row: int, cells: Mapping[str, Column]) -> RecordError:
+        """Error for a cell that holds no finite number: text, an empty cell, nan or infinity."""
+        cell = cells[name][row]
+        text = "" if cell is None else str(cell).strip()
+        shown = repr(text[:60]) if text else "an empty cell"
+        if any(np.isfinite(as_number(cell, sign)) for sign in self.decimals):
+            seen = {
+                sign: f"{c!r} in {self.place(at)}, column {one!r}"
+                for one, column in reversed(list(cells.items()))
+                for at, c in reversed(list(enumerate(column)))
+                for sign in ".,"
+                if isinstance(c, str) and sign in c
+            }
+            return RecordError(
+                f"{self.path} holds both points and commas, {seen.get('.')} and {seen.get(',')}: "
+                "expected one sign of decimals, and no thousands separators"
+            )
+        if _GROUPED.fullmatch(text) and (len(self.decimals) == 1 or not NUMBER.fullmatch(text)):
+            shown += "; a number is written without a thousands separator"
+        elif is_stamp(text):
+            shown += ", which is a time stamp: expected a number, as in the first row"
+        return RecordError(
+            f"{self.place(row)} of {self.path}, column {name!r}: expected a finite number, "
+            f"found {shown}"
+        )
 
     def part(self, first: int, last: int, doubt: str) -> Table:
-        """Table of rows `first` to before `last`; `doubt` says what is left out.
-
-        Raises
-        ------
-        RecordError
-            When the file's reader cannot leave out rows.
-        """
-        patchy = self.patchy
-        if patchy is None:
-            raise RecordError(f"{self.path}: no part of it can be read")
+        """Table of rows `first` to before `last`; `doubt` says what is left out."""
         return replace(
             self,
-            load=lambda names: {n: column[first:last] for n, column in patchy(names).items()},
+            load=lambda names: {n: column[first:last] for n, column in self.load(names).items()},
             place=lambda row: self.place(row + first),
             blocks={row - first: at for row, at in self.blocks.items() if row > first},
             doubts=(*self.doubts, doubt),
@@ -109,6 +273,21 @@ class Table:
         )
 
 
+def check_names(path: Path, names: Sequence[str]) -> None:
+    """Refuse a file with more columns than `COLUMNS`, or a name longer than `NAME`."""
+    if len(names) > COLUMNS:
+        raise RecordError(
+            f"{path} has {len(names):,} columns; at most {COLUMNS:,} are read: expected a line for "
+            "every sample"
+        )
+    for number, name in enumerate(names, start=1):
+        if len(name) > NAME:
+            raise RecordError(
+                f"the name of column {number} of {path}, {name[:40] + '…'!r}, is longer than "
+                f"{NAME} characters, the most that is read"
+            )
+
+
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(islice(names, 20))
+    shown = ", ".join(names[:20])
     return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"

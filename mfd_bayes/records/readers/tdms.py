@@ -4,68 +4,43 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
-from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.motion import Array
-from mfd_bayes.records.readers.cells import bad_cell, bare_unit, missing_library, sample, unreadable
-from mfd_bayes.records.readers.table import Table
+from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
+from mfd_bayes.records.readers.table import Column, Table, bare_unit
 from mfd_bayes.units import factor, measure
 
-SAMPLES = 50_000_000  # most samples of a channel: thirteen hours at 1024 Hz
-LISTED = 20_000_000  # most channels that all parts list together, at a microsecond each
+SAMPLES = 50_000_000  # most samples of all channels: an hour and a half of ten at 1024 Hz
 EVEN = 1e-6  # steps of time that differ by a smaller share are equal
 SHARE = 0.02  # of a step: channels that are out of step by less are in step
-_KINDS = {"O": "text", "M": "dates", "c": "complex numbers"}
+_KINDS = {"O": "text", "U": "text", "c": "complex numbers"}
+_LABVIEW = np.datetime64("1904-01-01", "us")  # a start time that a writer left at its zero
 
 
 @dataclass(frozen=True)
 class _Clock:
-    """Sampling times of a waveform, in the unit of its axis."""
+    """Sampling times of a waveform: its step, first time and end, s."""
 
-    increment: float
-    start: float
-    unit: str
+    step: float
+    begin: float
     samples: int
-    began: float | None = None  # s, of the file's first channel with a start time
-
-    def times(self) -> Array:
-        return self.begin + self.increment * np.arange(self.samples, dtype=np.float64)
+    dated: bool  # whether the file says when it began
 
     @property
-    def begin(self) -> float:
-        """Time of the first sample, in the unit of the axis."""
-        seconds = factor(self.unit, "time")
-        return self.start + (0.0 if self.began is None else self.began / seconds)
+    def end(self) -> float:
+        return self.begin + self.step * self.samples
 
-
-@dataclass(frozen=True)
-class _Channel:
-    """Description of a channel."""
-
-    group: str
-    name: str
-    kind: str  # of numpy's data type: "f", "i", …
-    unit: str  # empty where the file gives none
-    clock: _Clock | None  # None where the channel is not a waveform over time
-
-    @property
-    def numeric(self) -> bool:
-        return self.kind in "fiub"
-
-    @property
-    def is_time(self) -> bool:
-        return self.numeric and ("time" in self.name.lower() or measure(self.unit) == "time")
+    def even(self, other: _Clock) -> bool:
+        """Whether the steps are the same."""
+        return math.isclose(self.step, other.step, rel_tol=EVEN)
 
 
 def read_tdms(path: Path) -> Table:
@@ -74,287 +49,213 @@ def read_tdms(path: Path) -> Table:
     Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
     ``group/time`` where groups were sampled at different times.
     """
-    with _opened(path) as file:
-        found = _from_first([_described(channel) for channel in _channels(file) if len(channel)])
+    try:
+        import nptdms  # noqa: F401  # a copy of this process has it then
+    except ImportError as error:
+        raise RecordError(
+            f'reading {path} needs npTDMS, which is not installed: pip install "mfd_bayes[tdms]"'
+        ) from error
+    facts, arrays = read_in_child(_channels, path, "a TDMS file")
+    found = facts["channels"]
     if not found:
         raise RecordError(f"{path} holds no channel with data")
-    shared = Counter(channel.name for channel in found)
-    channels = {c.name if shared[c.name] == 1 else f"{c.group}/{c.name}": c for c in found}
-    timed = any(c.is_time for c in found)
-    clocks = {} if timed else _clocks(found)
-    clocks = {name: clock for name, clock in clocks.items() if name not in channels}
+    shared = Counter(one["name"] for one in found)
+    names = [c["name"] if shared[c["name"]] == 1 else f"{c['group']}/{c['name']}" for c in found]
+    kinds = {name: one["kind"] for name, one in zip(names, found, strict=True)}
+    columns = dict(zip(names, arrays, strict=True))
+    units = {name: _unit(one) for name, one in zip(names, found, strict=True)}
+    starts = (one["properties"].get("wf_start_time") for one in found)
+    first = min((start for start in starts if isinstance(start, float)), default=0.0)
+    clocks = {
+        name: clock
+        for name, one in zip(names, found, strict=True)
+        if one["kind"] in "fiub" and (clock := _clock(one, first)) is not None
+    }
+    timed = {n for n in names if kinds[n] in "fiubM" and _is_time(n, kinds[n], units[n])}
+    groups = {name: one["group"] for name, one in zip(names, found, strict=True)}
+    times = {} if timed else {n: c for n, c in _times(clocks, groups).items() if n not in columns}
 
-    def load(wanted: Sequence[str]) -> dict[str, Array]:
-        own = {n: channels[n].clock for n in wanted if n in channels and not channels[n].is_time}
-        given = {name: clock for name, clock in own.items() if clock is not None}
-        if timed:
-            _check_alike(path, given)
-            given = {}
-        given |= {name: clocks[name] for name in wanted if name in clocks}
-        with _opened(path) as file:
-            columns = {
-                name: clocks[name].times()
-                if name in clocks
-                else _numbers(path, name, file, channels[name])
-                for name in wanted
-            }
-        return columns | _together(path, given, columns)
+    def load(wanted: Sequence[str]) -> dict[str, Column]:
+        for name in wanted:
+            if name in kinds and kinds[name] not in "fiubM":
+                held = _KINDS.get(kinds[name], "no numbers")
+                raise RecordError(f"channel {name!r} of {path} holds {held}; expected numbers")
+        own = {n: clock for n in wanted if n not in timed and (clock := (times | clocks).get(n))}
+        read: dict[str, Column] = {
+            name: times[name].begin + times[name].step * np.arange(times[name].samples)
+            if name in times
+            else np.array(columns[name], dtype=np.float64)
+            for name in wanted
+        }
+        return read | _together(path, own, read, timed=bool(timed))
 
-    units = {name: c.unit for name, c in channels.items() if c.unit}
-    units |= {name: clock.unit for name, clock in clocks.items()}
-    return Table(path, (*clocks, *channels), load, sample, units, notes=_apart(channels))
-
-
-def _from_first(channels: Sequence[_Channel]) -> list[_Channel]:
-    """Channels with start times counted from the first of them."""
-    began = [c.clock.began for c in channels if c.clock and c.clock.began is not None]
-    first = min(began, default=0.0)
-    return [
-        replace(c, clock=replace(c.clock, began=c.clock.began - first))
-        if c.clock is not None and c.clock.began is not None
-        else c
-        for c in channels
-    ]
+    return Table(
+        path,
+        (*times, *names),
+        load,
+        lambda row: f"sample {row + 1}",
+        {name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
+        notes=_apart(clocks),
+        head=tuple(facts["settings"]),
+    )
 
 
-def _apart(channels: Mapping[str, _Channel]) -> tuple[str, ...]:
+def _channels(path: Path) -> Content:
+    """Names, properties and numbers of all channels that have data."""
+    from nptdms import TdmsFile
+    from nptdms.log import log_manager
+
+    log_manager.set_level(logging.ERROR)  # its warnings are errors here
+    channels: list[dict[str, Any]] = []
+    arrays: list[NDArray[np.generic]] = []
+    # Given a path, nptdms would read an index file beside it, which may belong to another.
+    with path.open("rb") as stream, TdmsFile.open(stream) as file:
+        for name, status in (file.file_status.channel_statuses or {}).items():
+            if status.read_length < status.expected_length:
+                raise UnreadableError(
+                    f"is cut off: its last part declares {status.expected_length:,} samples of "
+                    f"channel {name} and holds {status.read_length:,}"
+                )
+        every = [channel for group in file.groups() for channel in group.channels()]
+        if sum(map(len, every)) > SAMPLES:
+            raise UnreadableError(f"holds more than {SAMPLES:,} samples, the most that are read")
+        for channel in every:
+            kind = np.dtype(channel.dtype).kind
+            if not len(channel):
+                continue
+            values = np.empty(0)
+            if kind == "M":
+                stamps = channel[:].astype("M8[us]")
+                values = (stamps - stamps[0]) / np.timedelta64(1, "s")
+            elif kind in "fiub":
+                values = np.asarray(channel[:], dtype=np.float64)
+            own = {name: _plain(value) for name, value in channel.properties.items()}
+            channels.append(
+                {"group": channel.group_name, "name": channel.name, "kind": kind}
+                | {"samples": len(channel), "properties": own}
+            )
+            arrays.append(values)
+        settings = [
+            f"{name}: {value}"
+            for one in (file, *file.groups())
+            for name, value in one.properties.items()
+        ]
+    return {"channels": channels, "settings": settings}, arrays
+
+
+def _plain(value: Any) -> float | str | None:
+    """A property as a number or a text; a moment as its seconds since 2020, about."""
+    if isinstance(value, np.datetime64):
+        if np.isnat(value) or abs(value - _LABVIEW) < np.timedelta64(3650, "D"):
+            return None
+        return float((value - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return str(value)
+    return float(value)
+
+
+def _unit(one: dict[str, Any]) -> str:
+    """Unit that a channel's properties state; empty where they state none."""
+    own = one["properties"]
+    unit = own.get("unit_string") or own.get("NI_UnitDescription") or ""
+    return "s" if one["kind"] == "M" else bare_unit(str(unit))
+
+
+def _clock(one: dict[str, Any], first: float) -> _Clock | None:
+    """Clock of a waveform over time; start times count from that of the first channel."""
+    own = one["properties"]
+    step, start, began = (own.get(f"wf_{n}") for n in ("increment", "start_offset", "start_time"))
+    start = 0.0 if start is None else start
+    unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
+    if not (isinstance(step, float) and isinstance(start, float) and measure(unit) == "time"):
+        return None
+    if not (0.0 < step < math.inf and math.isfinite(start)):
+        return None
+    scale, dated = factor(unit, "time"), isinstance(began, float)
+    begin = start * scale + (began - first if isinstance(began, float) else 0.0)
+    return _Clock(step * scale, begin, one["samples"], dated)
+
+
+def _is_time(name: str, kind: str, unit: str) -> bool:
+    """Whether a channel is a time by its kind, its name or its unit."""
+    return kind == "M" or "time" in name.rpartition("/")[2].lower() or measure(unit) == "time"
+
+
+def _apart(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
     """Sentence on channels that do not begin, end or step as the first of them does."""
-    clocks = {n: c.clock for n, c in channels.items() if c.numeric and c.clock is not None}
     said = []
     first = min(clocks, key=lambda name: clocks[name].begin, default="")
     for name, clock in clocks.items():
         one = clocks[first]
-        if clock.begin >= one.begin + one.increment * one.samples:
+        if clock.begin >= one.end:
             continue  # of another test
-        if not math.isclose(clock.increment, one.increment, rel_tol=EVEN):
-            steps = f"{first} has a step of {one.increment:g}, {name} of {clock.increment:g}"
+        if not clock.even(one):
+            steps = f"{first} has a step of {one.step:g}, {name} of {clock.step:g}"
             return (f"{steps}: they cannot be used together",)
         if clock.begin > one.begin:
-            said.append(f"{name} begins {clock.begin - one.begin:.6g} {clock.unit} after {first}")
+            said.append(f"{name} begins {clock.begin - one.begin:.6g} s after {first}")
         elif clock.samples != one.samples:
             said.append(f"{name} has {clock.samples} samples, {first} {one.samples}")
     more = f", and {len(said) - 3} more" if len(said) > 3 else ""
-    return (f"{', '.join(said[:3])}{more}: only what columns share is used",) if said else ()
-
-
-def _check_alike(path: Path, clocks: Mapping[str, _Clock]) -> None:
-    """Refuse waveforms of different clocks beside a channel of times, which is that of one."""
-    names = list(clocks)
-    for name in names[1:]:
-        one, other = clocks[names[0]], clocks[name]
-        steps = one.increment, other.increment
-        if (
-            not math.isclose(*steps, rel_tol=EVEN)
-            or abs(other.begin - one.begin) > SHARE * steps[0]
-        ):
-            raise RecordError(
-                f"{_differ(path, names[0], one, name, other)}, and the file has one time"
-            )
+    return (f"{', '.join(said[:3])}{more}: only what channels share is used",) if said else ()
 
 
 def _together(
-    path: Path, clocks: Mapping[str, _Clock], columns: Mapping[str, Array]
-) -> dict[str, Array]:
+    path: Path, clocks: Mapping[str, _Clock], columns: Mapping[str, Column], *, timed: bool
+) -> dict[str, Column]:
     """Columns while all of them were measured, at the samples of the one that began last.
 
     Raises
     ------
     RecordError
-        When they have other steps, or are never measured together.
+        When they have other steps, are never measured together, or the file has one time for all
+        of them, which is `timed`.
     """
     if len(set(clocks.values())) < 2:
         return {}
-    names = list(clocks)
-    first = clocks[names[0]]
-    late: dict[str, float] = {}
+    first, one = next(iter(clocks.items()))
     for name, clock in clocks.items():
-        alike = math.isclose(clock.increment, first.increment, rel_tol=EVEN)
-        if clock.unit != first.unit or not alike:
-            raise RecordError(f"{_differ(path, names[0], first, name, clock)}: resample them first")
-        if (clock.began is None) != (first.began is None) and (clock.began or first.began):
+        late = clock.begin - one.begin
+        differ = (
+            f"{path}: {name} begins {abs(late):.6g} s {'after' if late > 0 else 'before'} {first}"
+        )
+        if not clock.even(one):
+            differ = (
+                f"{path}: {first} has a step of {one.step:g} s and {name} one of {clock.step:g} s"
+            )
+        if timed and (not clock.even(one) or abs(late) > SHARE * one.step):
+            raise RecordError(f"{differ}, and the file has one time")
+        if not clock.even(one):
+            raise RecordError(f"{differ}: resample them first")
+        if clock.dated != one.dated and late:
             raise RecordError(
-                f"{path}: of {names[0]} and {name} only one has a start time, wf_start_time, which "
+                f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
                 "is not that of the file's first channel: they cannot be aligned"
             )
-        late[name] = (clock.begin - first.begin) / first.increment
-    start = max(late.values())
-    size = math.floor(min(late[n] + c.samples for n, c in clocks.items()) - start + SHARE)
+    if timed:
+        return {}
+    start = max(clock.begin for clock in clocks.values())
+    size = math.floor((min(c.end for c in clocks.values()) - start) / one.step + SHARE)
     if size < 1:
-        raise RecordError(f"{path}: {' and '.join(names)} are never measured at the same time")
-    found = {}
-    for name in names:
-        begin, values = start - late[name], columns[name]
+        raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
+    found: dict[str, Column] = {}
+    for name, clock in clocks.items():
+        begin, values = (start - clock.begin) / one.step, np.asarray(columns[name], np.float64)
         if abs(begin - round(begin)) < SHARE:
             found[name] = values[round(begin) : round(begin) + size]
         else:
             found[name] = np.interp(begin + np.arange(size), np.arange(values.size), values)
-    sizes = min(column.size for column in found.values())
+    sizes = min(len(column) for column in found.values())
     return {name: column[:sizes] for name, column in found.items()}
 
 
-def _differ(path: Path, one: str, first: _Clock, other: str, second: _Clock) -> str:
-    """Sentence on two channels whose clocks differ."""
-    if first.unit != second.unit or not math.isclose(
-        first.increment, second.increment, rel_tol=EVEN
-    ):
-        return (
-            f"{path}: {one} has a step of {first.increment:g} {first.unit} and {other} one of "
-            f"{second.increment:g} {second.unit}"
-        )
-    late = second.begin - first.begin
-    way = "after" if late > 0 else "before"
-    return f"{path}: {other} begins {abs(late):.6g} {first.unit} {way} {one}"
-
-
-class _Stream(BufferedReader):
-    """File that is never asked for more bytes than it has: a text may declare gigabytes."""
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        left = os.fstat(self.fileno()).st_size - self.tell()
-        return super().read(-1 if size is None else min(size, max(left, 0)))
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """File whose description was read and checked; its data are not read yet."""
-    try:
-        from nptdms import TdmsFile
-        from nptdms.log import log_manager
-    except ImportError as error:
-        raise missing_library(path, "npTDMS", "tdms") from error
-    log_manager.set_level(logging.ERROR)  # its warnings are errors here
-    try:
-        # Given a path, nptdms would read an index file beside it, which may belong to another.
-        with path.open("rb", buffering=0) as file, _Stream(file) as stream:
-            _check_parts(path, stream)
-            with TdmsFile.open(stream) as opened:
-                _check_whole(path, opened)
-                yield opened
-    except RecordError:
-        raise
-    except OSError as error:
-        raise unreadable(path, error) from error
-    except Exception as error:  # nptdms raises a dozen kinds on a broken file
-        raise RecordError(f"{path} is not a TDMS file that can be read") from error
-
-
-def _check_parts(path: Path, stream: IO[bytes]) -> None:
-    """Refuse a file whose parts together list more channels than `LISTED`."""
-    size = path.stat().st_size
-    at = channels = listed = 0
-    while at + 32 <= size:
-        stream.seek(at)
-        lead = stream.read(32)
-        if not lead.startswith(b"TDSm"):
-            break  # nptdms stops here too
-        flags = int.from_bytes(lead[4:8], "little")
-        order: Literal["big", "little"] = "big" if flags & 64 else "little"
-        if flags & 2:  # the part lists channels; with flag 4 those of the parts before end
-            channels = int.from_bytes(lead[28:32], order) + (0 if flags & 4 else channels)
-        listed += channels
-        if listed > LISTED:
-            raise RecordError(
-                f"{path} lists channels more than {LISTED:,} times over its parts, the most that "
-                "is read; defragment it in LabVIEW"
-            )
-        at += 28 + int.from_bytes(lead[12:20], order)
-    stream.seek(0)
-
-
-def _check_whole(path: Path, file: Any) -> None:
-    """Refuse a file that is cut off, or declares more samples than it holds or than are read."""
-    for channel, status in (file.file_status.channel_statuses or {}).items():
-        if status.read_length < status.expected_length:
-            raise RecordError(
-                f"{path} is cut off: its last part declares {status.expected_length:,} samples of "
-                f"channel {channel} and holds {status.read_length:,}"
-            )
-    size = path.stat().st_size
-    for channel in _channels(file):
-        if len(channel) > min(size, SAMPLES):
-            limit = f"the {SAMPLES:,} that are read" if size > SAMPLES else "it can hold"
-            raise RecordError(
-                f"{path} declares {len(channel):,} samples of channel {channel.path}, more "
-                f"than {limit}"
-            )
-
-
-def _channels(file: Any) -> Iterator[Any]:
-    return (channel for group in file.groups() for channel in group.channels())
-
-
-def _described(channel: Any) -> _Channel:
-    properties = channel.properties
-    unit = properties.get("unit_string") or properties.get("NI_UnitDescription") or ""
-    return _Channel(
-        group=channel.group_name,
-        name=channel.name,
-        kind=np.dtype(channel.dtype).kind,
-        unit=bare_unit(str(unit)),
-        clock=_clock(properties, len(channel)),
-    )
-
-
-def _clock(properties: Mapping[str, Any], samples: int) -> _Clock | None:
-    """Clock of a waveform; None where the channel has no increment of time."""
-    increment = properties.get("wf_increment", math.nan)
-    start = properties.get("wf_start_offset", 0.0)
-    unit = bare_unit(str(properties.get("wf_xunit_string", ""))) or "s"
-    if not all(isinstance(value, int | float) for value in (increment, start)):
-        return None
-    if not (0 < increment < math.inf and math.isfinite(start)) or measure(unit) != "time":
-        return None
-    began = _seconds(properties.get("wf_start_time"))
-    return _Clock(float(increment), float(start), unit, samples, began)
-
-
-def _seconds(moment: Any) -> float | None:
-    """Seconds of a time stamp since 2020, about; None where a writer left it at its zero, 1904."""
-    if isinstance(moment, datetime):
-        moment = np.datetime64(moment.replace(tzinfo=None) - (moment.utcoffset() or timedelta()))
-    if not isinstance(moment, np.datetime64) or np.isnat(moment) or moment < np.datetime64("1910"):
-        return None
-    return float((moment - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
-
-
-def _clocks(channels: Sequence[_Channel]) -> dict[str, _Clock]:
-    """Name to clock: one for all channels, or one for each group whose channels share a step.
-
-    It is that of the first to begin to the last to end.
-    """
-    groups: dict[str, list[_Channel]] = {}
-    for channel in channels:
-        if channel.numeric and channel.clock is not None:
-            groups.setdefault(channel.group, []).append(channel)
+def _times(clocks: Mapping[str, _Clock], groups: Mapping[str, str]) -> dict[str, _Clock]:
+    """Clock for all channels, or for each group whose channels share a step: first to last."""
     found: dict[str, _Clock] = {}
-    for group, members in groups.items():
-        own = [channel.clock for channel in members if channel.clock is not None]
-        if (span := _span(own)) is not None:
-            found[f"{group}/time"] = span
-    if len(set(found.values())) == 1:
-        return {"time": next(iter(found.values()))}
-    return found
-
-
-def _span(clocks: Sequence[_Clock]) -> _Clock | None:
-    """Clock from the first sample of several to their last; None where their steps differ."""
-    first = min(clocks, key=lambda clock: clock.begin)
-    alike = all(
-        c.unit == first.unit and math.isclose(c.increment, first.increment, rel_tol=EVEN)
-        for c in clocks
-    )
-    if not alike:
-        return None
-    ends = [round((c.begin - first.begin) / c.increment) + c.samples for c in clocks]
-    return replace(first, samples=max(ends))
-
-
-def _numbers(path: Path, name: str, file: Any, channel: _Channel) -> Array:
-    if not channel.numeric:
-        held = _KINDS.get(channel.kind, "no numbers")
-        raise RecordError(f"channel {name!r} of {path} holds {held}; expected numbers")
-    values = np.asarray(file[channel.group][channel.name][:], dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        raise bad_cell(sample(int(bad[0])), path, name, values[bad[0]])
-    return values
+    for group in dict.fromkeys(groups[name] for name in clocks):
+        own = [clock for name, clock in clocks.items() if groups[name] == group]
+        first = min(own, key=lambda clock: clock.begin)
+        if all(clock.even(first) for clock in own):
+            ends = [round((c.begin - first.begin) / c.step) + c.samples for c in own]
+            found[f"{group}/time"] = replace(first, samples=max(ends))
+    return {"time": next(iter(found.values()))} if len(set(found.values())) == 1 else found

@@ -29,9 +29,7 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
 def _draw_candidates(figure: Figure, axes: Axes, advice: Advice, units: tuple[System, str]) -> None:
     """The best of the candidates at each actuation and frequency."""
     system, unit = units
-    customary = system.name == "us"
-    by = 1000.0 if customary else system.factor(unit)
-    name = ("psi" if unit == "ksi" else "lbf") if customary else system.unit(unit)
+    by, name = system.of_actuation(unit)
     best: dict[tuple[float, float], float] = {}
     for row in advice:
         key = row.candidate.actuation * by, row.candidate.frequency

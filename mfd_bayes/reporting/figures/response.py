@@ -183,12 +183,7 @@ def draw_damper_loops(response: Response, ground: int, system: System) -> Figure
 def draw_sweep(sweep: Sweep, system: System) -> Figure:
     """Largest drift and acceleration against the actuation, with bands and the best one."""
     figure = look.new_figure(8.4, 3.2)
-    by = 1000.0 if system.name == "us" else system.factor(sweep.unit)
-    unit = (
-        ("psi" if sweep.unit == "ksi" else "lbf")
-        if system.name == "us"
-        else system.unit(sweep.unit)
-    )
+    by, unit = system.of_actuation(sweep.unit)
     names = {"drift": (system.factor("in"), system.length), "acceleration": (1.0, "g")}
     for axes, (name, (factor, of)) in zip(figure.subplots(1, 2), names.items(), strict=True):
         flat = factor * sweep.values[name].reshape(len(sweep.levels), -1)

@@ -55,23 +55,25 @@ def test_columns_end_where_the_wanted_ones_do(tmp_path):
     ("cell", "found"),
     [
         (None, "an empty cell"),
-        ("off", "the text 'off'"),
-        ("1.5", "the text '1.5'"),
-        ("#DIV/0!", "the text '#DIV/0!'"),
-        (True, "TRUE"),
-        (
-            datetime.datetime(2024, 5, 1, 10, 30),
-            "the date or time 2024-05-01 10:30:00; format the column as numbers",
-        ),
-        (datetime.time(1, 2, 3), "the date or time 01:02:03; format the column as numbers"),
-        ("=A3*2", "a formula without a stored value; open the file in Excel and save it"),
+        ("off", "'off'"),
+        ("#DIV/0!", "'#DIV/0!'"),
+        (True, "'TRUE'"),
+        (datetime.datetime(2024, 5, 1, 10, 30), "'2024-05-01 10:30:00', which is a time stamp"),
+        (datetime.time(1, 2, 3), "'01:02:03', which is a time stamp"),
+        ("=A3*2", "'(a formula without a stored value: save it in Excel)'"),
     ],
 )
-def test_a_cell_without_a_number_is_named_by_its_address(tmp_path, refused, cell, found):
+def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path, refused, cell, found):
     path = write(tmp_path, Data=[["t", None, "x"], [0, None, 1], [1, None, cell], [2, None, 3]])
-    assert refused(path, ["t", "x"]) == (
-        f"cell C3 of sheet 'Data' of {path}, column 'x': expected a finite number, found {found}"
+    assert refused(path, ["t", "x"]).startswith(
+        f"row 3 of sheet 'Data' of {path}, column 'x': expected a finite number, found {found}"
     )
+
+
+def test_a_number_that_is_stored_as_text_is_one(tmp_path):
+    path = write(tmp_path, Data=[["t", "x"], [0, "1.5"], ["1", 2]])
+    columns = read_table(path).columns(["t", "x"])
+    np.testing.assert_array_equal([columns["t"], columns["x"]], [[0, 1], [1.5, 2]])
 
 
 def test_unused_columns_may_hold_anything(tmp_path):
@@ -90,8 +92,8 @@ def test_a_sheet_of_numbers_is_preferred_to_one_of_texts(tmp_path):
 def test_a_workbook_without_a_table_says_what_it_holds(tmp_path, refused):
     path = write(tmp_path, Notes=[["Report", 2023], ["by", "me"]], Plot=[])
     assert refused(path) == (
-        f"{path} holds no row of two names or more above numbers: sheet 'Notes' begins with the "
-        "text 'Report', 2023; sheet 'Plot' is empty"
+        f"{path} holds no row of two names or more above numbers: sheet 'Notes' begins with "
+        "'Report', 2023.0; sheet 'Plot' is empty"
     )
 
 

@@ -218,8 +218,6 @@ def test_a_layout_is_read(tmp_path, layout):
     np.testing.assert_allclose(record.force * 4448.2216152605, FORCE, atol=1e-7)
 
 
-STAMPS = "\n".join(f"10:00:{t:06.3f};{x:.6f};{f:.6f}" for t, x, f in ROWS) + "\n"
-
 REFUSED = {
     "without a header, and no columns said": (
         text(lines()),
@@ -243,11 +241,6 @@ REFUSED = {
         "column 4 of",
     ),
     "no unit anywhere": (text(lines()), NUMBERS, "give the unit of time"),
-    "times of day": (
-        text("clock_s;x_mm;f_N\n" + STAMPS),
-        {"time": "clock_s", "displacement": "x_mm"},
-        "expected a finite number, found '10:00:00.000'",
-    ),
     "thousands separators": (
         text("t_s;x_mm;f_N\n" + lines(";") + "8.0;1;1,234.5\n"),
         {"time": "t_s", "displacement": "x_mm", "force": "f_N"},

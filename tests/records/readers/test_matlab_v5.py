@@ -52,7 +52,7 @@ def test_what_is_no_vector_of_numbers_is_passed_over(tmp_path):
         "x": np.arange(3.0),
     }
     savemat(path, content)
-    assert read_table(path).names == ("deep.y", "x")
+    assert read_table(path).names == ("deep.inner.x", "deep.y", "x")
 
 
 def test_the_other_order_of_bytes_is_read(tmp_path):

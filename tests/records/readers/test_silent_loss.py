@@ -496,8 +496,8 @@ def test_a_serial_number_of_days_is_no_time_in_seconds(tmp_path, first):
     rows = "".join(f"{first + t / 86400:.9f},{x:.4f},{f:.4f}\n" for t, x, f in ROWS)
     (tmp_path / "run_5bar.csv").write_text(f"Time,Stroke (mm),Load (N)\n{rows}")
     found, said = unit_of(tmp_path, "time")
-    assert found is None
-    assert 'unit = "day"' in said
+    assert found == "day"
+    assert "it looks like a date, counted in day" in said
 
 
 def test_a_counter_that_states_ms_is_a_time(tmp_path):

@@ -69,7 +69,9 @@ def test_the_first_bad_cell_of_several_is_named(tmp_path, refused):
 
 
 def test_an_open_quote_is_refused(tmp_path, refused):
-    assert "not a table" in refused(write(tmp_path / "a.csv", 'a,b\n0,"1\n1,2\n'))
+    assert "a quotation mark without its partner" in refused(
+        write(tmp_path / "a.csv", 'a,b\n0,"1\n1,2\n')
+    )
 
 
 def test_unused_columns_may_hold_anything(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from mfd_bayes.errors import RecordError, StoreError
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.readers.hdf5 import UnsafeError, check_heaps, check_objects, check_pieces
+from mfd_bayes.store.hdf5 import UnsafeError, check_heaps, check_objects
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
 TIME = np.arange(30) / 10
@@ -66,7 +66,7 @@ WORDS = {
 }
 
 
-@pytest.mark.parametrize("make", WORDS)
+@pytest.mark.parametrize("make", [external_link, soft_link, virtual, external_storage])
 def test_files_that_reach_outside_themselves_are_refused(tmp_path, secret, make):
     path = tmp_path / "a.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -112,7 +112,6 @@ def test_pieces_and_sizes_within_bounds_pass(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("x", data=np.zeros(5_000_000), chunks=(2_500_000,), compression="gzip")
         check_objects(file, 40_000_000)
-        check_pieces(file["x"])
         with pytest.raises(UnsafeError, match="declares 40 MB"):
             check_objects(file, 39_000_000)
 

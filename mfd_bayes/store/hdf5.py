@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import zlib
 from collections.abc import Iterator
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -17,9 +16,6 @@ OBJECTS = 20_000  # most groups and data sets of a file
 _NAMED = 60  # characters of a name that are shown
 # Only the filters of MATLAB and NetCDF files are allowed: a plugin would be foreign code.
 _DEFLATE, _SHUFFLE, _CHECKSUM = 1, 2, 3
-# Deflated data grow to at most 1032 times their size.
-_MOST_GROWTH = 1032
-_HARMLESS = 16 * 2**20  # bytes: a chunk may unpack to this, whatever it declares
 
 
 class UnsafeError(Exception):
@@ -85,30 +81,6 @@ def _check_heap(content: mmap, begin: int) -> None:
         if not 0 < step <= end - at:
             raise UnsafeError("has a heap of texts whose sizes do not fit")
         at += step
-
-
-def check_pieces(dataset: h5py.Dataset) -> None:
-    """Refuse a data set with a chunk that unpacks to more than it declares.
-
-    The HDF5 library would unpack all of it before it sees that.
-    """
-    if dataset.chunks is None or dataset.compression is None:
-        return
-    whole = math.prod(map(int, dataset.chunks)) * dataset.dtype.itemsize
-    most = max(whole + 4, _HARMLESS)  # a checksum may follow
-    for number in range(dataset.id.get_num_chunks()):
-        piece = dataset.id.get_chunk_info(number)
-        if piece.size * _MOST_GROWTH <= most:
-            continue
-        if piece.size > 2 * most:
-            raise UnsafeError(f"holds a piece of {dataset.name!r} larger than it declares")
-        _, raw = dataset.id.read_direct_chunk(piece.chunk_offset)
-        try:
-            unpacked = zlib.decompressobj().decompress(raw, most + 1)
-        except zlib.error:
-            continue  # the HDF5 library refuses it
-        if len(unpacked) > most:
-            raise UnsafeError(f"holds a piece of {dataset.name!r} larger than it declares")
 
 
 def _datasets(file: h5py.File) -> Iterator[h5py.Dataset]:

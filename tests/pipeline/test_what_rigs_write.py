@@ -1,0 +1,649 @@
+"""What rigs and loggers write: rates, time stamps, signs and units of actuation."""
+
+import json
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from datetime import datetime, timedelta
+
+import numpy as np
+import pandas as pd
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from openpyxl import Workbook
+from scipy.io import savemat
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+from mfd_bayes.records.sources import Source
+
+STEP, STROKE, SLIP = 0.05, 12.0, 950.0  # s, mm, N
+
+
+def loops(samples=240):
+    """Displacement, mm, and force, N, of a friction damper at 0.25 Hz."""
+    time = STEP * np.arange(samples)
+    phase = 2 * np.pi * 0.25 * time
+    return time, STROKE * np.sin(phase), SLIP * np.tanh(6 * np.cos(phase) + 2 * np.sin(phase))
+
+
+def write(path, head, columns, above=""):
+    rows = [",".join(str(cell) for cell in row) for row in zip(*columns, strict=True)]
+    path.write_text(above + head + "\n" + "\n".join(rows) + "\n")
+
+
+def command(name, path, *words, code=0):
+    if name == "inspect":
+        words = (*words, "-o", path.parent)
+    words = (name, path, *words)
+    outcome = CliRunner().invoke(app, [str(word) for word in words])
+    assert outcome.exit_code == code, outcome.output
+    return " ".join(outcome.output.split())
+
+
+def drafted(folder):
+    """Words of `init`, the campaign's text, and those of `inspect`."""
+    said = command("init", folder)
+    return (
+        said,
+        (folder / "campaign.toml").read_text(),
+        command("inspect", folder / "campaign.toml"),
+    )
+
+
+# A rate in place of a column of times
+
+
+@pytest.mark.parametrize(
+    ("above", "rate"),
+    [
+        ("Sample rate: 20 Hz\n", "20 Hz"),
+        ("Sampling Rate (Hz),20\n", "20 Hz"),
+        ("Sampling interval: 0,05 s\n", "0.05 s"),
+        ("Sample Period: 50 ms\n", "50 ms"),
+        ("fs = 20\n", "20 Hz"),
+        ("sample_rate_hz,20\n", "20 Hz"),
+        ("# dt = 0.05 s\n", "0.05 s"),
+        ("Scan rate: 0.02 kHz per channel\n", "0.02 kHz"),
+        ("Abtastrate: 20 Hz\n", "20 Hz"),
+        ("Acquired 2024, at 20 Hz\nSampling Frequency, Hz: 20\n", "20 Hz"),
+    ],
+)
+def test_init_drafts_the_rate_that_a_file_states(tmp_path, above, rate):
+    _, *columns = loops()
+    write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", columns, above)
+    said, text, seen = drafted(tmp_path)
+    assert f'time = {{ rate = "{rate}" }}' in text
+    assert "FIXME" not in said
+    assert "240 over 11.95 s" in seen
+    assert "rate 20 Hz" in seen
+
+
+@pytest.mark.parametrize(
+    "above",
+    ["", "Test frequency: 20 Hz\n", "Sample rate: 1,000 Hz\n", "fs = 20\nSample rate: 30 Hz\n"],
+)
+def test_a_rate_that_is_not_stated_is_asked_for(tmp_path, above):
+    _, *columns = loops()
+    write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", columns, above)
+    said = command("init", tmp_path)
+    assert "FIXME: columns: the unit of time is unknown; the file has none" in said
+    assert 'give its rate: rate = "100 Hz"' in command(
+        "inspect", tmp_path / "campaign.toml", code=2
+    )
+
+
+def test_a_counter_gives_way_to_the_rate_that_the_file_states(tmp_path):
+    _, *columns = loops()
+    columns = [np.arange(240), *columns]
+    write(
+        tmp_path / "a_5bar.csv", "Scan,Displacement (mm),Force (N)", columns, "Scan rate: 20 Hz\n"
+    )
+    said, text, seen = drafted(tmp_path)
+    assert 'time = { rate = "20 Hz" }' in text
+    assert "FIXME" not in said
+    assert "240 over 11.95 s" in seen
+
+
+CAMPAIGN = """[columns]
+{columns}
+displacement = {{ name = "Displacement (mm)" }}
+force = {{ name = "Force (N)" }}
+[[test]]
+id = "a"
+file = "a.csv"
+actuation = "5 bar"
+{test}
+"""
+
+
+@pytest.mark.parametrize(
+    ("columns", "test"),
+    [
+        ('rate = "20 Hz"', ""),
+        ('time = { rate = "20 Hz" }', ""),
+        ('time = { rate = "50 ms" }', ""),
+        ("", 'rate = "20 Hz"'),
+        ('time = { name = "Time (s)" }', 'rate = "20 Hz"'),
+        ('rate = "5 Hz"', 'columns.rate = "20 Hz"'),
+    ],
+)
+def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path, columns, test):
+    write(tmp_path / "a.csv", "Displacement (mm),Force (N)", loops()[1:])
+    (tmp_path / "c.toml").write_text(CAMPAIGN.format(columns=columns, test=test))
+    assert "240 over 11.95 s" in command("inspect", tmp_path / "c.toml")
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ('rate = "20"', "'20' has no unit"),
+        ('rate = "20 mm"', "unit 'mm' of"),
+        ('rate = "0 Hz"', "a rate above 0"),
+        ('rate = "20 Hz"\ntime = { name = "t" }', "either by its column or by a rate"),
+        ('time = { name = "t", rate = "20 Hz" }', "either by its column or by a rate"),
+        ('time = { name = "t", sign = -1 }', "unknown key 'sign'"),
+    ],
+)
+def test_what_is_no_rate_is_refused(tmp_path, columns, said):
+    write(tmp_path / "a.csv", "Displacement (mm),Force (N)", loops()[1:])
+    (tmp_path / "c.toml").write_text(CAMPAIGN.format(columns=columns, test=""))
+    assert said in command("inspect", tmp_path / "c.toml", code=2)
+
+
+def test_a_record_is_read_at_a_rate(tmp_path):
+    time, *columns = loops()
+    write(tmp_path / "a.csv", "x_mm,f_N", columns)
+    given = {"time": Source(rate="20 Hz"), "displacement": "x_mm", "force": "f_N"}
+    record = mb.read_record(tmp_path / "a.csv", columns=given, fit="2 s to 8 s")
+    np.testing.assert_allclose(record.time, time, atol=1e-12)
+    assert record.trace().time[[0, -1]] == pytest.approx([2.0, 8.0])
+
+
+# The sign of a column
+
+
+def test_init_turns_the_force_where_loops_run_backward_and_says_so(tmp_path):
+    time, x, force = loops()
+    write(tmp_path / "a_5bar.csv", "Time (s),Displacement (mm),Force (N)", [time, x, -force])
+    said, text, seen = drafted(tmp_path)
+    assert "loops run backward" in said
+    assert 'force = { name = "Force (N)", unit = "N", sign = -1 }' in text
+    assert "force sign" not in seen
+    assert re.search(r"energy per cycle \d", seen)
+
+
+def test_only_the_tests_that_run_backward_are_turned(tmp_path):
+    time, x, force = loops()
+    for name, sign in (("a_5bar", 1), ("b_5bar", 1), ("c_9bar", -1)):
+        columns = [time, x, sign * force]
+        write(tmp_path / f"{name}.csv", "Time (s),Displacement (mm),Force (N)", columns)
+    said, text, seen = drafted(tmp_path)
+    assert "unsure: c_9bar: its loops run backward" in said
+    assert text.count("sign = -1 }") == 1
+    assert 'columns.force = { name = "Force (N)", unit = "N", sign = -1 }' in text
+    assert "force sign" not in seen
+
+
+@pytest.mark.parametrize("spike", [1e6, -1e6, -9999.0])
+def test_an_overflow_value_turns_no_sign(tmp_path, spike):
+    time, x, force = loops()
+    force[41] = spike
+    write(tmp_path / "a_5bar.csv", "Time (s),Displacement (mm),Force (N)", [time, x, force])
+    said, text, seen = drafted(tmp_path)
+    assert "sign" not in said + text
+    assert "force sign" not in seen
+    assert "spikes: 1 isolated sample of the force" in seen
+
+
+def test_the_warning_of_negative_work_names_the_key(tmp_path):
+    time, x, force = loops()
+    write(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N)", [time, x, -force])
+    campaign = tmp_path / "c.toml"
+    time_column = 'time = { name = "Time (s)" }'
+    campaign.write_text(CAMPAIGN.format(columns=time_column, test=""))
+    assert "write sign = -1 for one of them in [columns]" in command("inspect", campaign)
+    turned = campaign.read_text().replace('"Displacement (mm)"', '"Displacement (mm)", sign = -1')
+    campaign.write_text(turned)
+    assert "force sign" not in command("inspect", campaign)
+    campaign.write_text(turned.replace("sign = -1", "sign = 2"))
+    assert "a sign is 1 or -1" in command("inspect", campaign, code=2)
+
+
+def test_a_sign_turns_the_column_before_anything_is_taken_off(tmp_path):
+    time, x, force = loops()
+    write(tmp_path / "a.csv", "t_s,x_mm,f_N", [time, -x, -(force + 30.0)])
+    plain = {"time": "t_s", "displacement": Source("x_mm", sign=-1)}
+    turned = Source("f_N", sign=-1, tare="-30 N")
+    record = mb.read_record(tmp_path / "a.csv", columns=plain | {"force": turned})
+    np.testing.assert_allclose(record.force, force / 4448.2216, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(record.displacement, x / 25.4, rtol=1e-9)
+
+
+# Actuation in any unit
+
+
+ACTUATED = """[campaign]
+model = "lugre"
+[columns]
+time = {{ name = "t_s" }}
+displacement = {{ name = "x_mm" }}
+force = {{ name = "f_N" }}
+"""
+TEST = '[[test]]\nid = "{0}"\nfile = "{0}.csv"\nactuation = {1}\n'
+
+
+def actuated(folder, *levels):
+    """A campaign whose tests have these actuations."""
+    time, x, force = loops()
+    text = ACTUATED.format()
+    for number, level in enumerate(levels):
+        size = float(re.sub(r"[^\d.]", "", level)) if level[0] == '"' else 1.0
+        noise = np.random.default_rng(number).normal(0.0, 6.0, time.size)
+        columns = [time, x, force * size + noise, np.full(time.size, 1.5)]
+        write(folder / f"r{number}.csv", "t_s,x_mm,f_N,drive_A", columns)
+        text += TEST.format(f"r{number}", level)
+    (folder / "c.toml").write_text(text)
+    return folder / "c.toml"
+
+
+@pytest.mark.parametrize(
+    ("level", "shown"),
+    [
+        ("1 A", "1 A"),
+        ("500 mA", "500 mA"),
+        ("1.5 amps", "1.5 amps"),
+        ("24 V", "24 V"),
+        ("3 turns", "3 turns"),
+        ("180 deg", "180 deg"),
+        ("40 %", "40 %"),
+        ("5 clicks", "5 clicks"),
+        ("120 N*m", "120 N*m"),
+        ("80 ft*lbf", "80 ft*lbf"),
+        ("0.2 T", "0.2 T"),
+    ],
+)
+def test_an_actuation_is_said_in_its_own_unit(tmp_path, level, shown):
+    assert f" actuation {shown} " in command("inspect", actuated(tmp_path, f'"{level}"'))
+
+
+@pytest.mark.parametrize("level", ["3 mm", "2 s", "5 Hz", "3 kg", "20 degC", "7 bananas", "0.5 1"])
+def test_a_unit_of_no_actuation_is_refused(tmp_path, level):
+    said = command("inspect", actuated(tmp_path, f'"{level}"'), code=2)
+    assert f"unit '{level.split()[1]}' of '{level}'" in said
+
+
+def test_actuations_of_one_kind_may_differ_in_unit_and_others_are_refused(tmp_path):
+    said = command("inspect", actuated(tmp_path, '"500 mA"', '"1 A"'))
+    assert " actuation 0.5 A " in said
+    assert " actuation 1 A " in said
+    said = command("inspect", actuated(tmp_path, '"1 A"', '"1 V"'), code=2)
+    assert "that of test 'r1' is in V or a multiple of it" in said
+    said = command("inspect", actuated(tmp_path, '"1 A"', '"5 bar"'), code=2)
+    assert "that of test 'r1' is a pressure" in said
+
+
+def test_a_measured_current_is_an_actuation(tmp_path):
+    said = command("inspect", actuated(tmp_path, '{ name = "drive_A" }'))
+    assert " actuation 1.5 A (mean of a history)" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "above", "level", "doubt"),
+    [
+        ("run_0.5A", "", "0.5 A", ""),
+        ("run_250mA", "", "250 mA", ""),
+        ("run_2A", "", "2 A", "2A is taken for A"),
+        ("run_12volts", "", "12 V", ""),
+        ("run", "Coil current: 0.75 A\n", "0.75 A", ""),
+        ("run_2turns", "", "2 turns", ""),
+        ("run_500psi_2A", "", "500 psi", ""),
+    ],
+)
+def test_init_drafts_the_current_of_a_test(tmp_path, name, above, level, doubt):
+    write(tmp_path / f"{name}.csv", "Time (s),Displacement (mm),Force (N)", loops(), above)
+    said, text, _ = drafted(tmp_path)
+    assert f'actuation = "{level}"' in text
+    assert (doubt in said) if doubt else ("unsure" not in said)
+
+
+def test_init_drafts_a_column_of_current(tmp_path):
+    columns = [*loops(), np.full(240, 0.8)]
+    write(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N),Current (A)", columns)
+    said, text, _ = drafted(tmp_path)
+    assert "actuation = \"0.8 A\"  # of column 'Current (A)'" in text
+    assert "FIXME" not in said
+    (tmp_path / "a.csv").rename(tmp_path / "a_500psi.csv")
+    (tmp_path / "campaign.toml").unlink()
+    command("init", tmp_path, "--force")
+    assert 'actuation = "500 psi"' in (tmp_path / "campaign.toml").read_text()
+
+
+@pytest.mark.slow
+def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
+    campaign = actuated(tmp_path, '"500 mA"', '"1000 mA"')
+    command("init", campaign)
+    campaign.write_text(
+        campaign.read_text().replace("[campaign]", '[campaign]\npriors = "priors.toml"')
+    )
+    out = tmp_path / "out"
+    command("calibrate", campaign, "-o", out, "--effort", "quick", "--jobs", 1, "--seed", 1)
+    laws = (out / "laws.csv").read_text()
+    assert re.search(r"K_c_fwd,k?N/mA,", laws)
+    assert re.search(r"alpha_sigma0,k?N/mm/mA,", laws)
+    asked = ("--sine", "12 mm, 0.25 Hz, 2 cycles", "--force", "-o", tmp_path / "b.csv")
+    command("predict", out, *asked, "--actuation", "0.8 A")
+    assert "must be in A or a multiple of it" in command(
+        "predict", out, *asked, "--actuation", "500 psi", code=2
+    )
+    assert "mA, 0.25 Hz" in command("next", out, "-o", tmp_path / "n.csv")
+
+
+# Time stamps
+
+
+BEGIN = datetime(2024, 3, 5, 10, 0, 0)
+NIGHT = datetime(2024, 3, 5, 23, 59, 55)
+
+
+def stamps(form, begin=BEGIN, samples=240):
+    """Time stamps of a test, of a form of strftime in which %L stands for milliseconds."""
+    moments = [begin + timedelta(seconds=STEP * k) for k in range(samples)]
+    return [m.strftime(form.replace("%L", f"{m.microsecond // 1000:03}")) for m in moments]
+
+
+def no_zeros(stamp):
+    """A stamp that loses its .000."""
+    return stamp.removesuffix(".000")
+
+
+STAMPS = {
+    "ISO": stamps("%Y-%m-%d %H:%M:%S.%L"),
+    "ISO with T and Z": stamps("%Y-%m-%dT%H:%M:%S.%LZ"),
+    "ISO with a zone": stamps("%Y-%m-%dT%H:%M:%S.%L+01:00"),
+    "ISO that loses its .000": [no_zeros(s) for s in stamps("%Y-%m-%d %H:%M:%S.%L")],
+    "ISO without separators": stamps("%Y%m%dT%H%M%S.%L"),
+    "slashes": stamps("%Y/%m/%d %H:%M:%S.%L"),
+    "US with AM": stamps("%m/%d/%Y %I:%M:%S.%L %p"),
+    "US at noon": stamps("%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
+    "US without zeros": [s.lstrip("0").replace("/0", "/") for s in stamps("%m/%d/%Y %H:%M:%S.%L")],
+    "US past midnight, told by the day": stamps(
+        "%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 25, 23, 59, 55)
+    ),
+    "US past midnight, told by the steps": stamps("%m/%d/%Y %H:%M:%S.%L", NIGHT),
+    "German": stamps("%d.%m.%Y %H:%M:%S.%L"),
+    "German past midnight": stamps("%d.%m.%Y %H:%M:%S.%L", NIGHT),
+    "past midnight at the end of a month": stamps(
+        "%d/%m/%Y %H:%M:%S.%L", datetime(2024, 2, 29, 23, 59, 55)
+    ),
+    "two digits of a year": stamps("%d-%m-%y %H:%M:%S.%L"),
+    "MATLAB": stamps("%d-%b-%Y %H:%M:%S.%L"),
+    "a month's name": stamps("%b %d %Y %H:%M:%S.%L"),
+    "clock": stamps("%H:%M:%S.%L"),
+    "clock past midnight": stamps("%H:%M:%S.%L", NIGHT),
+    "clock of twelve hours": stamps("%I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
+    "clock of twelve hours, no AM": stamps("%I:%M:%S.%L", datetime(2024, 3, 5, 12, 59, 55)),
+    "milliseconds behind a colon": stamps("%H:%M:%S:%L"),
+    "minutes and seconds": stamps("%M:%S.%L"),
+    "as ctime": stamps("%a %b %d %H:%M:%S.%L %Y"),
+    "clock before the date": stamps("%H:%M:%S.%L %d.%m.%Y"),
+    "timedelta of pandas": [f"0 days {s}" for s in stamps("%H:%M:%S.%L000")],
+}
+
+
+@pytest.mark.parametrize("form", STAMPS)
+def test_time_stamps_are_seconds_since_the_first_row(tmp_path, form):
+    time, *columns = loops()
+    write(
+        tmp_path / "a_5bar.csv", "Timestamp,Displacement (mm),Force (N)", [STAMPS[form], *columns]
+    )
+    said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Timestamp", unit = "s" }' in text
+    assert "FIXME" not in said
+    assert "240 over 11.95 s" in seen
+    roles = {"time": "Timestamp", "displacement": 2, "force": 3}
+    record = mb.read_record(tmp_path / "a_5bar.csv", roles, fit="2 s to 8 s")
+    np.testing.assert_allclose(record.time, time, atol=1e-9)
+    assert record.trace().time[[0, -1]] == pytest.approx([2.0, 8.0])
+
+
+def test_a_date_a_clock_and_a_counter_beside_each_other(tmp_path):
+    _, *columns = loops()
+    clock = stamps("%H:%M:%S.%L", NIGHT)
+    day = stamps("%d.%m.%Y", NIGHT)
+    head = "No.,Date,Time,Displacement (mm),Force (N),Events"
+    write(tmp_path / "a_5bar.csv", head, [range(240), day, clock, *columns, [""] * 240])
+    _said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Time", unit = "s" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_an_order_of_dates_that_nothing_tells_is_asked_for(tmp_path):
+    _time, *columns = loops()
+    moments = [
+        datetime(2024, 3, 5) + timedelta(days=k // 120, seconds=STEP * k) for k in range(240)
+    ]
+    text = [m.strftime("%m/%d/%Y %H:%M:%S.%f") for m in moments]
+    write(tmp_path / "a.csv", "Timestamp,x_mm,f_N", [text, *columns])
+    roles = {"displacement": "x_mm", "force": "f_N"}
+    with pytest.raises(mb.MfdError, match='write dates = "day first" or dates = "month first"'):
+        mb.read_record(tmp_path / "a.csv", {"time": "Timestamp", **roles})
+    given = {"time": Source("Timestamp", dates="month first"), **roles}
+    assert mb.read_record(tmp_path / "a.csv", given).gap.startswith("time has a gap")
+    stated = 'time = { name = "Timestamp", dates = "month first" }'
+    text = CAMPAIGN.format(columns=stated, test="")
+    (tmp_path / "c.toml").write_text(
+        text.replace("Displacement (mm)", "x_mm").replace("Force (N)", "f_N")
+    )
+    assert "time has a gap" in command("inspect", tmp_path / "c.toml")
+
+
+@pytest.mark.parametrize("cell", ["", "#N/A", "25:61:00", "later"])
+def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path, cell):
+    _, *columns = loops()
+    clock = stamps("%H:%M:%S.%L")
+    clock[200] = cell
+    write(tmp_path / "a.csv", "Timestamp,x_mm,f_N", [clock, *columns])
+    roles = {"time": "Timestamp", "displacement": "x_mm", "force": "f_N"}
+    with pytest.raises(mb.MfdError, match=r"line 202 of .*, column 'Timestamp'"):
+        mb.read_record(tmp_path / "a.csv", roles)
+    assert mb.read_record(tmp_path / "a.csv", roles, fit="0 s to 8 s").time.size == 200
+
+
+def test_stamps_that_are_too_coarse_ask_for_the_rate(tmp_path):
+    _, *columns = loops()
+    head = "Timestamp,Displacement (mm),Force (N)"
+    write(tmp_path / "a_5bar.csv", head, [stamps("%H:%M:%S"), *columns])
+    said = command("init", tmp_path)
+    assert "time stamps of 'Timestamp' are equal in several rows, about 20 in a second" in said
+    with pytest.raises(mb.MfdError, match=r'too coarse, write rate = "100 Hz"'):
+        mb.read_record(tmp_path / "a_5bar.csv", {"time": "Timestamp", "displacement": 2})
+
+
+def test_statistics_below_stamps_are_a_footer(tmp_path):
+    _, *columns = loops()
+    head = "Timestamp,Displacement (mm),Force (N)"
+    write(tmp_path / "a_5bar.csv", head, [stamps("%H:%M:%S.%L"), *columns])
+    with (tmp_path / "a_5bar.csv").open("a") as file:
+        file.write("Max,12,950\nMin,-12,-950\n")
+    seen = drafted(tmp_path)[2]
+    assert "240 over 11.95 s" in seen
+    assert "line 242 and below: numbers below the table, not used" in seen
+
+
+@pytest.mark.parametrize("kind", ["moments", "clock", "elapsed"])
+def test_dates_of_a_workbook_are_a_time(tmp_path, kind):
+    time, x, force = loops()
+    moments = [BEGIN + timedelta(seconds=float(t)) for t in time]
+    cells = {
+        "moments": moments,
+        "clock": [m.time() for m in moments],
+        "elapsed": [m - BEGIN for m in moments],
+    }[kind]
+    book = Workbook()
+    book.active.append(["Time", "Displacement (mm)", "Force (N)"])
+    for row in zip(cells, x.tolist(), force.tolist(), strict=True):
+        book.active.append(list(row))
+    book.save(tmp_path / "a_5bar.xlsx")
+    _said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Time", unit = "s" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_a_channel_of_moments_is_a_time(tmp_path):
+    time, x, force = loops()
+    moments = np.datetime64(BEGIN, "us") + (1e6 * time).astype("m8[us]")
+    channels = [
+        ChannelObject("G", n, v)
+        for n, v in zip(["Clock", "Disp (mm)", "Load (N)"], [moments, x, force], strict=True)
+    ]
+    with TdmsWriter(tmp_path / "a_5bar.tdms") as writer:
+        writer.write_segment(channels)
+    _said, text, seen = drafted(tmp_path)
+    assert 'time = { name = "Clock", unit = "s" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_stamps_of_json_are_a_time(tmp_path):
+    _, x, force = loops()
+    columns = {
+        "time": stamps("%Y-%m-%dT%H:%M:%S.%LZ"),
+        "disp_mm": x.tolist(),
+        "load_N": force.tolist(),
+    }
+    (tmp_path / "a_5bar.json").write_text(json.dumps(columns))
+    assert "240 over 11.95 s" in drafted(tmp_path)[2]
+
+
+@pytest.mark.parametrize(
+    ("unit", "first", "by"),
+    [
+        ("day", 45356.4166666667, 1 / 86400),
+        ("day", 739316.416666667, 1 / 86400),
+        ("s", 1709632800.0, 1.0),
+        ("s", 3792477600.0, 1.0),
+        ("ms", 1709632800000.0, 1e3),
+        ("us", 1709632800000000.0, 1e6),
+    ],
+    ids=["Excel", "MATLAB", "1970", "LabVIEW", "ms", "us"],
+)
+def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path, unit, first, by):
+    time, *columns = loops()
+    cells = [f"{first + t * by:.10f}" for t in time]
+    write(tmp_path / "a_5bar.csv", "X_Value,Displacement (mm),Force (N)", [cells, *columns])
+    said, text, seen = drafted(tmp_path)
+    assert f'unit = "{unit}" }}  # unsure' in text
+    assert f"it looks like a date, counted in {unit}" in said
+    assert "240 over 11.95 s" in seen
+    roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
+    record = mb.read_record(tmp_path / "a_5bar.csv", roles, fit="0 s to 8 s")
+    np.testing.assert_allclose(record.time, time, atol=2e-5)
+
+
+# Cells outside the window
+
+
+@pytest.mark.parametrize("form", ["csv", "xlsx", "json", "tdms", "mat"])
+@pytest.mark.parametrize("window", ["0 s to 8 s", "0 s to 11 s"])
+def test_bad_cells_outside_the_window_are_left_out_of_every_format(tmp_path, form, window):
+    table = dict(zip(["t_s", "x_mm", "f_N"], loops(), strict=True))
+    table["f_N"][200] = np.nan  # at 10 s
+    path = tmp_path / f"a.{form}"
+    if form == "csv":
+        write(path, ",".join(table), table.values())
+    elif form == "xlsx":
+        pd.DataFrame(table).to_excel(path, index=False)
+    elif form == "json":
+        path.write_text(json.dumps({name: values.tolist() for name, values in table.items()}))
+    elif form == "mat":
+        savemat(path, table)
+    else:
+        with TdmsWriter(path) as writer:
+            writer.write_segment([ChannelObject("G", name, v) for name, v in table.items()])
+    units = {"time": "s", "displacement": "mm", "force": "N"}
+    roles = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
+    if window == "0 s to 8 s":
+        record = mb.read_record(path, roles, units, fit=window)
+        assert record.time.size == 200
+        assert "lie outside the window fit" in record.doubts[0]
+    else:
+        with pytest.raises(mb.MfdError, match="column 'f_N': expected a finite number"):
+            mb.read_record(path, roles, units, fit=window)
+
+
+# Names as other keyboards and MATLAB write them
+
+
+@pytest.mark.parametrize("encoding", ["cp932", "utf-8"])
+@pytest.mark.parametrize(
+    "head", ["時間（s）,変位（mm）,荷重（N）", "時間［s］,変位［㎜］,荷重［N］"]
+)
+def test_wide_brackets_and_unit_signs_are_read(tmp_path, encoding, head):
+    write(tmp_path / "a_5bar.csv", head, loops())
+    path = tmp_path / "a_5bar.csv"
+    path.write_bytes(path.read_text(encoding="utf-8").encode(encoding))
+    said, _, seen = drafted(tmp_path)
+    assert "FIXME" not in said
+    assert "displacement -12 to 12 mm" in seen
+
+
+def test_a_comment_of_names_and_one_of_units(tmp_path):
+    rows = "".join(f"{t:.3f} {x:.4f} {f:.2f}\n" for t, x, f in zip(*loops(), strict=True))
+    (tmp_path / "a_5bar.dat").write_text("% Time Disp Force\n% s mm N\n" + rows)
+    _, text, seen = drafted(tmp_path)
+    assert 'displacement = { name = "Disp", unit = "mm" }' in text
+    assert "240 over 11.95 s" in seen
+
+
+def test_a_column_of_a_matrix_has_no_unit_in_its_name(tmp_path):
+    time, x, force = loops()
+    savemat(tmp_path / "a_5bar.mat", {"t_s": time, "data": np.column_stack([x, force])})
+    command("init", tmp_path)
+    said = command("inspect", tmp_path / "campaign.toml", code=2)
+    assert "has no unit in its name; give the unit of displacement" in said
+
+
+# Binary files are read in another process
+
+
+def packed(folder):
+    """The same record in each binary format."""
+    table = dict(zip(["t_s", "x_mm", "f_N"], loops(), strict=True))
+    pd.DataFrame(table).to_excel(folder / "a.xlsx", index=False)
+    savemat(folder / "a.mat", table)
+    with TdmsWriter(folder / "a.tdms") as writer:
+        writer.write_segment([ChannelObject("G", name, v) for name, v in table.items()])
+    return [folder / f"a.{form}" for form in ("xlsx", "mat", "tdms")]
+
+
+ROLES = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
+
+
+def test_a_process_with_threads_reads_the_same(tmp_path):
+    done = threading.Event()
+    for path in packed(tmp_path):
+        alone = mb.read_record(path, ROLES)
+        thread = threading.Thread(target=done.wait)
+        thread.start()
+        beside = mb.read_record(path, ROLES)
+        done.set()
+        thread.join()
+        done.clear()
+        np.testing.assert_array_equal(alone.force, beside.force)
+        np.testing.assert_allclose(alone.displacement * 25.4, loops()[1], atol=1e-9)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a process is copied as on Linux")
+def test_a_reader_that_dies_or_never_ends_is_a_sentence(tmp_path, monkeypatch):
+    path = packed(tmp_path)[1]
+    monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: os.kill(os.getpid(), signal.SIGSEGV))
+    with pytest.raises(mb.MfdError, match=r"a\.mat is not a MATLAB file, v5 or v7\.3, that can be"):
+        mb.read_record(path, ROLES)
+    monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: time.sleep(60))
+    monkeypatch.setattr("mfd_bayes.records.readers.child.SECONDS", 0.2)
+    with pytest.raises(mb.MfdError, match=r"a\.mat takes more than 0\.2 s to read"):
+        mb.read_record(path, ROLES)
