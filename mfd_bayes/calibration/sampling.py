@@ -45,7 +45,7 @@ FIRST, LEAST_WAIT = 80, 20
 SLOW = 40.0
 """Autocorrelation time, steps, above which the proposal is fitted again."""
 
-LEAST = 16.0
+LEAST = 32.0
 """Least autocorrelation time, steps, that is used for the length of a run: far tails are visited
 more rarely than the estimate shows."""
 
