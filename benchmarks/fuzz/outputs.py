@@ -11,9 +11,9 @@ from typing import Any
 
 from benchmarks.fuzz.mutations import Rng
 from mfd_bayes.errors import MfdError
-from mfd_bayes.pipeline.outputs import Output, check_outputs, is_picture, table_with, write_picture
+from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.pipeline.question import Question, check_question
-from mfd_bayes.store.files import write_text
+from mfd_bayes.store.files import write_bytes, write_text
 
 PNG = b"\x89PNG\r\n\x1a\n" + b"\0\0\0\rIHDR" + bytes(17) + b"\0\0\0\0IEND" + bytes(4)
 BANDS = "# band\ntime_s,displacement_in,lower_kip,median_kip,upper_kip\n0,0,0,0,0\n"
@@ -82,16 +82,15 @@ def _predict(home: Path, said: dict[str, Any]) -> None:
     write_text(bands, BANDS)
     write_text(question.beside("derived.csv"), DERIVED)
     write_text(question.beside("design.csv"), DESIGN)
-    write_picture(question.picture, PNG)
-    write_picture(question.beside("history.png"), PNG)
+    write_bytes(question.picture, PNG)
+    write_bytes(question.beside("history.png"), PNG)
 
 
 def _look(home: Path, said: dict[str, Any]) -> None:
     place, motion = home / str(said["bands"]), home / str(said["motion"])
-    table = Output(home / "comparison.csv", table_with("test", "model"))
-    outputs = [Output(place, is_picture), table]
+    outputs = [place, home / "comparison.csv"]
     check_outputs(outputs, [motion, home / "x_derived.csv"], force=bool(said["force"]))
-    write_picture(place, PNG)
+    write_bytes(place, PNG)
 
 
 def _checked(path: Path, act: Callable[[Path, dict[str, Any]], None]) -> object:
@@ -117,8 +116,8 @@ def _checked(path: Path, act: Callable[[Path, dict[str, Any]], None]) -> object:
 
 
 def _replaceable(home: Path, said: dict[str, Any]) -> set[str]:
-    """Names that may be replaced: this command's own files, and by force those of others."""
-    named = [place for place, thing in said["things"].items() if said["force"] or thing == "ours"]
+    """Names that may be replaced: those of outputs, by force."""
+    named = [place for place in said["things"] if said["force"]]
     paths = [home / name for name in named if "\0" not in name]
     places = {path.parent.resolve() / path.name for path in paths}
     found = {str(place.relative_to(home)) for place in places if place.is_relative_to(home)}

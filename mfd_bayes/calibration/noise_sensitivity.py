@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.modes import Mode, around_modes, climb, find_modes, prior_scale
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Adaptive, fit_mixture, joined
-from mfd_bayes.calibration.sampling import Draws, sample_density
+from mfd_bayes.calibration.sampling import Draws
 from mfd_bayes.errors import FitError, MfdError
 
 Array = NDArray[np.float64]

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import psis, tempering
+from mfd_bayes.calibration.least_squares import least_squares
 from mfd_bayes.errors import FitError
 
 Array = NDArray[np.float64]
@@ -34,6 +36,35 @@ SHARE = 0.1
 
 FIRST = 0.05
 """Weight of the first proposal in all others."""
+
+ANCHORED = 0.25
+"""Weight of the anchors in a learned proposal."""
+
+TAIL = 0.1
+"""Weight of the wide component of a learned proposal."""
+
+LEARNED = 8000
+"""Largest number of draws from which a proposal is learned."""
+
+BENT = 1.5
+"""Bound on the parameters of a coordinate's warp, so that few draws cannot distort it much."""
+
+LOOSE = 0.01
+"""Misfit of one quantile, in arcsinh of the normal coordinate, that weighs as much as a parameter
+of size 1: small, so that the fit of the quantiles decides."""
+
+PROBABILITIES = np.array([0.01, 0.025, 0.07, 0.16, 0.31, 0.5, 0.69, 0.84, 0.93, 0.975, 0.99])
+"""Probabilities of the quantiles to which each coordinate's warp is fitted."""
+
+
+class Proposal(Protocol):
+    """A density that can be drawn from and evaluated."""
+
+    def log_density(self, q: Array) -> Array:
+        """Normalised log density, (n, dim) -> (n,)."""
+
+    def draw(self, rng: Any, n: int) -> Array:
+        """Independent draws, (n, dim), of a Generator or a RandomState."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +110,8 @@ class Mixture:
         """Normalised log density, (n, dim) -> (n,)."""
         return np.asarray(special.logsumexp(self.log_parts(q), axis=0))
 
-    def draw(self, rng: np.random.Generator, n: int) -> Array:
-        """Independent draws, (n, dim)."""
+    def draw(self, rng: Any, n: int) -> Array:
+        """Independent draws, (n, dim), of a Generator or a RandomState."""
         part = rng.choice(self.weights.size, size=n, p=self.weights)
         normal = rng.standard_normal((n, self.means.shape[1]))
         normal /= np.sqrt(rng.chisquare(self.dof[part]) / self.dof[part])[:, None]
@@ -204,3 +235,150 @@ class Adaptive:
         """The later half of the proposals together."""
         late = self.proposals[len(self.proposals) // 2 :]
         return joined(late, [1.0 / len(late)] * len(late))
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """Map of each coordinate separately to an approximately standard normal one, (dim,) each.
+
+    z = sinh(tail asinh((q − centre)/scale) − skew), after Jones and Pewsey (2009): smooth,
+    one-to-one, with an explicit inverse.
+    """
+
+    centre: Array
+    scale: Array
+    skew: Array
+    tail: Array
+
+    @classmethod
+    def of(cls, draws: Array) -> Warp:
+        """Map fitted so that quantiles of the draws (n, dim) become those of the normal."""
+        target = special.ndtri(PROBABILITIES)
+        quantiles = np.quantile(draws, PROBABILITIES, axis=0).T
+        middle = quantiles[:, quantiles.shape[1] // 2]
+        spread = np.maximum(quantiles[:, -1] - quantiles[:, 0], 1e-12) / (target[-1] - target[0])
+        places = (quantiles - middle[:, None]) / spread[:, None]
+
+        def misfit(w: Array, coordinates: NDArray[np.intp]) -> Array:
+            shift, width, tail, skew = w.T[:, :, None]
+            scaled = np.arcsinh((places[coordinates] - shift) * np.exp(-width))
+            gap: Array = (np.exp(tail) * scaled - skew - np.arcsinh(target)) / LOOSE
+            return gap
+
+        shift, width, tail, skew = least_squares(misfit, np.zeros((len(middle), 4)), BENT).T
+        return cls(middle + spread * shift, spread * np.exp(width), skew, np.exp(tail))
+
+    def normal(self, q: Array) -> tuple[Array, Array]:
+        """Standard coordinates, (n, dim), and the log of the map's Jacobian, (n,)."""
+        y = (q - self.centre) / self.scale
+        bent = self.tail * np.arcsinh(y) - self.skew
+        slope = np.log(self.tail * np.cosh(bent) / (self.scale * np.hypot(1.0, y)))
+        return np.sinh(bent), slope.sum(axis=1)
+
+    def original(self, z: Array) -> Array:
+        """The inverse of `normal`, (n, dim)."""
+        return self.centre + self.scale * np.sinh((np.arcsinh(z) + self.skew) / self.tail)
+
+
+@dataclass(frozen=True, eq=False)
+class Warped:
+    """A mixture in warped coordinates."""
+
+    mixture: Mixture
+    warp: Warp
+
+    def log_density(self, q: Array) -> Array:
+        """Normalised log density, (n, dim) -> (n,)."""
+        z, slope = self.warp.normal(q)
+        return self.mixture.log_density(z) + slope
+
+    def draw(self, random: Any, n: int) -> Array:
+        """Independent draws, (n, dim)."""
+        return self.warp.original(self.mixture.draw(random, n))
+
+
+@dataclass(frozen=True, eq=False)
+class Either:
+    """A weighted mixture of several proposals."""
+
+    weights: Array
+    parts: Sequence[Proposal]
+
+    def log_density(self, q: Array) -> Array:
+        """Normalised log density, (n, dim) -> (n,)."""
+        densities = np.stack([part.log_density(q) for part in self.parts])
+        parts = densities + np.log(self.weights)[:, None]
+        return np.asarray(special.logsumexp(parts, axis=0))
+
+    def draw(self, random: Any, n: int) -> Array:
+        """Independent draws, (n, dim)."""
+        counts = random.multinomial(n, self.weights)
+        draws = [part.draw(random, k) for part, k in zip(self.parts, counts, strict=True)]
+        return np.concatenate(draws)[random.permutation(n)]
+
+
+def learn(
+    draws: Array, parts: int, rng: np.random.Generator, anchors: Proposal | None = None
+) -> Proposal:
+    """Proposal that resembles the draws and is somewhat wider.
+
+    Each coordinate is first warped separately to approximate normality. Normal components
+    are fitted by expectation–maximization, with covariances shrunk to that of all draws, and
+    then given Student-t tails. Some weight goes to a wide component and some to the anchors,
+    so that the proposal still reaches regions that the draws have not visited.
+
+    Parameters
+    ----------
+    draws : (n, dim)
+    parts : int
+        Number of components, reduced when there are few draws.
+    anchors : Proposal, optional
+        A proposal that stays part of the result, such as one around the modes.
+    """
+    if len(draws) > LEARNED:
+        draws = draws[rng.choice(len(draws), LEARNED, replace=False)]
+    warp = Warp.of(draws)
+    z, _ = warp.normal(draws)
+    mean = z.mean(axis=0)
+    covariance = np.atleast_2d(np.cov(z.T)) + 1e-8 * np.eye(z.shape[1])
+    factor = np.linalg.cholesky(covariance)
+    standard = np.linalg.solve(factor, (z - mean).T).T
+    weights, means, covariances = _expectation_maximization(standard, parts, rng)
+    spreads = np.concatenate([1.1 * factor @ covariances @ factor.T, 1.5 * covariance[None]])
+    mixture = Mixture(
+        np.append((1.0 - TAIL) * weights, TAIL),
+        np.vstack([mean + means @ factor.T, mean]),
+        np.linalg.cholesky(spreads),
+        np.append(np.full(len(weights), 30.0), 8.0),
+    )
+    found = Warped(mixture, warp)
+    return (
+        found if anchors is None else Either(np.array([1.0 - ANCHORED, ANCHORED]), (found, anchors))
+    )
+
+
+def _expectation_maximization(
+    standard: Array, parts: int, rng: np.random.Generator, rounds: int = 12
+) -> tuple[Array, Array, Array]:
+    """Weights, means and covariances of a normal mixture of whitened draws."""
+    n, dim = standard.shape
+    parts = max(1, min(parts, n // (4 * dim)))
+    means = standard[rng.choice(n, parts, replace=False)]
+    covariances = np.tile(0.7 * np.eye(dim), (parts, 1, 1))
+    weights = np.full(parts, 1.0 / parts)
+    for _ in range(rounds if parts > 1 else 1):
+        factors = np.linalg.cholesky(covariances)
+        inverses = np.linalg.inv(factors).transpose(0, 2, 1)
+        away = (standard - means[:, None]) @ inverses
+        logs = -0.5 * np.einsum("kni,kni->kn", away, away)
+        logs -= np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)[:, None]
+        shares = special.softmax(logs + np.log(weights)[:, None], axis=0)
+        mass = shares.sum(axis=1) + 1e-9
+        means = (shares @ standard) / mass[:, None]
+        away = (standard - means[:, None]) * np.sqrt(shares)[..., None]
+        own = away.transpose(0, 2, 1) @ away
+        prior = SHRINKAGE * dim
+        shrunk = own + 0.5 * prior * np.eye(dim)
+        covariances = shrunk / (mass + prior)[:, None, None]
+        weights = mass / mass.sum()
+    return weights, means, covariances

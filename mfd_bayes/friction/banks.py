@@ -243,7 +243,7 @@ class SteppedModel(Model):
         begun, n = state.begun, state.displacement.size
         x = np.full(n, real_number("displacement of a step", displacement, FitError))
         v = np.full(n, real_number("velocity of a step", velocity, FitError))
-        dt = real_number("dt of a step", dt, FitError, (0.0 if begun else -inf, inf), inside=begun)
+        dt = real_number("dt of a step", dt, FitError, (0.0, inf), inside=begun)
         factors: Columns = {}
         if actuation is not None:
             level = real_number("actuation of a step", actuation, FitError, (0.0, inf))

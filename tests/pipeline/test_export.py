@@ -36,7 +36,7 @@ def names(folder):
 
 def test_samples_of_another_actuation_do_not_stay_beside_new_ones(out, folder):
     assert names(folder) >= {*QUOFEM, "BoucWen.tcl"}
-    export(out, Export("csv", folder, "800 psi", 10))
+    export(out, Export("csv", folder, "800 psi", 10, force=True))
     assert names(folder) == {"samples.csv", "about.json", "mine.txt"}
     assert (folder.parent / "mine.tcl").is_file()
     about = json.loads((folder / "about.json").read_text())
@@ -46,7 +46,7 @@ def test_samples_of_another_actuation_do_not_stay_beside_new_ones(out, folder):
 
 def test_the_same_samples_in_several_forms_stay_beside_each_other(out, folder):
     before = names(folder)
-    export(out, Export("csv", folder, "700 psi", 10))
+    export(out, Export("csv", folder, "700 psi", 10, force=True))
     assert names(folder) == before | {"samples.csv"}
     assert json.loads((folder / "about.json").read_text())["best"] == "BoucWen"
 
@@ -55,19 +55,19 @@ def test_the_same_samples_in_several_forms_stay_beside_each_other(out, folder):
 def test_files_beside_anothers_about_stay(out, folder, content):
     (folder / "about.json").write_text(content)
     before = names(folder)
-    export(out, Export("csv", folder, "800 psi", 10))
+    export(out, Export("csv", folder, "800 psi", 10, force=True))
     assert names(folder) == before | {"samples.csv"}
 
 
 def test_an_actuation_outside_what_was_tested_is_warned_of_and_far_outside_refused(out, folder):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     with pytest.raises(CampaignError, match=r"the actuation, 50000 psi, lies far .* --extrapolate"):
-        export(out, Export("csv", folder, "50000 psi", 10))
+        export(out, Export("csv", folder, "50000 psi", 10, force=True))
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    far = export(out, Export("csv", folder, "50000 psi", 10, extrapolate=True))
+    far = export(out, Export("csv", folder, "50000 psi", 10, force=True, extrapolate=True))
     (remark,) = far.remarks
     assert "lies far outside the tested range" in remark
     assert json.loads((folder / "about.json").read_text())["remarks"] == [remark]
-    assert "outside" in export(out, Export("csv", folder, "1200 psi", 10)).remarks[0]
-    assert export(out, Export("csv", folder, "700 psi", 10)).remarks == []
+    assert "outside" in export(out, Export("csv", folder, "1200 psi", 10, force=True)).remarks[0]
+    assert export(out, Export("csv", folder, "700 psi", 10, force=True)).remarks == []
     assert "remarks" not in json.loads((folder / "about.json").read_text())

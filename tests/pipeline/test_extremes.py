@@ -10,11 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from mfd_bayes.calibration import task as tasks
-from mfd_bayes.calibration.task import calibrate_test
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.jobs.job import State
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
@@ -135,22 +132,6 @@ def test_a_force_of_zero_and_a_small_one_are_read(tmp_path):
 def test_an_actuation_that_no_run_may_hold_is_refused(text):
     with pytest.raises(UnitError, match="expected an actuation of 0, or of 1e-20 to 1e\\+10"):
         parse_actuation(text)
-
-
-def test_draws_that_would_not_be_read_are_a_failed_test(home, tmp_path, monkeypatch):
-    (task,) = plan_campaign(write_campaign(home), Options(effort="quick")).tasks
-
-    def store(path, test):
-        path.parent.mkdir(parents=True)
-        path.write_bytes(b"not NetCDF")
-
-    monkeypatch.setattr(tasks, "save_test", store)
-    monkeypatch.setattr(tasks, "sample", lambda *_, **__: None)
-    monkeypatch.setattr(tasks, "_stored_of", lambda *_: None)
-    outcome = calibrate_test(task, tmp_path, lambda _: None)
-    assert outcome.status == State.FAILED
-    assert "could not be read once they are stored" in outcome.error
-    assert not (tmp_path / task.file).exists()
 
 
 # --- a test that cannot be shown

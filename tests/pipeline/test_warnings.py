@@ -47,7 +47,7 @@ def test_inspect_of_a_campaign_compares_its_tests(tmp_path):
     path = write_campaign(tmp_path, (1, 1, 1, 1))
     assert "duplicate" not in here("inspect", path, "-o", tmp_path).stdout
     (tmp_path / "t3.csv").write_bytes((tmp_path / "t0.csv").read_bytes())
-    outcome = here("inspect", path, "-o", tmp_path)
+    outcome = here("inspect", path, "-o", tmp_path, "--force")
     assert outcome.exit_code == 0
     assert "duplicate: same record as t0: it would count twice" in outcome.stdout
 

@@ -38,7 +38,7 @@ def write(path, head, columns, above=""):
 
 def command(name, path, *words, code=0):
     if name == "inspect":
-        words = (*words, "-o", path.parent)
+        words = (*words, "-o", path.parent, "--force")
     words = (name, path, *words)
     outcome = CliRunner().invoke(app, [str(word) for word in words])
     assert outcome.exit_code == code, outcome.output
