@@ -314,7 +314,8 @@ class Either:
         """Independent draws, (n, dim)."""
         counts = random.multinomial(n, self.weights)
         draws = [part.draw(random, k) for part, k in zip(self.parts, counts, strict=True)]
-        return np.concatenate(draws)[random.permutation(n)]
+        order: NDArray[np.intp] = random.permutation(n)
+        return np.concatenate(draws)[order]
 
 
 def learn(
