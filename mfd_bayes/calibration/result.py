@@ -173,7 +173,7 @@ def check_draws(stored: StoredTest, posterior: Posterior, where: Path) -> None:
     if not level >= 0:
         raise StoreError(f"{where} must be of a test with an actuation, got {level:g}")
     wanted = {*posterior.names, *posterior.model.parameters, "offset", "start"}
-    arrays = {str(k): v.to_numpy() for k, v in stored.draws.data_vars.items()}
+    arrays, stats = stored.posterior.arrays, stored.sample_stats.arrays
     if missing := wanted - set(arrays):
         raise StoreError(f"{where} holds no draws of {min(missing)}")
     if unknown := set(arrays) - wanted - {*posterior.priors, "gamma1"}:
@@ -181,10 +181,10 @@ def check_draws(stored: StoredTest, posterior: Posterior, where: Path) -> None:
             f"{where} holds draws of {min(unknown)[:60]!r}, which the model does not have"
         )
     densities = ("log_prior", "log_likelihood")
-    if not set(densities) <= set(stored.stats):
+    if not set(densities) <= set(stats):
         raise StoreError(f"{where} holds no {' and '.join(densities)} in its sample_stats")
     shape = arrays["offset"].shape
-    for name, values in (arrays | {n: stored.stats[n].to_numpy() for n in densities}).items():
+    for name, values in (arrays | {n: stats[n] for n in densities}).items():
         if values.shape != shape or values.ndim != 2 or values.dtype != np.float64:
             raise StoreError(f"{where} must hold {name} as (chain, draw) numbers like the others")
         if not np.all(np.abs(values) <= LARGEST):

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
-from scipy.signal import lfilter
 
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace
@@ -140,6 +139,8 @@ class Residual:
         if np.ptp(phi) < 1e-3:  # even steps: one filter
             step = float(phi.mean())
             e[:, 1:] *= np.sqrt(1.0 - step**2)
+            from scipy.signal import lfilter  # which takes long to import
+
             e = lfilter([1.0], [1.0, -step], e, axis=1)
         else:
             for t, f in enumerate(phi, start=1):

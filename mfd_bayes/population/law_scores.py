@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
-from scipy.stats import qmc
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.population.design import LEVELS, TESTS, Design
@@ -150,6 +149,8 @@ class TestGaussians:
         # half of the points are of the prior, and half of Laplace's Gaussian, half as wide again
         mode, root = mixed.laplace(choice)
         root, dim = 1.5 * root, mixed.dim
+        from scipy.stats import qmc  # which takes long to import
+
         u = np.clip(qmc.Sobol(max(dim, 1), seed=0).random(POINTS)[:, :dim], 1e-9, 1.0 - 1e-9)
         g = special.ndtri(u)
         g[POINTS // 2 :] = mode + g[POINTS // 2 :] @ root.T

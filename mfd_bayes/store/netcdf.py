@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,20 +33,53 @@ _OF_FORMAT = {
     *("_Netcdf4Dimid", "_Netcdf4Coordinates"),
 }
 """Attributes by which NetCDF tells dimensions; the others are of the variable."""
+_PACKED = {"scale_factor", "add_offset"}
+"""Attributes of packed numbers, which this program does not write."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A group of a file: arrays by name, each with its dimensions and attributes."""
+
+    variables: Mapping[str, tuple[list[str], Any, dict[str, Any]]]
+    attrs: Mapping[str, Any]
+
+    @property
+    def arrays(self) -> dict[str, Any]:
+        """Its variables that are no coordinates, by name."""
+        return {name: v for name, (dims, v, _) in self.variables.items() if dims != [name]}
+
+    @cached_property
+    def dataset(self) -> xr.Dataset:
+        """The same for xarray, which takes long to import."""
+        import xarray as xr
+
+        raw = xr.Dataset(dict(self.variables), attrs=dict(self.attrs))
+        return xr.decode_cf(raw, decode_times=False).load()
 
 
 @dataclass(frozen=True, eq=False)
 class StoredTest:
     """A calibrated test as stored."""
 
-    draws: xr.Dataset  # variables (chain, draw) with units, as ArviZ reads them
-    stats: xr.Dataset  # lp, log_prior and log_likelihood (chain, draw)
+    posterior: Group
+    sample_stats: Group
     trace: Trace
     facts: dict[str, Any]  # fingerprint, model, noise, figures of the sampler
 
+    @property
+    def draws(self) -> xr.Dataset:
+        """Variables (chain, draw) with units, as ArviZ reads them."""
+        return self.posterior.dataset
+
+    @property
+    def stats(self) -> xr.Dataset:
+        """Variables lp, log_prior and log_likelihood, (chain, draw)."""
+        return self.sample_stats.dataset
+
     def values(self) -> dict[str, Array]:
         """Draws of every quantity by name, (chain · draw,) each."""
-        return {str(k): v.to_numpy().reshape(-1) for k, v in self.draws.data_vars.items()}
+        return {name: values.reshape(-1) for name, values in self.posterior.arrays.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +127,8 @@ def load_test(path: Path) -> StoredTest:
         groups = _read_groups(path, names)
         posterior = groups["posterior"]
         return StoredTest(
-            draws=posterior,
-            stats=groups["sample_stats"],
+            posterior=posterior,
+            sample_stats=groups["sample_stats"],
             trace=_trace_of(groups),
             facts=json.loads(posterior.attrs["facts"]),
         )
@@ -121,7 +155,7 @@ def load_groups(path: Path) -> dict[str, xr.Dataset]:
     """
     names = ("posterior", "sample_stats", "posterior_predictive", "observed_data", "constant_data")
     with _reading(path):
-        return _read_groups(path, names)
+        return {name: group.dataset for name, group in _read_groups(path, names).items()}
 
 
 def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
@@ -164,8 +198,7 @@ def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """
     with _reading(path):
         posterior = _read_groups(path, ("posterior",))["posterior"]
-        arrays = {str(k): v.to_numpy() for k, v in posterior.data_vars.items()}
-        return arrays, json.loads(posterior.attrs["facts"])
+        return posterior.arrays, json.loads(posterior.attrs["facts"])
 
 
 def _posterior(
@@ -204,15 +237,15 @@ def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
     }
 
 
-def _trace_of(groups: Mapping[str, xr.Dataset]) -> Trace:
-    constant = groups["constant_data"]
-    actuation = constant["actuation"].to_numpy()
+def _trace_of(groups: Mapping[str, Group]) -> Trace:
+    constant = groups["constant_data"].arrays
+    actuation = np.asarray(constant["actuation"])
     return Trace.from_arrays(
-        constant["time"].to_numpy(),
-        constant["displacement"].to_numpy(),
+        groups["constant_data"].variables["time"][1],
+        constant["displacement"],
         actuation if actuation.ndim else (None if np.isnan(actuation) else float(actuation)),
-        groups["observed_data"]["force"].to_numpy(),
-        constant["velocity"].to_numpy(),
+        groups["observed_data"].arrays["force"],
+        constant["velocity"],
     )
 
 
@@ -228,7 +261,7 @@ def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     write_bytes(path, memory.getbuffer())
 
 
-def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
+def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, Group]:
     """Groups of a file by h5py, which takes a third of the time of xarray's own reader."""
     import h5py
 
@@ -238,19 +271,22 @@ def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, xr.Dataset]:
         return {name: _read_group(file[name]) for name in names}
 
 
-def _read_group(group: h5py.Group) -> xr.Dataset:
-    """Variables of a group, and as coordinates those with the name of their dimension."""
-    import xarray as xr
-
-    variables = {}
+def _read_group(group: h5py.Group) -> Group:
+    """Variables of a group; coordinates have the name of their dimension."""
+    variables: dict[str, tuple[list[str], Any, dict[str, Any]]] = {}
+    sizes: dict[str, int] = {}
     for name, data in group.items():
         if _NO_VARIABLE not in str(data.attrs.get("NAME")):
             scales = [dim[0].name if len(dim) else data.name for dim in data.dims]
             dims = [scale.rpartition("/")[2] for scale in scales]
             about = {key: data.attrs[key] for key in data.attrs.keys() - _OF_FORMAT}
-            variables[name] = (dims, data[()], about)
-    raw = xr.Dataset(variables, attrs=dict(group.attrs))
-    return xr.decode_cf(raw, decode_times=False).load()  # damaged scales fail here, not later
+            if packed := _PACKED & about.keys():
+                raise ValueError(f"{name} has the attribute {min(packed)}")
+            values = np.asarray(data[()])
+            if any(sizes.setdefault(d, n) != n for d, n in zip(dims, values.shape, strict=True)):
+                raise ValueError(f"the dimensions of {name} do not fit those of others")
+            variables[name] = (dims, values, about)
+    return Group(variables, dict(group.attrs))
 
 
 @contextmanager

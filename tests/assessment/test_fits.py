@@ -4,19 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from mfd_bayes.assessment.fits import _rows, held_out_view
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.opening import open_run
-from mfd_bayes.store.netcdf import StoredTest
+from mfd_bayes.store.netcdf import Group, StoredTest
 
 TRACE = Trace.from_arrays([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], 1.0, [0.0, 1.0, 2.0])
 
 
 def row_of(name, draws, prior, convergence):
-    data = xr.Dataset({name: (("chain", "draw"), draws)})
-    stored = StoredTest(data, xr.Dataset(), TRACE, {"convergence": {name: convergence}})
+    data = Group({name: (["chain", "draw"], draws, {})}, {})
+    stored = StoredTest(data, Group({}, {}), TRACE, {"convergence": {name: convergence}})
     (row,) = _rows("a", stored, {name: prior})
     return row
 

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import check_draws, check_facts
 from mfd_bayes.errors import StoreError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.netcdf import StoredTest
+from mfd_bayes.store.netcdf import Group, StoredTest
 
 TIME = np.arange(60) * 0.05
 TRACE = Trace.from_arrays(TIME, np.sin(TIME), 0.5, np.cos(TIME))
@@ -38,9 +37,10 @@ def make(posterior, **changed):
     flat |= dict(zip(posterior.model.parameters, posterior.theta(flat).T, strict=True))
     values = {name: draws.reshape(2, 12) for name, draws in flat.items()}
     values |= {name: how(values.get(name)) for name, how in changed.items()}
-    draws = {n: (tuple(f"{n}_{i}" for i in range(v.ndim)), v) for n, v in values.items()}
-    stats = {n: (("chain", "draw"), np.zeros((2, 12))) for n in ("log_prior", "log_likelihood")}
-    return StoredTest(xr.Dataset(draws), xr.Dataset(stats), posterior.trace, FACTS)
+    draws = {n: ([f"{n}_{i}" for i in range(v.ndim)], v, {}) for n, v in values.items()}
+    zeros = ["chain", "draw"], np.zeros((2, 12)), {}
+    stats = dict.fromkeys(("log_prior", "log_likelihood"), zeros)
+    return StoredTest(Group(draws, {}), Group(stats, {}), posterior.trace, FACTS)
 
 
 def put(value):
@@ -83,17 +83,18 @@ def test_names_must_be_the_models(posterior):
     with pytest.raises(StoreError, match="'evil', which the model does not have"):
         check_draws(make(posterior, evil=lambda _: np.ones((2, 12))), posterior, "a.nc")
     stored = make(posterior)
-    short = StoredTest(stored.draws.drop_vars("offset"), stored.stats, TRACE, FACTS)
+    fewer = {n: v for n, v in stored.posterior.variables.items() if n != "offset"}
+    short = StoredTest(Group(fewer, {}), stored.sample_stats, TRACE, FACTS)
     with pytest.raises(StoreError, match="no draws of offset"):
         check_draws(short, posterior, "a.nc")
-    bare = StoredTest(stored.draws, stored.stats.drop_vars("log_prior"), TRACE, FACTS)
+    bare = StoredTest(stored.posterior, Group({}, {}), TRACE, FACTS)
     with pytest.raises(StoreError, match="no log_prior and log_likelihood"):
         check_draws(bare, posterior, "a.nc")
 
 
 def test_draws_must_be_of_the_walkers(posterior):
     stored = make(posterior)
-    other = StoredTest(stored.draws, stored.stats, TRACE, FACTS | {"walkers": 5})
+    other = StoredTest(stored.posterior, stored.sample_stats, TRACE, FACTS | {"walkers": 5})
     with pytest.raises(StoreError, match="5 walkers"):
         check_draws(other, posterior, "a.nc")
 

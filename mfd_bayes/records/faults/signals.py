@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from mfd_bayes.records.faults.clock import CROSSING
 from mfd_bayes.records.faults.fault import Fault, Samples, count, runs, spread
@@ -429,13 +428,15 @@ def _steady_drift(trace: Trace) -> tuple[float, float]:
 
     Zeros where there are too few such loops, or they scatter as much as the trend.
     """
+    from scipy.stats import linregress  # which takes long to import
+
     loops, slip = find_loops(trace), read_off(trace).plateau
     strong = loops.strong
     many = np.count_nonzero(strong) >= max(STEADY, 0.5 * strong.size)
     if loops.offset is None or not many or not slip > 0.0 or trace.varying:
         return 0.0, 0.0
     middle = 0.5 * (trace.time[loops.bounds[1:]] + trace.time[loops.bounds[:-1]])
-    line = stats.linregress(middle[strong], loops.offset[strong])
+    line = linregress(middle[strong], loops.offset[strong])
     change = float(line.slope) * float(trace.time[-1] - trace.time[0])
     return (change, slip) if line.pvalue < CHANCE else (0.0, 0.0)
 
