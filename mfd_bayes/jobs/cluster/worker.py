@@ -135,5 +135,8 @@ def _limit_threads() -> str:
 
 def _plain(step: Step) -> list[Any]:
     """A step as plain values, which need not be unpickled."""
-    figures = [float(figure) for figure in astuple(step.progress)] if step.progress else None
+    figures = None
+    if step.progress:
+        *numbers, missing = astuple(step.progress)
+        figures = [*map(float, numbers), missing]
     return [str(step.stage), step.message, figures]
