@@ -40,10 +40,7 @@ class UnreadableError(Exception):
 def read_in_child(read: Callable[[Path], Content], path: Path, kind: str) -> Content:
     """What a reader returns of a file, from a process of its own; `kind` names the format.
 
-    Raises
-    ------
-    RecordError
-        When the file is none of its format, or reading it takes more than is allowed.
+    Refused where the file is none of its format, or reading it takes more than is allowed.
     """
     path.open("rb").close()
     forks = hasattr(os, "fork") and threading.active_count() == 1
@@ -59,15 +56,12 @@ def read_in_child(read: Callable[[Path], Content], path: Path, kind: str) -> Con
             at += arrays[-1].nbytes
     except ValueError:  # the process ended before it had written all
         facts, arrays = {"error": ""}, []
-    match facts.pop("error", None):
-        case None:
-            return facts, arrays
-        case "memory":
-            raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_LESS}")
-        case "":
-            raise RecordError(f"{path} is not {kind} that can be read")
-        case message:
-            raise RecordError(f"{path} {message}")
+    error = facts.pop("error", None)
+    if error is None:
+        return facts, arrays
+    if error == "memory":
+        raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_LESS}")
+    raise RecordError(f"{path} {error or f'is not {kind} that can be read'}")
 
 
 _LESS = "save only the test's own columns, or as .csv"
