@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.clock import (
+from mfd_bayes.records.channels import Source, in_words, part_for, signals_of, sources_of, unused_of
+from mfd_bayes.records.columns import ROLES
+from mfd_bayes.records.motion import Array, smallest_turn, turning_points
+from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.regular import hash_file, path_of
+from mfd_bayes.records.resampling import decimate, default_rate
+from mfd_bayes.records.spikes import mended
+from mfd_bayes.records.time_axis import (
     JITTER,
     SAMPLES,
     Clock,
@@ -23,15 +31,6 @@ from mfd_bayes.records.clock import (
     longest_piece,
     parse_window,
 )
-from mfd_bayes.records.faults import mended
-from mfd_bayes.records.motion import Array, smallest_turn, turning_points
-from mfd_bayes.records.numbers import real_number
-from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.regular import hash_file, path_of
-from mfd_bayes.records.resampling import decimate, default_rate
-from mfd_bayes.records.roles import ROLES
-from mfd_bayes.records.signals import in_words, part_for, signals_of, sources_of, unused_of
-from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.units import ActuationUnit, parse_actuation
 

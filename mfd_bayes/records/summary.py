@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.declared import contradictions
-from mfd_bayes.records.faults import Fault, find_faults, without_spikes
+from mfd_bayes.records.data_quality import Fault, find_faults
+from mfd_bayes.records.file_name_check import contradictions
+from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.motion import Array
-from mfd_bayes.records.readings import read_off
 from mfd_bayes.records.record import Record
+from mfd_bayes.records.spikes import without_spikes
 from mfd_bayes.records.trace import Trace
 
 
