@@ -97,13 +97,7 @@ class Source:
         return self == Source(self.column, self.unit)
 
     def check(self, role: str, path: object) -> None:
-        """Refuse parts that a role cannot have.
-
-        Raises
-        ------
-        MfdError
-            When there is one, or a part is of a kind that it cannot have.
-        """
+        """Refuse parts that a role cannot have."""
         self._check_kinds(f"the {role} of {path}")
         if (self.rate or self.dates) and role != "time":
             raise RecordError(f"rate and dates belong to the time of {path}, not to the {role}")
@@ -206,13 +200,7 @@ def scale_of(source: Source, role: str, unit: str, of: str) -> tuple[float, str]
 
 
 def step_of(rate: str, of: str) -> float:
-    """Step of time, s, of a rate, "100 Hz", or of a step itself, "10 ms".
-
-    Raises
-    ------
-    UnitError
-        When it is neither, or none above zero.
-    """
+    """Step of time, s, of a rate, "100 Hz", or of a step itself, "10 ms"."""
     value, unit = split_quantity(rate, of=of, example="100 Hz")
     if not value > 0.0:
         raise UnitError(f"{of}: expected a rate above 0, got {rate!r}")
@@ -235,11 +223,6 @@ def take_off(
         Role to signal, internal units: time, displacement and this one.
     raw : mapping
         Name to column, in the file's units.
-
-    Raises
-    ------
-    MfdError
-        When a unit, a mass or a window cannot be used.
     """
     signal = signals[role]
     of = f"the {role} of {table.path}"
@@ -340,13 +323,7 @@ def sources_of(
     units: Mapping[str, str] | None,
     actuation: str | None,
 ) -> dict[str, Source]:
-    """Role to its source, with the column's name and its unit.
-
-    Raises
-    ------
-    MfdError
-        When a column or a unit is missing, or a role may not have what its source takes off.
-    """
+    """Role to its source, with the column's name and its unit."""
     columns = _by_role("columns", columns, {"force": "load"})
     units = _by_role("units", units, {"force": "kN"})
     given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
@@ -373,13 +350,7 @@ def _by_role(name: str, given: Any, example: dict[str, str]) -> Mapping[str, Any
 def signals_of(
     table: Table, sources: Mapping[str, Source]
 ) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
-    """Role to signal, internal units, and to name and unit; unit of a measured actuation.
-
-    Raises
-    ------
-    MfdError
-        When a column cannot be read, or its unit does not measure what its role needs.
-    """
+    """Role to signal, internal units, and to name and unit; unit of a measured actuation."""
     raw = table.columns(wanted_of(table, sources), sources["time"].dates)
     signals: dict[str, Array] = {}
     named: dict[str, tuple[str, str]] = {}
@@ -426,13 +397,7 @@ def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
 
 
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
-    """The table, or the rows about a window, s, where cells outside it hold no numbers.
-
-    Raises
-    ------
-    MfdError
-        When a cell inside the window holds none.
-    """
+    """The table, or the rows about a window, s, where cells outside it hold no numbers."""
     raw = table.values(wanted_of(table, sources), sources["time"].dates)
     good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
     if good.all():

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.file_name_check import contradictions
@@ -51,68 +50,44 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
         "velocity": f"{trace.velocity.min():.4g} to {trace.velocity.max():.4g} in/s",
         "turning points": f"{turns} ({turns / 2:g} cycles)",
     }
-    if loops.period.size:
-        facts["full loops"] = _loops_fact(loops)
+    strong, force = loops.strong, trace.force
+    if strong.size:
+        some = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
+        amplitude, frequency = _range(loops.amplitude[strong]), _range(1 / loops.period[strong])
+        facts["full loops"] = f"{strong.size}{some}: amplitude {amplitude} in, "
+        facts["full loops"] += f"frequency {frequency} Hz"
     if record.actuation is not None:
         level = float(np.mean(record.actuation))
         history = " (mean of a history)" if trace.varying else ""
         facts["actuation"] = f"{level:.4g} {record.actuation_unit}{history}"
-    if trace.force is not None:
-        facts |= _force_facts(trace.force, loops) | _reading_facts(trace)
+    if force is not None:
+        low, high = force.min(), force.max()
+        at_peak = max(np.count_nonzero(force == high), np.count_nonzero(force == low))
+        facts["force"] = f"{low:.4g} to {high:.4g} kip, samples at a peak: {at_peak}"
+        if loops.energy is not None and loops.offset is not None and loops.energy.size:
+            for title, kept, which in (
+                ("energy per cycle", strong, "at full stroke"),
+                ("energy of ramps", ~strong, "smaller"),
+            ):
+                if kept.any():
+                    energy = loops.energy[kept]
+                    facts[title] = (
+                        f"{energy.mean():.4g} kip·in (mean of {energy.size} {which}, "
+                        f"{energy.min():.4g} to {energy.max():.4g} kip·in)"
+                    )
+            since = "from the first loops to the last"
+            if loops.energy_drift is not None:
+                facts["energy drift"] = f"{loops.energy_drift:+.1%} {since}"
+            facts["force offset"] = f"{np.median(loops.offset):.3g} kip, mean along a loop"
+            if loops.offset_drift is not None:
+                facts["force drift"] = f"{loops.offset_drift:+.3g} kip {since}"
+        read = read_off(trace)
+        slip = f"{read.plateau_fwd:.3g} kip forward, {read.plateau_bwd:.3g} kip backward"
+        rise = f"{read.slope:.3g} kip/in, gap {read.gap:.3g} in"
+        named = {"slip force, read off": slip, "build-up, read off": rise}
+        facts |= {name: text for name, text in named.items() if "nan" not in text}
     faults = (*contradictions(record, trace), *find_faults(raw, gap))
     return Inspection(name, facts, raw, loops, faults)
-
-
-def _loops_fact(loops: Loops) -> str:
-    """Number of full loops, with amplitude and frequency of those at full stroke."""
-    strong = loops.strong
-    amplitude, frequency = loops.amplitude[strong], 1 / loops.period[strong]
-    ramps = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
-    return (
-        f"{strong.size}{ramps}: amplitude {_range(amplitude)} in, frequency {_range(frequency)} Hz"
-    )
-
-
-def _force_facts(force: Array, loops: Loops) -> dict[str, str]:
-    """Range of the force, samples at its peak, energy per loop, drift of energy and offset."""
-    at_peak = max(np.count_nonzero(force == force.max()), np.count_nonzero(force == force.min()))
-    facts = {"force": f"{force.min():.4g} to {force.max():.4g} kip, samples at a peak: {at_peak}"}
-    if loops.energy is None or loops.offset is None or not loops.energy.size:
-        return facts
-    facts |= _energy_facts(loops.energy, loops.strong)
-    if loops.energy_drift is not None:
-        facts["energy drift"] = f"{loops.energy_drift:+.1%} from the first loops to the last"
-    facts["force offset"] = f"{np.median(loops.offset):.3g} kip, mean along a loop"
-    if loops.offset_drift is not None:
-        facts["force drift"] = f"{loops.offset_drift:+.3g} kip from the first loops to the last"
-    return facts
-
-
-def _energy_facts(energy: Array, strong: NDArray[np.bool_]) -> dict[str, str]:
-    """Mean energy of the loops at full stroke, and of the others, kip·in."""
-    named = {
-        "energy per cycle": (strong, "at full stroke"),
-        "energy of ramps": (~strong, "smaller"),
-    }
-    return {
-        name: (
-            f"{energy[kept].mean():.4g} kip·in (mean of {np.count_nonzero(kept)} {which}, "
-            f"{energy[kept].min():.4g} to {energy[kept].max():.4g} kip·in)"
-        )
-        for name, (kept, which) in named.items()
-        if kept.any()
-    }
-
-
-def _reading_facts(trace: Trace) -> dict[str, str]:
-    """What a person reads off the full strokes, where it can be read."""
-    read = read_off(trace)
-    facts = {
-        "slip force, read off": f"{read.plateau_fwd:.3g} kip forward, "
-        f"{read.plateau_bwd:.3g} kip backward",
-        "build-up, read off": f"{read.slope:.3g} kip/in, gap {read.gap:.3g} in",
-    }
-    return {name: text for name, text in facts.items() if "nan" not in text}
 
 
 def _range(values: Array) -> str:

@@ -142,11 +142,6 @@ def table_of(
     blank : cell
         In place of a cell that a short row lacks. Columns end at the last row in which one of
         those that are read is not None.
-
-    Raises
-    ------
-    RecordError
-        When the grid has rows of numbers that are not the table's and may be meant.
     """
     headed = layout.names is not None or names is not None
     first = rows[layout.data] if layout.data < len(rows) else ()

@@ -230,13 +230,7 @@ class Table:
         return (self.numbers or range(1, len(self.names) + 1))[self.names.index(name)]
 
     def name_of(self, column: str | int) -> str:
-        """Name of a column that is given by its name or its number, from 1.
-
-        Raises
-        ------
-        RecordError
-            When there is no column of that number.
-        """
+        """Name of a column that is given by its name or its number, from 1."""
         if isinstance(column, str):
             return column
         numbers = self.numbers or range(1, len(self.names) + 1)
