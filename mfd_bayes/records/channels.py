@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -98,7 +97,19 @@ class Source:
 
     def check(self, role: str, path: object) -> None:
         """Refuse parts that a role cannot have."""
-        self._check_kinds(f"the {role} of {path}")
+        of = f"the {role} of {path}"
+        minus = self.minus
+        if not isinstance(minus, Subtracted | None):
+            raise RecordError(
+                f"minus of {of} must be a Subtracted, such as {_MINUS}, got {minus!r}"
+            )
+        given = {name: getattr(self, name) for name in _EXAMPLES if name != "times"}
+        given |= {} if minus is None else {"times": minus.times}
+        for name, value in given.items():
+            if not isinstance(value, str):
+                raise UnitError(
+                    f"{name} of {of} must be text such as {_EXAMPLES[name]!r}, got {value!r}"
+                )
         if (self.rate or self.dates) and role != "time":
             raise RecordError(f"rate and dates belong to the time of {path}, not to the {role}")
         if (self.column is None) != bool(self.rate):
@@ -130,21 +141,6 @@ class Source:
                 f"measured_at of the {role} of {path} needs an arm, the radius at "
                 "which it is wanted"
             )
-
-    def _check_kinds(self, of: str) -> None:
-        """Refuse parts that are no text, which a quantity is, or no column that is taken off."""
-        minus = self.minus
-        if not isinstance(minus, Subtracted | None):
-            raise RecordError(
-                f"minus of {of} must be a Subtracted, such as {_MINUS}, got {minus!r}"
-            )
-        given = {name: getattr(self, name) for name in _EXAMPLES if name != "times"}
-        given |= {} if minus is None else {"times": minus.times}
-        for name, value in given.items():
-            if not isinstance(value, str):
-                raise UnitError(
-                    f"{name} of {of} must be text such as {_EXAMPLES[name]!r}, got {value!r}"
-                )
 
     def words(self, name: str, unit: str) -> str:
         """What the signal is, in words, from the name and the unit that its column has."""
@@ -196,7 +192,8 @@ def scale_of(source: Source, role: str, unit: str, of: str) -> tuple[float, str]
             "'rad', or a length with measured_at, the radius at which it was measured"
         )
     scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
-    return source.sign * scale / arm, _force_of(unit)
+    parts = [part.strip() for part in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
+    return source.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
 
 
 def step_of(rate: str, of: str) -> float:
@@ -227,7 +224,16 @@ def take_off(
     signal = signals[role]
     of = f"the {role} of {table.path}"
     if source.minus is not None:
-        signal = signal - _subtracted(table, role, source.minus, raw)
+        other, minus = source.minus, f"minus of {role}"
+        name = table.name_of(other.column)
+        unit = unit_of(table, minus, name, {} if other.unit is None else {minus: other.unit})
+        column = f"column {name!r} of {table.path}"
+        if other.times:
+            value, by = split_quantity(other.times, of=f"times of {column}")
+            scale = factor(f"{unit}*{by}", role, of=f"{column} times {other.times}")
+            signal = signal - raw[name] * value * scale
+        else:
+            signal = signal - raw[name] * factor(unit, role, of=column)
     if source.minus_mass:
         mass = parse_mass(source.minus_mass, of=f"minus_mass of {of}")
         if mass < 0.0:
@@ -243,17 +249,13 @@ def take_off(
             raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
         signal = signal - float(np.mean(signal[inside]))
     elif source.tare:
-        signal = signal - _tare_of(source, role, f"tare of {of}")
+        number, unit = split_quantity(source.tare, of=f"tare of {of}")
+        try:  # what the column reads at zero, or what the signal does
+            zero = number * scale_of(source, role, unit, f"tare of {of}")[0]
+        except UnitError:
+            zero = parse_quantity(source.tare, role, of=f"tare of {of}")
+        signal = signal - zero
     return signal
-
-
-def _tare_of(source: Source, role: str, of: str) -> float:
-    """What a column reads at zero, as the signal of its role; or that signal at zero itself."""
-    number, unit = split_quantity(source.tare, of=of)
-    try:
-        return number * scale_of(source, role, unit, of)[0]
-    except UnitError:
-        return parse_quantity(source.tare, role, of=of)
 
 
 def acceleration(time: Array, displacement: Array) -> Array:
@@ -263,42 +265,21 @@ def acceleration(time: Array, displacement: Array) -> Array:
     over a tenth of the median half-cycle; uneven times are evened first. Each piece between gaps
     in time is taken by itself; one of fewer than `SAMPLES` samples has none.
     """
-    pieces = np.split(np.arange(time.size), after_gaps(time))
-    enough = [piece for piece in pieces if piece.size >= SAMPLES]
-    found = np.zeros(time.size)
-    for piece in enough:
-        found[piece] = _second_derivative(time[piece], displacement[piece])
-    return found
-
-
-def _second_derivative(time: Array, displacement: Array) -> Array:
-    """As `acceleration`, of a piece without gaps."""
     from scipy.signal import savgol_filter
 
-    even = np.linspace(time[0], time[-1], time.size)
-    turns = turning_points(displacement, smallest_turn(displacement))
-    half = float(np.median(np.diff(turns))) if turns.size > 1 else float(time.size)
-    window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), time.size - 1 + time.size % 2)
-    smooth = savgol_filter(
-        np.interp(even, time, displacement), window, _ORDER, deriv=2, delta=even[1] - even[0]
-    )
-    return np.asarray(np.interp(time, even, smooth), dtype=np.float64)
-
-
-def _subtracted(table: Table, role: str, other: Subtracted, raw: Mapping[str, Array]) -> Array:
-    """What a column takes off, in the internal unit of a role."""
-    name = table.name_of(other.column)
-    unit = unit_of(
-        table,
-        f"minus of {role}",
-        name,
-        {} if other.unit is None else {f"minus of {role}": other.unit},
-    )
-    of = f"column {name!r} of {table.path}"
-    if not other.times:
-        return raw[name] * factor(unit, role, of=of)
-    value, by = split_quantity(other.times, of=f"times of {of}")
-    return raw[name] * value * factor(f"{unit}*{by}", role, of=f"{of} times {other.times}")
+    found = np.zeros(time.size)
+    for piece in np.split(np.arange(time.size), after_gaps(time)):
+        if piece.size < SAMPLES:
+            continue
+        t, x = time[piece], displacement[piece]
+        even = np.linspace(t[0], t[-1], t.size)
+        turns = turning_points(x, smallest_turn(x))
+        half = float(np.median(np.diff(turns))) if turns.size > 1 else float(t.size)
+        window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), t.size - 1 + t.size % 2)
+        smooth = np.interp(even, t, x)
+        smooth = savgol_filter(smooth, window, _ORDER, deriv=2, delta=even[1] - even[0])
+        found[piece] = np.interp(t, even, smooth)
+    return found
 
 
 def _radius(text: str, of: str) -> float:
@@ -306,12 +287,6 @@ def _radius(text: str, of: str) -> float:
     if not radius > 0.0:
         raise UnitError(f"{of}: expected a radius above 0, got {text!r}")
     return radius
-
-
-def _force_of(unit: str) -> str:
-    """Unit of force in that of a torque: "kN" of "kN*m"."""
-    parts = [part.strip() for part in unit.replace("·", "*").split("*")]
-    return next((part for part in parts if measure(part) == "force"), "kip")
 
 
 DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
@@ -324,8 +299,11 @@ def sources_of(
     actuation: str | None,
 ) -> dict[str, Source]:
     """Role to its source, with the column's name and its unit."""
-    columns = _by_role("columns", columns, {"force": "load"})
-    units = _by_role("units", units, {"force": "kN"})
+    examples = {"columns": {"force": "load"}, "units": {"force": "kN"}}
+    for name, mapping in (("columns", columns), ("units", units)):
+        if mapping is not None and not isinstance(mapping, Mapping):
+            raise RecordError(f"{name} must be a mapping such as {examples[name]}, got {mapping!r}")
+    columns, units = columns or {}, units or {}
     given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
     stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units)
     for role, source in given.items():
@@ -338,13 +316,6 @@ def sources_of(
         source = given.get(role, Source(name))
         found[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
     return found
-
-
-def _by_role(name: str, given: Any, example: dict[str, str]) -> Mapping[str, Any]:
-    """A mapping from roles, checked; an empty one where none is given."""
-    if given is not None and not isinstance(given, Mapping):
-        raise RecordError(f"{name} must be a mapping such as {example}, got {given!r}")
-    return given or {}
 
 
 def signals_of(
@@ -376,7 +347,13 @@ def signals_of(
         if not source.plain and source.column is not None:
             signals[role] = take_off(table, role, source, signals, raw)
             check_size(f"the {role} of {table.path}", role, signals[role])
-    _settle(table, signals)
+    if "actuation" in signals:
+        if np.mean(signals["actuation"]) < 0:
+            raise RecordError(f"the actuation of {table.path} is negative on average")
+        # Single samples below zero are the sensor's noise.
+        signals["actuation"] = np.maximum(signals["actuation"], 0.0)
+    for signal in signals.values():
+        signal.flags.writeable = False
     return signals, named, internal
 
 
@@ -415,17 +392,6 @@ def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, f
         f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
         f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
     )
-
-
-def _settle(table: Table, signals: dict[str, Array]) -> None:
-    """Check a measured actuation, and make all signals unchangeable."""
-    if "actuation" in signals:
-        if np.mean(signals["actuation"]) < 0:
-            raise RecordError(f"the actuation of {table.path} is negative on average")
-        # Single samples below zero are the sensor's noise.
-        signals["actuation"] = np.maximum(signals["actuation"], 0.0)
-    for signal in signals.values():
-        signal.flags.writeable = False
 
 
 def unused_of(table: Table, sources: Mapping[str, Source]) -> tuple[str, ...]:

@@ -14,10 +14,39 @@ from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops
 from mfd_bayes.records.motion import Array, sensor_noise
 from mfd_bayes.records.resampling import crossing_times
-from mfd_bayes.records.spikes import _force_spikes, _mended, _spikes, runs, without_spikes
+from mfd_bayes.records.spikes import force_spikes, interpolated, runs, spikes_of, without_spikes
 from mfd_bayes.records.trace import Trace
 
 Samples = NDArray[np.intp]
+
+
+FAST = 400.0  # a speed, in/s, that no damper reaches
+CROSSING = 10  # fewest samples, and steps of the sensor, across the gap
+DROPPED = 1.5  # after a step of time longer than this many median steps, samples are missing
+REPEATED = 0.01  # share of samples equal to the one before, above which it is not by chance
+AT_REST = 10  # in a longer run of equal samples the actuator is at rest
+SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
+CLIPPED = 5  # fewest samples in a row at the extreme of the force that show a load cell's limit
+LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
+"""A lag is reported above all three: s, samples, and share of a cycle."""
+
+ALIKE, SCALE = 0.9, 1.25
+"""Least correlation, and largest factor, between a displacement and its velocity's integral."""
+
+LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
+NOISE = 0.05  # most noise of a displacement, by its share of the travel of the build-up
+DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero,
+STEADY_DRIFT, CHANCE, STEADY = 0.07, 0.01, 5
+"""and so has one of at least `STEADY` loops at full stroke, by a share of its slip force, if such a
+trend has so small a probability by chance."""
+JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
+ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
+HELD, LONGER = 5, 4.0
+"""Fewest equal samples of a channel that is frozen, and how many times longer than usual."""
+TRAVEL, SWING, FEW = 0.05, 0.6, 0.05
+"""A frozen force holds while the motion goes on by this share of the stroke; a frozen displacement
+while the force goes through this share of its range, or else it jumps when it comes back. Where the
+noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +61,6 @@ class Fault:
     samples: Samples = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
 
-def rate_of(trace: Trace) -> float:
-    """Samples per second, Hz."""
-    return (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
-
-
 def spread(starts: Samples, lengths: Samples) -> Samples:
     """All samples of runs, with the one before each."""
     pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
@@ -46,14 +70,6 @@ def spread(starts: Samples, lengths: Samples) -> Samples:
 def count(number: int, thing: str) -> str:
     """Number and noun: "3 steps"."""
     return f"{number} {thing}{'' if number == 1 else 's'}"
-
-
-FAST = 400.0  # a speed, in/s, that no damper reaches
-CROSSING = 10  # fewest samples, and steps of the sensor, across the gap
-DROPPED = 1.5  # after a step of time longer than this many median steps, samples are missing
-REPEATED = 0.01  # share of samples equal to the one before, above which it is not by chance
-AT_REST = 10  # in a longer run of equal samples the actuator is at rest
-SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
 
 
 def time_unit(trace: Trace) -> Iterator[Fault]:
@@ -91,13 +107,11 @@ def stroke(trace: Trace, gap: float) -> Iterator[Fault]:
 def rate(trace: Trace, gap: float) -> Iterator[Fault]:
     """Too few samples across the gap."""
     times = crossing_times(trace.time, trace.displacement, trace.turning_points, gap)
-    if not times:
-        return
-    crossing = float(np.median(times)) * rate_of(trace)
-    if crossing < CROSSING:
+    hertz = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
+    if times and (crossing := float(np.median(times)) * hertz) < CROSSING:
         yield Fault(
             "rate",
-            f"{rate_of(trace):.4g} Hz leave {crossing:.2g} samples in the first {gap:.2g} in after "
+            f"{hertz:.4g} Hz leave {crossing:.2g} samples in the first {gap:.2g} in after "
             f"a reversal, where the force builds up; {CROSSING} are needed to resolve it",
         )
 
@@ -138,29 +152,6 @@ def repeated(trace: Trace) -> Iterator[Fault]:
             "than its clock",
             at,
         )
-
-
-CLIPPED = 5  # fewest samples in a row at the extreme of the force that show a load cell's limit
-LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
-"""A lag is reported above all three: s, samples, and share of a cycle."""
-
-ALIKE, SCALE = 0.9, 1.25
-"""Least correlation, and largest factor, between a displacement and its velocity's integral."""
-
-LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
-NOISE = 0.05  # most noise of a displacement, by its share of the travel of the build-up
-DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero,
-STEADY_DRIFT, CHANCE, STEADY = 0.07, 0.01, 5
-"""and so has one of at least `STEADY` loops at full stroke, by a share of its slip force, if such a
-trend has so small a probability by chance."""
-JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
-ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
-HELD, LONGER = 5, 4.0
-"""Fewest equal samples of a channel that is frozen, and how many times longer than usual."""
-TRAVEL, SWING, FEW = 0.05, 0.6, 0.05
-"""A frozen force holds while the motion goes on by this share of the stroke; a frozen displacement
-while the force goes through this share of its range, or else it jumps when it comes back. Where the
-noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
 
 
 def no_force(trace: Trace) -> Iterator[Fault]:
@@ -265,9 +256,9 @@ def spikes(trace: Trace) -> Iterator[Fault]:
     if trace.force is not None:
         measured["force"] = (trace.force, "kip")
     for name, (values, unit) in measured.items():
-        at = _spikes(values) if name == "displacement" else _force_spikes(trace)
+        at = spikes_of(values) if name == "displacement" else force_spikes(trace)
         if at.size:
-            height = float(np.max(np.abs(values - _mended(values, at))))
+            height = float(np.max(np.abs(values - interpolated(values, at))))
             yield Fault(
                 "spikes",
                 f"{count(at.size, 'isolated sample')} of the {name} "
@@ -339,7 +330,8 @@ def _held_displacement(trace: Trace) -> Samples:
         for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)
     ]
     long = (lengths >= HELD) & (lengths > LONGER * _usual(trace, starts, lengths))
-    return _samples(starts, lengths, long & np.array(frozen, dtype=bool))
+    long &= np.array(frozen, dtype=bool)
+    return spread(starts[long], lengths[long])
 
 
 def _held_force(trace: Trace) -> Samples:
@@ -360,7 +352,8 @@ def _held_force(trace: Trace) -> Samples:
     back = np.isin(starts + lengths + 1, jumps)
     long &= (travel > 0.5 * stroke) | ((starts > 0) & (starts + lengths + 1 < trace.samples))
     long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
-    return _samples(starts, lengths, long & (travel > LONGER * _usual(trace, starts, travel)))
+    long &= travel > LONGER * _usual(trace, starts, travel)
+    return spread(starts[long], lengths[long])
 
 
 def _equal(values: Array) -> tuple[Samples, Samples]:
@@ -375,10 +368,6 @@ def _usual(trace: Trace, starts: Samples, sizes: Array | Samples) -> float:
     longest = np.zeros(turns.size + 1)
     np.maximum.at(longest, np.searchsorted(turns, starts, side="right"), sizes)
     return float(np.quantile(longest, 0.8, method="lower"))
-
-
-def _samples(starts: Samples, lengths: Samples, which: NDArray[np.bool_]) -> Samples:
-    return spread(starts[which], lengths[which])
 
 
 def zero_moves(trace: Trace) -> Iterator[Fault]:
@@ -408,10 +397,15 @@ def zero_moves(trace: Trace) -> Iterator[Fault]:
 
 def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
     """A displacement in steps that are too large for the stroke or the gap."""
-    quantum = _quantum(trace.displacement)
-    if quantum is None:
-        return
     stroke = float(np.ptp(trace.displacement))
+    levels = np.unique(trace.displacement)
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * stroke]
+    if steps.size < 3 or levels.size > 0.5 * trace.samples:
+        return
+    quantum = float(steps.min())
+    if np.mean(np.abs(steps / quantum - np.round(steps / quantum)) < 0.1) <= 0.95:
+        return  # the signal is not quantised
     across = "" if gap is None else f", {gap / quantum:.2g} in the gap"
     if quantum > stroke / LEVELS or (gap is not None and quantum > gap / CROSSING):
         yield Fault(
@@ -438,18 +432,6 @@ def noise(trace: Trace) -> Iterator[Fault]:
             f"over which the force builds up, {rise:.2g} in: stiffness and slip force would come "
             "out too small; take a smoother channel, or filter it before",
         )
-
-
-def _quantum(values: Array) -> float | None:
-    """Step of a quantised signal; None where the signal is not quantised."""
-    levels = np.unique(values)
-    steps = np.diff(levels)
-    steps = steps[steps > 1e-9 * np.ptp(values)]
-    if steps.size < 3 or levels.size > 0.5 * values.size:
-        return None
-    quantum = float(steps.min())
-    whole = np.abs(steps / quantum - np.round(steps / quantum)) < 0.1
-    return quantum if np.mean(whole) > 0.95 else None
 
 
 def drift(trace: Trace) -> Iterator[Fault]:
@@ -505,34 +487,14 @@ def _drift_of_few(trace: Trace) -> float | None:
 
 
 NAMES = (
-    *(
-        "no force",
-        "force sign",
-        "channels",
-        "velocity",
-        "time unit",
-        "short record",
-        "stroke",
-        "clipping",
-        "lag",
-    ),
-    *("jump", "held", "displacement zero"),
-    *("spikes", "dropped samples", "repeated samples", "resolution", "noise", "rate", "drift"),
+    *("no force", "force sign", "channels", "velocity", "time unit", "short record", "stroke"),
+    *("clipping", "lag", "jump", "held", "displacement zero", "spikes", "dropped samples"),
+    *("repeated samples", "resolution", "noise", "rate", "drift"),
 )
 """Names of the faults, the most serious first."""
 
 _OF_RECORD = (
-    *(
-        no_force,
-        force_sign,
-        velocity,
-        clipping,
-        lag,
-        noise,
-        jumps,
-        held,
-        zero_moves,
-    ),
+    *(no_force, force_sign, velocity, clipping, lag, noise, jumps, held, zero_moves),
     *(drift, time_unit, short_record, dropped, repeated),
 )
 _CONSEQUENCES = {
@@ -540,8 +502,6 @@ _CONSEQUENCES = {
     "held": {"clipping", "lag", "drift", "repeated samples"},
 }
 """Faults that need not be told where another is."""
-
-_OF_GAP = (stroke, rate)
 
 
 def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
@@ -555,7 +515,7 @@ def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
     found += [fault for check in _OF_RECORD for fault in check(trace)]
     found += resolution(trace, gap)
     if gap is not None:
-        found += [fault for check in _OF_GAP for fault in check(trace, gap)]
+        found += [*stroke(trace, gap), *rate(trace, gap)]
     hidden = {name for fault in found for name in _CONSEQUENCES.get(fault.name, ())}
     found = [fault for fault in found if fault.name not in hidden]
     return tuple(sorted(found, key=lambda fault: NAMES.index(fault.name)))

@@ -28,38 +28,43 @@ def runs(flags: NDArray[np.bool_]) -> tuple[Samples, Samples]:
 
 def without_spikes(trace: Trace) -> Trace:
     """The trace with its spikes replaced by lines between their neighbours."""
-    x, force = _spikes(trace.displacement), trace.force
-    at = _force_spikes(trace)
+    x, force = spikes_of(trace.displacement), trace.force
+    at = force_spikes(trace)
     if x.size:
         beside = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
-        motion = _mended(trace.displacement, x), None, force, _mended(trace.velocity, beside)
+        motion = (
+            interpolated(trace.displacement, x),
+            None,
+            force,
+            interpolated(trace.velocity, beside),
+        )
         trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
-    return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
+    return replace(trace, force=interpolated(np.asarray(force), at)) if at.size else trace
 
 
 def mended(values: Array) -> Array:
     """A signal with lines in place of its spikes."""
-    at = _spikes(values)
-    return _mended(values, at) if at.size else values
+    at = spikes_of(values)
+    return interpolated(values, at) if at.size else values
 
 
-def _mended(values: Array, at: Samples) -> Array:
+def interpolated(values: Array, at: Samples) -> Array:
     """A signal with lines in place of some samples."""
     sound = np.delete(np.arange(values.size), at)
     return np.asarray(np.interp(np.arange(values.size), sound, values[sound]))
 
 
-def _spikes(values: Array) -> Samples:
+def spikes_of(values: Array) -> Samples:
     """Spikes of one or a few samples, and overflow values."""
     found = [*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]
     return np.asarray(np.unique(np.concatenate(found)), dtype=np.intp)
 
 
-def _force_spikes(trace: Trace) -> Samples:
+def force_spikes(trace: Trace) -> Samples:
     """Spikes of the force, if any; where the motion turns, a force within its range is none."""
     if trace.force is None:
         return np.empty(0, dtype=np.intp)
-    at, steps = _spikes(trace.force), np.diff(trace.displacement)
+    at, steps = spikes_of(trace.force), np.diff(trace.displacement)
     turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
     low, high = np.quantile(trace.force, [0.005, 0.995])
     explained = turns & (trace.force >= low) & (trace.force <= high)
