@@ -18,7 +18,6 @@ from mfd_bayes.records.outliers import (
     QUANTITIES,
     SAME_LEVEL,
     Cause,
-    Deviation,
     find_odd,
     likely_cause,
 )
@@ -84,11 +83,10 @@ class Tested:
         steady = bool(np.count_nonzero(loops.strong) >= STEADY)
         energy = np.empty(0) if loops.energy is None else loops.energy
         units = {role: record.columns[role][1] for role in ("displacement", "force")}
-        readings = read_off(trace) if steady else None
         return cls(
             id=name,
             signature=Signature.of(trace),
-            readings=readings,
+            readings=read_off(trace) if steady else None,
             lopsided=asymmetry(trace) if steady else np.full(1, np.nan),
             direction=trace.direction,
             work=float(energy.sum()),
@@ -120,18 +118,6 @@ UNLIKE = 1.6
 
 SPEED = 3.0
 
-_OF_FORCE = (
-    "the swapped sign is probably that of the force: its motion begins as those of the other tests"
-)
-_OF_DISPLACEMENT = (
-    "the swapped sign is probably that of the displacement: its motion begins in the direction "
-    "opposite to that of all other tests"
-)
-_BOTH = (
-    "its motion begins in the direction opposite to that of all other tests, and its two "
-    "directions of motion seem exchanged: the signs of force and displacement are probably both "
-    "swapped"
-)
 _SAID = {"gap": "a gap of {:.3g} in", "slope": "a build-up of {:.3g} kip/in"}
 _SAID |= {"plateau": "a slip force of {:.3g} kip"}
 
@@ -164,29 +150,22 @@ def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests that are the same measurement as one before."""
     named = set()
     for other, one in combinations(tests, 2):
-        if one.id in named or not _may_be_twins(one, other):
+        if one.id in named:
             continue
+        if one.readings is not None and other.readings is not None:
+            # Energies are about the same, but for the sign where one sign is swapped.
+            energies = abs(one.readings.energy), abs(other.readings.energy)
+            if not min(energies) > (1.0 - LIKE) * max(energies):
+                continue
         twin = find_twin(one.signature, other.signature)
         if twin is None:
             continue
         named.add(one.id)
-        longer = max(one.signature.bins, other.signature.bins)
-        part = twin.share * one.signature.bins / longer
+        part = twin.share * one.signature.bins / max(one.signature.bins, other.signature.bins)
         what = f"same record as {other.id}"
         if part < WHOLE:
             what = f"the same measurement as {other.id} in {part:.0%} of the longer record"
         yield one.id, Fault("duplicate", f"{what}: it would count twice")
-
-
-def _may_be_twins(one: Tested, other: Tested) -> bool:
-    """Whether two tests are worth the search: loops of about the same energy, or none to tell by.
-
-    A record in which one sign is swapped has the energy of its twin but for the sign.
-    """
-    if one.readings is None or other.readings is None:
-        return True
-    energies = abs(one.readings.energy), abs(other.readings.energy)
-    return min(energies) > (1.0 - LIKE) * max(energies)
 
 
 def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
@@ -197,18 +176,21 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         ways = {t.direction for t in others}
         if len(others) < (OTHERS_OF_NEGATIVE if one.work < 0.0 else OTHERS) or len(ways) > 1:
             continue
-        turned = one.direction not in ways
+        begins = "its motion begins in the direction opposite to that of all other tests"
         if one.work < 0.0:
-            yield one.id, Fault("force sign", _OF_DISPLACEMENT if turned else _OF_FORCE)
-        elif turned and _mirrored(one, others):
-            yield one.id, Fault("both signs", _BOTH)
-
-
-def _mirrored(one: Tested, others: Sequence[Tested]) -> bool:
-    """Whether the difference of the two directions is more like the opposite of the others'."""
-    alike = [np.corrcoef(one.lopsided, t.lopsided)[0, 1] for t in others]
-    known = [value for value in alike if np.isfinite(value)]
-    return bool(known) and float(np.median(known)) < 0.0
+            which = f"displacement: {begins}"
+            if one.direction in ways:
+                which = "force: its motion begins as those of the other tests"
+            yield one.id, Fault("force sign", f"the swapped sign is probably that of the {which}")
+        elif one.direction not in ways:
+            alike = [np.corrcoef(one.lopsided, t.lopsided)[0, 1] for t in others]
+            known = [value for value in alike if np.isfinite(value)]
+            if known and float(np.median(known)) < 0.0:  # the directions are exchanged
+                both = (
+                    f"{begins}, and its two directions of motion seem exchanged: the signs of "
+                    "force and displacement are probably both swapped"
+                )
+                yield one.id, Fault("both signs", both)
 
 
 def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
@@ -222,7 +204,22 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     for j, away in found.items():
         others = [t for i, t in enumerate(steady) if i not in found]
         cause = likely_cause(away, steady[j].units)
-        yield steady[j].id, Fault(cause.name, _sentence(steady[j], away, cause, others))
+        k = int(np.nanargmax(np.abs(away.values) / away.sds))
+        value = getattr(steady[j].readings, QUANTITIES[k])
+        said, expected = _SAID[QUANTITIES[k]].format(value), value / np.exp(away.values[k])
+        why = cause.words
+        if cause.name == "actuation":
+            why = _of_actuation(steady[j], cause, others)
+        elif cause.name == "another device":
+            why = "neither a unit nor the actuation explains it; is it the record of another "
+            why += "device, or of another session?"
+        elif not why:
+            size = cause.factor if cause.factor > 1.0 else 1.0 / cause.factor
+            way = "large" if cause.factor > 1.0 else "small"
+            why = f"its {cause.name} seems to be {size:.2g} times too {way}: check its unit and "
+            why += "the sensor's factor"
+        shown = f"its loop has {said}, where the other tests suggest {expected:.3g}"
+        yield steady[j].id, Fault(cause.name, f"{shown}: {why}")
     rest = [t for i, t in enumerate(steady) if i not in found]
     far = list(_far_levels(rest))
     yield from far
@@ -316,34 +313,6 @@ def _from_neighbours(
 
 def _plateau(test: Tested) -> float:
     return test.readings.plateau if test.readings else float("nan")
-
-
-def _sentence(test: Tested, found: Deviation, cause: Cause, others: Sequence[Tested]) -> str:
-    """What is odd, with figures, and its likely cause."""
-    k = int(np.nanargmax(np.abs(found.values) / found.sds))
-    value = getattr(test.readings, QUANTITIES[k])
-    said, expected = _SAID[QUANTITIES[k]].format(value), value / np.exp(found.values[k])
-    shown = f"its loop has {said}, where the other tests suggest {expected:.3g}"
-    return f"{shown}: {_because(test, cause, others)}"
-
-
-def _because(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:
-    """The likely cause in words."""
-    if cause.words:
-        return cause.words
-    if cause.name == "actuation":
-        return _of_actuation(test, cause, others)
-    if cause.name == "another device":
-        return (
-            "neither a unit nor the actuation explains it; is it the record of another device, or "
-            "of another session?"
-        )
-    size = cause.factor if cause.factor > 1.0 else 1.0 / cause.factor
-    way = "large" if cause.factor > 1.0 else "small"
-    return (
-        f"its {cause.name} seems to be {size:.2g} times too {way}: check its unit and the sensor's "
-        "factor"
-    )
 
 
 def _of_actuation(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:

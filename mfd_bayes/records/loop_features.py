@@ -195,6 +195,8 @@ def scales_of(trace: Trace) -> Scales | None:
     offset = float(np.median(np.asarray(loops.offset))) if known else float(np.mean(force))
     read = read_off(trace, offset)
     slip = _positive(read.plateau, 0.5 * float(np.ptp(force)))
+    # White noise whose second differences have the size of these.
+    noise = float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))
     length = _positive(read.gap, _FALLBACK * float(np.ptp(trace.displacement)))
     return Scales(
         force=slip,
@@ -203,7 +205,7 @@ def scales_of(trace: Trace) -> Scales | None:
         length=length,
         stroke=float(np.ptp(trace.displacement)),
         speed=_positive(float(np.quantile(np.abs(trace.velocity), _FASTEST)), 1e-9),
-        noise=_positive(_noise(np.asarray(force)), 1e-3 * slip),
+        noise=_positive(noise, 1e-3 * slip),
         offset=offset,
     )
 
@@ -218,11 +220,6 @@ def middle(found: Iterable[Scales]) -> Scales:
 
 def _positive(value: float, other: float) -> float:
     return value if np.isfinite(value) and value > 0.0 else other
-
-
-def _noise(force: Array) -> float:
-    """Standard deviation of white noise whose second differences have the size of these."""
-    return float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))
 
 
 def _unloading(trace: Trace, force: Array, slip: float) -> float:

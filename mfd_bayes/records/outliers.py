@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +71,8 @@ def find_odd(logs: Array, levels: Array) -> dict[int, Deviation]:
     left = list(range(len(levels)))
     for _ in range(len(levels) // 3):  # without the worst, others that are odd show
         if len(left) > FEWEST - 1:
-            left.remove(_worst(logs, place, left))
+            rest = {j: [i for i in left if i != j] for j in left}
+            left.remove(min(left, key=lambda j: _disagreement(logs, place, rest[j])))
     every = set(range(len(levels)))
     odd = []
     for j in sorted(every - set(left)):  # against the trimmed tests, or all the others
@@ -128,11 +129,6 @@ def _line(x: Array, y: Array, k: int) -> tuple[float, float, float, float, float
     return middle, value, slope, max(spread, float(SCATTER[k])), float(weight**-0.5)
 
 
-def _worst(logs: Array, place: Array, left: Sequence[int]) -> int:
-    """The test without which the others agree best."""
-    return min(left, key=lambda j: _disagreement(logs, place, [i for i in left if i != j]))
-
-
 def _disagreement(logs: Array, place: Array, tests: Sequence[int]) -> float:
     """Sum of squares of what is left of lines through tests, in units of the scatter."""
     total = 0.0
@@ -166,7 +162,7 @@ ANYTHING = 14.0
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause; `name` is that of a fault, `share` the factor by which it is wrong."""
+    """A cause; `name` is that of a fault, `factor` that by which it is wrong."""
 
     name: str
     words: str
@@ -184,30 +180,18 @@ def likely_cause(found: Deviation, units: dict[str, str]) -> Cause:
     known = np.isfinite(found.values)
     values = np.where(known, found.values, 0.0)
     weights = np.where(known, 1.0 / found.sds**2, 0.0)
-    causes = [
-        *_of_units("displacement", units["displacement"], values, weights),
-        *_of_units("force", units["force"], values, weights),
-        _free("actuation", -found.exponents, values, weights),
-        Cause("another device", "", ANYTHING),
-    ]
+    causes: list[Cause] = []
+    for role, way in (*WAYS.items(), ("actuation", -found.exponents)):
+        used = units.get(role, "")
+        for unit in UNITS.get(role, ()):
+            wrong = factor(used, role) / factor(unit, role)
+            if abs(np.log(wrong)) > 0.2:
+                misfit = float((values - way * np.log(wrong)) ** 2 @ weights)
+                words = f"its {role} seems to be in {unit}, not in {used}"
+                causes.append(Cause(f"unit of {role}", words, misfit, wrong))
+        size = float(way**2 @ weights)
+        log = float((way * values) @ weights) / size if size > 0 else 0.0
+        misfit = float((values - way * log) ** 2 @ weights)
+        causes.append(Cause(role, "", misfit + FREE, float(np.exp(log))))
+    causes.append(Cause("another device", "", ANYTHING))
     return min(causes, key=lambda cause: cause.misfit)
-
-
-def _of_units(role: str, used: str, values: Array, weights: Array) -> Iterator[Cause]:
-    """Wrong units of a role, and a factor that is no unit's."""
-    way = WAYS[role]
-    for unit in UNITS[role]:
-        wrong = factor(used, role) / factor(unit, role)
-        if abs(np.log(wrong)) > 0.2:
-            rest = values - way * np.log(wrong)
-            words = f"its {role} seems to be in {unit}, not in {used}"
-            yield Cause(f"unit of {role}", words, float(rest**2 @ weights), wrong)
-    yield _free(role, way, values, weights)
-
-
-def _free(role: str, way: Array, values: Array, weights: Array) -> Cause:
-    """A factor on a signal, the best one."""
-    size = float(way**2 @ weights)
-    log = float((way * values) @ weights) / size if size > 0 else 0.0
-    rest = values - way * log
-    return Cause(role, "", float(rest**2 @ weights) + FREE, float(np.exp(log)))
