@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.columns import check_once, roles_of, unit_of
+from mfd_bayes.records.columns import roles_of, unit_of
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.time_axis import SAMPLES, after_gaps, check_increasing, parse_window
@@ -342,7 +342,10 @@ def signals_of(
         with np.errstate(over="ignore"):  # check_magnitude refuses infinity
             signals[role] = raw[name] * scale
         check_size(of, role, signals[role])
-    check_once(table, {role: name for role, (name, _) in named.items()})
+    seen: dict[str, str] = {}
+    for role, (name, _) in named.items():
+        if (other := seen.setdefault(name, role)) != role:
+            raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
     for role, source in sources.items():
         if not source.plain and source.column is not None:
             signals[role] = take_off(table, role, source, signals, raw)
@@ -392,18 +395,3 @@ def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, f
         f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
         f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
     )
-
-
-def unused_of(table: Table, sources: Mapping[str, Source]) -> tuple[str, ...]:
-    """Names of the columns that no source needs."""
-    used = wanted_of(table, sources)
-    return tuple(name for name in table.names if name not in used)
-
-
-def in_words(sources: Mapping[str, Source]) -> dict[str, str]:
-    """Role to what it is made of, of those that are more than a column."""
-    return {
-        role: source.words(str(source.column), str(source.unit))
-        for role, source in sources.items()
-        if not source.plain and source.column is not None
-    }

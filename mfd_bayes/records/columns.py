@@ -108,15 +108,6 @@ def roles_of(
     return {role: roles[role] for role in ROLES if role in roles}
 
 
-def check_once(table: Table, roles: Mapping[str, str]) -> None:
-    """Refuse a column that is given for two roles."""
-    seen: dict[str, str] = {}
-    for role, name in roles.items():
-        other = seen.setdefault(name, role)
-        if other != role:
-            raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
-
-
 def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str:
     """Unit of a column: as given, or from its name, or from the file's row of units."""
     if given := units.get(role):

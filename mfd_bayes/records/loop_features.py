@@ -225,13 +225,8 @@ def _positive(value: float, other: float) -> float:
 def _unloading(trace: Trace, force: Array, slip: float) -> float:
     """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
     x = trace.displacement
-    turns = list(pairwise(int(turn) for turn in trace.cycle_turns))
-    longest = max((abs(x[b] - x[a]) for a, b in turns), default=0.0)
     slopes = []
-    for first, last in turns:
-        if abs(x[last] - x[first]) < STRONG * longest:
-            continue
-        sign = 1.0 if x[last] > x[first] else -1.0
+    for first, last, sign in _strokes(trace):
         share = -sign * force[first : last + 1] / slip  # falls from 1 after the turn
         below = [int(np.argmax(share <= level)) for level in UNLOADING]
         travel = abs(x[first + below[1]] - x[first + below[0]])

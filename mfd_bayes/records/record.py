@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.channels import Source, in_words, part_for, signals_of, sources_of, unused_of
+from mfd_bayes.records.channels import Source, part_for, signals_of, sources_of, wanted_of
 from mfd_bayes.records.columns import ROLES
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.numbers import real_number
@@ -252,9 +252,13 @@ def read_record(
         actuation=level,
         actuation_unit=unit,
         columns=named,
-        other_columns=unused_of(table, sources),
+        other_columns=tuple(n for n in table.names if n not in wanted_of(table, sources)),
         clock=clock_of(signals["time"]),
-        derived=in_words(sources),
+        derived={
+            role: source.words(str(source.column), str(source.unit))
+            for role, source in sources.items()
+            if not source.plain and source.column is not None
+        },
         gap=gap,
         fit=window,
         given_actuation=actuation or "",

@@ -47,8 +47,8 @@ def _arrays(path: Path) -> Content:
         head = file.read(_USER_BLOCK + len(_HDF5))
     found: dict[str, NDArray[np.generic]] = {}
     settings = []
-    read = _v73 if head.startswith(_HDF5) or head.endswith(_HDF5) else _v5
-    for name, array in read(path):
+    variables = _v73(path) if head.startswith(_HDF5) or head.endswith(_HDF5) else _v5(path)
+    for name, array in variables:
         if array.size == 1:
             settings.append(f"{name}: {array.reshape(-1)[0]:.9g}")
         found |= dict(_signals(name, array))
