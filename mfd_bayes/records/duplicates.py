@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import integrate, special
+from scipy import special
 
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
@@ -64,8 +64,9 @@ class Signature:
     def of(cls, trace: Trace) -> Signature:
         """Signature of a trace with a force."""
         time = trace.time - trace.time[0]
-        signals = (np.asarray(trace.force), trace.displacement)
-        return cls(time, *(integrate.cumulative_trapezoid(v, time, initial=0.0) for v in signals))
+        means = (0.5 * (v[1:] + v[:-1]) for v in (np.asarray(trace.force), trace.displacement))
+        sums = (np.cumsum(mean * np.diff(time)) for mean in means)
+        return cls(time, *(np.concatenate([[0.0], total]) for total in sums))
 
     @property
     def bins(self) -> int:
