@@ -18,6 +18,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,21 @@ MEMORY, SECONDS = 2 * 2**30, 120.0
 """Bytes beyond what the process has already, and seconds, that the reading of a file may take."""
 
 
+_LESS = "save only the test's own columns, or as .csv"
+
+
 class UnreadableError(Exception):
     """Raised by a reader whose message follows the file's name."""
+
+
+def import_library(path: Path, module: str, name: str, extra: str) -> None:
+    """Import what a format needs, so that a copy of this process has it."""
+    try:
+        import_module(module)
+    except ImportError as error:
+        raise RecordError(
+            f'reading {path} needs {name}, which is not installed: pip install "mfd_bayes[{extra}]"'
+        ) from error
 
 
 def read_in_child(read: Callable[[Path], Content], path: Path, kind: str) -> Content:
@@ -62,9 +76,6 @@ def read_in_child(read: Callable[[Path], Content], path: Path, kind: str) -> Con
     if error == "memory":
         raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_LESS}")
     raise RecordError(f"{path} {error or f'is not {kind} that can be read'}")
-
-
-_LESS = "save only the test's own columns, or as .csv"
 
 
 def _forked(read: Callable[[Path], Content], path: Path) -> bytes | None:

@@ -8,7 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
+from mfd_bayes.records.readers.child import (
+    Content,
+    UnreadableError,
+    import_library,
+    read_in_child,
+)
 from mfd_bayes.records.readers.grid import find_table, table_of
 from mfd_bayes.records.readers.table import Cell, Table
 
@@ -23,12 +28,7 @@ def read_excel(path: Path) -> Table:
     Columns without a name are called by their number, from A = 1. Formulas count with the values
     that Excel stored.
     """
-    try:
-        import openpyxl  # noqa: F401  # a copy of this process has it then
-    except ImportError as error:
-        raise RecordError(
-            f'reading {path} needs openpyxl, which is not installed: pip install "mfd_bayes[excel]"'
-        ) from error
+    import_library(path, "openpyxl", "openpyxl", "excel")
     with path.open("rb") as file:
         if file.read(len(_OLE)) == _OLE:
             raise RecordError(

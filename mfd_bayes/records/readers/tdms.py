@@ -14,7 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
+from mfd_bayes.records.readers.child import (
+    Content,
+    UnreadableError,
+    import_library,
+    read_in_child,
+)
 from mfd_bayes.records.readers.table import Column, Table, bare_unit
 from mfd_bayes.units import factor, measure
 
@@ -49,12 +54,7 @@ def read_tdms(path: Path) -> Table:
     Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
     ``group/time`` where groups were sampled at different times.
     """
-    try:
-        import nptdms  # noqa: F401  # a copy of this process has it then
-    except ImportError as error:
-        raise RecordError(
-            f'reading {path} needs npTDMS, which is not installed: pip install "mfd_bayes[tdms]"'
-        ) from error
+    import_library(path, "nptdms", "npTDMS", "tdms")
     facts, arrays = read_in_child(_channels, path, "a TDMS file")
     found = facts["channels"]
     if not found:
@@ -214,16 +214,16 @@ def _together(
     first, one = next(iter(clocks.items()))
     for name, clock in clocks.items():
         late = clock.begin - one.begin
-        way = "after" if late > 0 else "before"
-        differ = f"{path}: {name} begins {abs(late):.6g} s {way} {first}"
         if not clock.even(one):
-            differ = (
+            raise RecordError(
                 f"{path}: {first} has a step of {one.step:g} s and {name} one of {clock.step:g} s"
+                + (", and the file has one time" if timed else ": resample them first")
             )
-        if timed and (not clock.even(one) or abs(late) > SHARE * one.step):
-            raise RecordError(f"{differ}, and the file has one time")
-        if not clock.even(one):
-            raise RecordError(f"{differ}: resample them first")
+        if timed and abs(late) > SHARE * one.step:
+            way = "after" if late > 0 else "before"
+            raise RecordError(
+                f"{path}: {name} begins {abs(late):.6g} s {way} {first}, and the file has one time"
+            )
         if clock.dated != one.dated and late:
             raise RecordError(
                 f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
