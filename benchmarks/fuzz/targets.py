@@ -54,10 +54,10 @@ from mfd_bayes.campaign.draft.columns import guess_columns
 from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import MfdError
+from mfd_bayes.records.channels import Source, Subtracted
+from mfd_bayes.records.loop_features import scales_of
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import read_record
-from mfd_bayes.records.scales import scales_of
-from mfd_bayes.records.sources import Source, Subtracted
 
 Files = Mapping[str, bytes]
 

@@ -47,10 +47,10 @@ GUARDS = {
     ),
     "readers": Guards(
         (
-            *("records/numbers.py", "records/regular.py", "records/roles.py"),
+            *("records/numbers.py", "records/regular.py", "records/columns.py"),
             *(
-                "records/declared.py",
-                "records/faults/signals.py",
+                "records/file_name_check.py",
+                "records/data_quality.py",
                 "assessment/shown.py",
                 "units.py",
             ),

@@ -18,7 +18,7 @@ from mfd_bayes.calibration.cycles import (
 from mfd_bayes.calibration.predictive import Replicas
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.population.bands import Band
-from mfd_bayes.records.readings import read_off
+from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.average import ModelAverage
 from mfd_bayes.runs.manifest import Manifest

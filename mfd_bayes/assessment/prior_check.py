@@ -14,7 +14,7 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.campaign.file import Campaign
 from mfd_bayes.friction import models
-from mfd_bayes.records.scales import Scales, scales_of
+from mfd_bayes.records.loop_features import Scales, scales_of
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import System
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mfd_bayes.assessment.views import READING, Check, ReadingRow
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.campaign.tolerances import complete_tolerances
-from mfd_bayes.records.readings import read_off
+from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.runs.verdict import Verdict
 
 Array = NDArray[np.float64]

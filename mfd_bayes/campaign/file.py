@@ -22,13 +22,13 @@ from mfd_bayes.campaign.schema import (
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.planning.goal import check_session
 from mfd_bayes.population.laws import complete_laws
-from mfd_bayes.records.clock import parse_window
+from mfd_bayes.records.channels import Source, Subtracted
+from mfd_bayes.records.columns import header_unit
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.records.regular import file_inside
-from mfd_bayes.records.roles import header_unit
-from mfd_bayes.records.sources import Source, Subtracted
+from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,

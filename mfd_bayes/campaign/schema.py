@@ -24,9 +24,9 @@ from mfd_bayes.campaign.tolerances import DEFAULTS
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws
-from mfd_bayes.records.clock import parse_window
+from mfd_bayes.records.channels import step_of
 from mfd_bayes.records.readers.table import COLUMNS, NAME
-from mfd_bayes.records.sources import step_of
+from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.units import parse_actuation, parse_quantity
 
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]

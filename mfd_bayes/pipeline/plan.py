@@ -26,11 +26,11 @@ from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_togethe
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.settings import setting_of
-from mfd_bayes.records.faults import Fault
+from mfd_bayes.records.channels import Source
+from mfd_bayes.records.cross_checks import Tested
+from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
-from mfd_bayes.records.sources import Source
-from mfd_bayes.records.together import Tested
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import posterior_of
 from mfd_bayes.runs.machine import this_machine

@@ -20,11 +20,11 @@ from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.pipeline.findings import findings_together, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.records.inspection import Inspection, inspect_record
+from mfd_bayes.records.cross_checks import Tested
+from mfd_bayes.records.loop_features import scales_of
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.scales import scales_of
-from mfd_bayes.records.together import Tested
+from mfd_bayes.records.summary import Inspection, inspect_record
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
 from mfd_bayes.runs.systems import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes, write_text

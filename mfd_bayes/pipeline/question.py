@@ -9,9 +9,9 @@ import numpy as np
 
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.records.clock import parse_window
-from mfd_bayes.records.harmonic import parse_sine
 from mfd_bayes.records.record import Record, read_record
+from mfd_bayes.records.sine import parse_sine
+from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import parse_quantity
 

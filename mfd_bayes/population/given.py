@@ -24,9 +24,9 @@ from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
 from mfd_bayes.population.settings import ZERO, Setting, setting_of
-from mfd_bayes.records.clock import checked_window
 from mfd_bayes.records.motion import HYSTERESIS
 from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.time_axis import checked_window
 from mfd_bayes.records.trace import Trace, check_magnitude, check_trace
 
 Array = NDArray[np.float64]

@@ -62,7 +62,10 @@ class MotionPath:
 
 def motion_path(t: Array, x: Array, v: Array, hysteresis: float) -> MotionPath:
     """Path of a motion in s, in and in/s, (T,) each, with its turns above `hysteresis`, in."""
-    left, share, vertex = _turning_vertices(t, x, v, hysteresis)
+    left, share, vertex = vertices(t, x, v)
+    turning = turning_points(np.insert(x, left + 1, vertex), hysteresis, last=True)
+    kept = np.isin(left + 1 + np.arange(left.size), turning)
+    left, share, vertex = left[kept], share[kept], vertex[kept]
     at = left + 1
     displacement = np.insert(x, at, vertex)
     samples = np.arange(t.size) + np.searchsorted(at, np.arange(t.size), side="right")
@@ -82,17 +85,6 @@ def motion_path(t: Array, x: Array, v: Array, hysteresis: float) -> MotionPath:
         samples=samples,
         stretch=np.searchsorted(turning, samples),
     )
-
-
-def _turning_vertices(
-    t: Array, x: Array, v: Array, hysteresis: float
-) -> tuple[NDArray[np.intp], Array, Array]:
-    """Those of the `vertices` that are turning points."""
-    left, share, vertex = vertices(t, x, v)
-    displacement = np.insert(x, left + 1, vertex)
-    turning = turning_points(displacement, hysteresis, last=True)
-    kept = np.isin(left + 1 + np.arange(left.size), turning)
-    return left[kept], share[kept], vertex[kept]
 
 
 def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Array]:
@@ -146,7 +138,11 @@ def turning_points(
     (K,) int
         Alternating maxima and minima. Of equal extremes the last counts.
     """
-    corners = _corners(displacement)
+    steps = np.diff(displacement)
+    moving = np.flatnonzero(steps)
+    signs = np.sign(steps[moving])
+    changes = moving[1:][signs[1:] != signs[:-1]]
+    corners = np.concatenate([[0], changes, [displacement.size - 1]])
     values = displacement[corners]
     least = np.broadcast_to(hysteresis, displacement.shape)[corners]
     turns: list[int] = []
@@ -213,15 +209,6 @@ def sensor_noise(displacement: Array) -> float:
     if not before @ after < -0.5 * float(differences @ differences):
         return 0.0
     return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(70.0))
-
-
-def _corners(displacement: Array) -> NDArray[np.intp]:
-    """Samples at which the sign of the motion changes, and both ends."""
-    steps = np.diff(displacement)
-    moving = np.flatnonzero(steps)
-    signs = np.sign(steps[moving])
-    changes = moving[1:][signs[1:] != signs[:-1]]
-    return np.concatenate([[0], changes, [displacement.size - 1]]).astype(np.intp)
 
 
 def first_direction(displacement: Array, turns: NDArray[np.intp]) -> int:

@@ -50,43 +50,28 @@ def real_number(
     *,
     inside: bool = False,
 ) -> float:
-    """A finite number within bounds, and at neither of them where it must lie `inside`.
-
-    Raises
-    ------
-    MfdError
-        Of the kind `error`, when it is none: text, true or false, several numbers, or beyond.
-    """
-    if type(value) is float:
-        found = value
-    else:
+    """A finite number within bounds, and at neither of them where it must lie `inside`."""
+    if type(value) is not float:
         _refuse_unit(name, value, error)
-        found = _as_float(value)
+    found = nan
+    try:
+        if isinstance(value, Real) and not isinstance(value, bool):
+            found = float(value)
+        elif isinstance(value, np.ndarray | np.generic) and value.ndim == 0:
+            found = float(value) if value.dtype.kind in "iuf" else nan
+    except OverflowError:
+        pass
     least, most = bounds
     if isfinite(found) and (least < found < most if inside else least <= found <= most):
         return found
-    raise error(f"{name} must be {_range_words(*bounds, inside=inside)}, got {value!r}")
-
-
-def _as_float(value: Any) -> float:
-    """A number, or an array of no dimension with one, as float; NaN of all else."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except OverflowError:
-            return nan
-    array = isinstance(value, np.ndarray | np.generic) and np.ndim(value) == 0
-    return float(value) if array and value.dtype.kind in "iuf" else nan
-
-
-def _range_words(least: float, most: float, *, inside: bool) -> str:
-    """Which numbers there may be, in words."""
     if least > -inf and most < inf:
         between = ("between", "and") if inside else ("from", "to")
-        return f"a number {between[0]} {least:g} {between[1]} {most:g}"
-    if least > -inf:
-        return f"a finite number {'above' if inside else 'of at least'} {least:g}"
-    return "a finite number" if most == inf else f"a finite number of at most {most:g}"
+        expected = f"a number {between[0]} {least:g} {between[1]} {most:g}"
+    elif least > -inf:
+        expected = f"a finite number {'above' if inside else 'of at least'} {least:g}"
+    else:
+        expected = "a finite number" if most == inf else f"a finite number of at most {most:g}"
+    raise error(f"{name} must be {expected}, got {value!r}")
 
 
 def _refuse_unit(name: str, value: Any, error: type[MfdError]) -> None:
@@ -103,13 +88,7 @@ MOST_DRAWS = 100_000
 def whole_number(
     name: str, value: Any, least: int, error: type[MfdError], most: int | None = None
 ) -> int:
-    """A whole number that is not below the least one, nor above the most there may be.
-
-    Raises
-    ------
-    MfdError
-        Of the kind `error`, when it is none.
-    """
+    """A whole number that is not below the least one, nor above the most there may be."""
     try:
         found = index(value)
     except TypeError:

@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.clock import (
+from mfd_bayes.records.channels import Source, part_for, signals_of, sources_of, wanted_of
+from mfd_bayes.records.columns import ROLES
+from mfd_bayes.records.motion import Array, smallest_turn, turning_points
+from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.regular import hash_file, path_of
+from mfd_bayes.records.resampling import decimate, default_rate
+from mfd_bayes.records.spikes import mended
+from mfd_bayes.records.time_axis import (
     JITTER,
     SAMPLES,
     Clock,
@@ -23,15 +31,6 @@ from mfd_bayes.records.clock import (
     longest_piece,
     parse_window,
 )
-from mfd_bayes.records.faults import mended
-from mfd_bayes.records.motion import Array, smallest_turn, turning_points
-from mfd_bayes.records.numbers import real_number
-from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.regular import hash_file, path_of
-from mfd_bayes.records.resampling import decimate, default_rate
-from mfd_bayes.records.roles import ROLES
-from mfd_bayes.records.signals import in_words, part_for, signals_of, sources_of, unused_of
-from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.units import ActuationUnit, parse_actuation
 
@@ -162,11 +161,12 @@ class Record:
             rate = default_rate(self.time[cut], x, _turns(x), gap, rate=self.rate)
         if rate is None or rate >= self.rate * (1 - 1e-9):
             return self._as_trace(self.time[cut], {k: v[cut] for k, v in self._signals().items()})
-        return self._decimated(rate, float(self.time[cut][0]), float(self.time[cut][-1]))
-
-    def _decimated(self, rate: float, start: float, end: float) -> Trace:
-        """Trace from time `start` to `end` at a rate below the record's."""
-        grid, signals = self._uniform()
+        grid, signals = self.time, self._signals()
+        if self.jitter > JITTER:  # only even samples can be filtered
+            duration = float(self.time[-1] - self.time[0])
+            grid = self.time[0] + np.arange(int(duration * self.rate) + 1) / self.rate
+            signals = {role: np.interp(grid, self.time, v) for role, v in signals.items()}
+        start, end = self.time[cut][[0, -1]]
         inside = np.flatnonzero((grid >= start) & (grid <= end))
         first, last = int(inside[0]), int(inside[-1])
         share = 1 / Fraction(min(self.rate / rate, 1e9)).limit_denominator(1000)
@@ -177,15 +177,6 @@ class Record:
         return self._as_trace(
             time, {role: decimate(v, share, first, last) for role, v in signals.items()}
         )
-
-    def _uniform(self) -> tuple[Array, dict[str, Array]]:
-        """Uniform times, and the signals at them: the record's own where its jitter is small."""
-        signals = self._signals()
-        if self.jitter <= JITTER:
-            return self.time, signals
-        duration = float(self.time[-1] - self.time[0])
-        grid = self.time[0] + np.arange(int(duration * self.rate) + 1) / self.rate
-        return grid, {role: np.interp(grid, self.time, v) for role, v in signals.items()}
 
     def _signals(self) -> dict[str, Array]:
         named = {role: getattr(self, role) for role in ROLES if role != "time"}
@@ -261,9 +252,13 @@ def read_record(
         actuation=level,
         actuation_unit=unit,
         columns=named,
-        other_columns=unused_of(table, sources),
+        other_columns=tuple(n for n in table.names if n not in wanted_of(table, sources)),
         clock=clock_of(signals["time"]),
-        derived=in_words(sources),
+        derived={
+            role: source.words(str(source.column), str(source.unit))
+            for role, source in sources.items()
+            if not source.plain and source.column is not None
+        },
         gap=gap,
         fit=window,
         given_actuation=actuation or "",
@@ -271,19 +266,14 @@ def read_record(
         notes=table.notes,
         doubts=table.doubts,
     )
-    _check_motion(record)
-    return record
-
-
-def _check_motion(record: Record) -> None:
-    """Refuse a record, or a fit window, that has fewer than two turning points."""
-    displacement = mended(record.displacement[_slice(record, record.fit)])
-    where = f"{record.path}" + (" in the fit window" if record.fit else "")
+    displacement = mended(record.displacement[_slice(record, window)])
+    where = f"{path}" + (" in the fit window" if window else "")
     if np.ptp(displacement) <= STILL:
         raise RecordError(f"displacement in {where} is constant")
     count = _turns(displacement).size
     if count < 2:
         raise RecordError(f"motion in {where} has {count} turning points; at least 2 are needed")
+    return record
 
 
 def _slice(record: Record, window: Window | None) -> slice:

@@ -21,13 +21,7 @@ _KINDS = (
 
 
 def why_no_file(path: Path) -> str:
-    """Why a path cannot be read as a file: "is a pipe, not a file"; "" where it may be one.
-
-    Raises
-    ------
-    OSError
-        When there is nothing at the path.
-    """
+    """Why a path cannot be read as a file: "is a pipe, not a file"; "" where it may be one."""
     if "\0" in str(path):
         return "is no file: no name of one can hold the character NUL"
     mode = path.stat().st_mode
@@ -35,13 +29,7 @@ def why_no_file(path: Path) -> str:
 
 
 def path_of(name: str, value: Any, error: type[MfdError]) -> Path:
-    """Path that a caller gives as text or as a path.
-
-    Raises
-    ------
-    MfdError
-        Of the kind `error`, when it is neither, or holds a character that no path can hold.
-    """
+    """Path that a caller gives as text or as a path."""
     if not isinstance(value, str | PathLike) or not isinstance(found := os.fspath(value), str):
         raise error(f"{name} must be a path, as text or pathlib.Path, got {value!r}")
     if "\0" in found:
@@ -50,13 +38,7 @@ def path_of(name: str, value: Any, error: type[MfdError]) -> Path:
 
 
 def file_inside(folder: Path, name: str) -> Path | None:
-    """Path of a file that a text in a folder names, links followed; None where it lies outside.
-
-    Raises
-    ------
-    OSError, RuntimeError, ValueError
-        When the name can be that of no file, or its links lead nowhere.
-    """
+    """Path of a file that a text in a folder names, links followed; None where it lies outside."""
     found = (folder / name).resolve()
     inside = not Path(name).is_absolute() and found.is_relative_to(folder.resolve())
     return found if inside else None

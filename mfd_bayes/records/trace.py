@@ -89,8 +89,16 @@ class Trace:
         x = _column("displacement", displacement, t.size)
         if t.size < 3:
             raise RecordError(f"a trace needs at least 3 samples, got {t.size}")
-        _check_increasing(t)
-        v = _differences(t, x) if velocity is None else _column("velocity", velocity, t.size)
+        if not np.all(np.diff(t) > 0):
+            at = int(np.argmax(~(np.diff(t) > 0))) + 1
+            raise RecordError(f"time must increase; it does not at sample {at} (t = {t[at]:g} s)")
+        if velocity is not None:
+            v = _column("velocity", velocity, t.size)
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused
+                v = np.gradient(x, t)
+            check_magnitude("velocity", v, LARGEST**2)
+            v.flags.writeable = False
         if hysteresis is None:
             span = smallest_turn(x)
         else:
@@ -137,33 +145,11 @@ class Trace:
 
 
 def check_trace(name: str, value: Any, error: type[MfdError]) -> Trace:
-    """A trace, unchanged.
-
-    Raises
-    ------
-    MfdError
-        Of the kind `error`, when it is none.
-    """
+    """A trace, unchanged."""
     if not isinstance(value, Trace):
         kind = type(value).__name__
         raise error(f"{name} must be a Trace, such as Trace.from_arrays(...) makes, got {kind}")
     return value
-
-
-def _check_increasing(time: Array) -> None:
-    steps = np.diff(time)
-    if not np.all(steps > 0):
-        at = int(np.argmax(~(steps > 0))) + 1
-        raise RecordError(f"time must increase; it does not at sample {at} (t = {time[at]:g} s)")
-
-
-def _differences(time: Array, displacement: Array) -> Array:
-    """Velocity by central differences."""
-    with np.errstate(over="ignore", invalid="ignore"):  # check_magnitude refuses what is infinite
-        velocity = np.gradient(displacement, time)
-    check_magnitude("velocity", velocity, LARGEST**2)
-    velocity.flags.writeable = False
-    return velocity
 
 
 def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
@@ -183,13 +169,7 @@ def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
 
 
 def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
-    """Refuse numbers so large that their fourth power could overflow.
-
-    Raises
-    ------
-    RecordError
-        When the size of one is above `most`, or it is not finite.
-    """
+    """Refuse numbers so large that their fourth power could overflow."""
     if not np.all(np.abs(values) <= most):
         raise RecordError(
             f"{name} holds numbers too large to use, beyond {most:g} in s, in, kip or ksi"
@@ -197,13 +177,7 @@ def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
 
 
 def check_size(name: str, role: str, values: Array) -> None:
-    """Refuse numbers that are too large, and a force that is too small but not zero.
-
-    Raises
-    ------
-    RecordError
-        When the size of one is above `LARGEST`, or every force is below `SMALLEST`.
-    """
+    """Refuse numbers that are too large, and a force that is too small but not zero."""
     check_magnitude(name, values)
     largest = float(np.max(np.abs(values), initial=0.0))
     if role == "force" and 0.0 < largest < SMALLEST:

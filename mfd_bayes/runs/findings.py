@@ -24,7 +24,7 @@ class Finding:
     subject : str
         A test's id, or "laws".
     name : str
-        Name of the fault, as `records.faults` and `records.together` have them.
+        Name of the fault, as `records.data_quality` and `records.cross_checks` have them.
     sentence : str
         What was found, with figures and the likely cause.
     stage : {"records", "results"}

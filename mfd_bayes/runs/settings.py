@@ -10,7 +10,7 @@ from pydantic import AfterValidator
 from mfd_bayes.campaign.schema import Area, LawName, check_id
 from mfd_bayes.errors import UnitError
 from mfd_bayes.population.inference import InferenceSettings
-from mfd_bayes.records.roles import header_unit
+from mfd_bayes.records.columns import header_unit
 from mfd_bayes.store.schema import Part, Positive
 from mfd_bayes.units import actuation_factor
 

@@ -15,7 +15,7 @@ from mfd_bayes.campaign.draft.levels import levels_in
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.records.sources import Source
+from mfd_bayes.records.channels import Source
 
 HEADER = "time_s,displacement_in,force_kip"
 

@@ -8,7 +8,7 @@ import pytest
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.campaign.order import check_order
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.records.sources import Source, Subtracted
+from mfd_bayes.records.channels import Source, Subtracted
 
 COLUMNS = """
 [columns]

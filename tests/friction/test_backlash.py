@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mfd_bayes.records.readings import read_off
+from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.trace import Trace
 from tests.friction.backlash_cases import (
     MODEL,

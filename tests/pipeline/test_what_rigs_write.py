@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.records.sources import Source
+from mfd_bayes.records.channels import Source
 
 STEP, STROKE, SLIP = 0.05, 12.0, 950.0  # s, mm, N
 

@@ -20,7 +20,7 @@ from mfd_bayes.planning.candidate import (
     repeats,
     typical_of,
 )
-from mfd_bayes.records.harmonic import Harmonic
+from mfd_bayes.records.sine import Harmonic
 from mfd_bayes.records.trace import Trace
 
 TYPICAL = Candidate(1.0, 0.5, 1.0, 3.0)

@@ -9,11 +9,11 @@ import pint
 import pytest
 
 from mfd_bayes.errors import FitError, RecordError, UnitError
-from mfd_bayes.records.clock import checked_window
+from mfd_bayes.records.channels import Source, Subtracted
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.regular import hash_file
-from mfd_bayes.records.sources import Source, Subtracted
+from mfd_bayes.records.time_axis import checked_window
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import actuation_factor, factor, parse_mass, parse_quantity
 

@@ -6,9 +6,9 @@ from typer.testing import CliRunner
 
 from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign
 from mfd_bayes.cli.commands import app
-from mfd_bayes.records.declared import contradictions
-from mfd_bayes.records.inspection import inspect_record
+from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.record import read_record
+from mfd_bayes.records.summary import inspect_record
 
 
 def record_of(folder, name, *, amplitude=1.0, rate=0.25, actuation=None):

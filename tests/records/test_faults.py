@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.records.faults import NAMES, find_faults
-from mfd_bayes.records.faults.lag import estimate_lag
+from mfd_bayes.records.data_quality import NAMES, find_faults
+from mfd_bayes.records.lag import estimate_lag
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 

@@ -7,8 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
-from mfd_bayes.records.inspection import inspect_record
 from mfd_bayes.records.record import read_record
+from mfd_bayes.records.summary import inspect_record
 
 RATE, FREQUENCY, CYCLES = 200.0, 0.5, 10
 TIME = np.arange(int(RATE * CYCLES / FREQUENCY)) / RATE

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.loop_features import asymmetry, read_off
 from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.readings import asymmetry, read_off
 from mfd_bayes.records.trace import Trace
 
 FORWARD, BACKWARD, SLOPE, GAP = 2.0, 2.5, 25.0, 0.3

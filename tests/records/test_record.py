@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.declared import contradictions
+from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.motion import turning_points
 from mfd_bayes.records.record import read_record

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.columns import header_unit, roles_of, unit_of
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.roles import header_unit, roles_of, unit_of
 
 
 def table(tmp_path, *names, **units):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.declared import contradictions
-from mfd_bayes.records.inspection import inspect_record
+from mfd_bayes.records.channels import Source, Subtracted, acceleration
+from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.record import read_record
-from mfd_bayes.records.sources import Source, Subtracted, acceleration
+from mfd_bayes.records.summary import inspect_record
 
 N = 4448.2216152605  # in a kip
 TIME = np.arange(2001) / 200.0

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records import duplicates
+from mfd_bayes.records.cross_checks import Tested, compare_tests
+from mfd_bayes.records.duplicates import Signature, find_twin
+from mfd_bayes.records.outliers import deviation, find_odd
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.together import Tested, compare_tests, twins
-from mfd_bayes.records.together.odd import deviation, find_odd
-from mfd_bayes.records.together.twins import Signature, find_twin
 from mfd_bayes.records.trace import Trace
 
 LEVELS = (20.0, 30.0, 35.0, 60.0, 80.0)
@@ -200,7 +201,7 @@ def test_a_repeated_test_with_two_percent_more_friction_is_no_twin():
     """Its loop is as near as that of a copy, but a copy has the same noise."""
     one = Signature.of(trace_of(35.0, 2))
     other = Signature.of(trace_of(35.0, 2, noise=1, force=1.02))
-    assert np.std(one.forces - other.forces) < twins.SAME * np.std(one.forces)
+    assert np.std(one.forces - other.forces) < duplicates.SAME * np.std(one.forces)
     assert find_twin(one, other) is None
     assert find_twin(one, one) is not None
 

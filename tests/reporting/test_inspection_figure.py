@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.records.faults import Fault, find_faults
+from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.figures import draw_inspection, to_png

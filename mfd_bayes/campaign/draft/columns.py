@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from mfd_bayes.campaign.draft.shapes import by_loop
 from mfd_bayes.errors import MfdError, UnitError
-from mfd_bayes.records.declared import SLOW_PERIOD, SLOW_RATE
+from mfd_bayes.records.channels import Source
+from mfd_bayes.records.columns import stated_unit
+from mfd_bayes.records.file_name_check import SLOW_PERIOD, SLOW_RATE
 from mfd_bayes.records.loops import roughness
 from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.table import own_name
-from mfd_bayes.records.roles import stated_unit
-from mfd_bayes.records.sources import Source
 from mfd_bayes.records.trace import check_magnitude
 from mfd_bayes.units import actuation_factor, factor, force_meant
 

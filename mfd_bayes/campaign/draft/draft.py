@@ -18,13 +18,13 @@ from mfd_bayes.campaign.draft.columns import Guess, guess_columns, timed_by_rate
 from mfd_bayes.campaign.draft.levels import level_in_header, levels_in, rate_in_header
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.records.declared import contradictions, length_in_name
-from mfd_bayes.records.faults import without_spikes
-from mfd_bayes.records.faults.signals import force_sign
+from mfd_bayes.records.data_quality import force_sign
+from mfd_bayes.records.file_name_check import contradictions, length_in_name
+from mfd_bayes.records.loop_features import Scales, scales_of
 from mfd_bayes.records.loops import channels_swapped
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.scales import Scales, scales_of
+from mfd_bayes.records.spikes import without_spikes
 from mfd_bayes.units import ActuationUnit, actuation_factor
 
 _ESSENTIAL = ("time", "displacement", "force")

@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mfd_bayes.records.declared import NUMBER, number_in
-from mfd_bayes.records.sources import step_of
+from mfd_bayes.records.channels import step_of
+from mfd_bayes.records.file_name_check import NUMBER, number_in
 from mfd_bayes.units import ActuationUnit, parse_actuation
 
 _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"

@@ -37,8 +37,7 @@ def read_table(path: Path) -> Table:
     Raises
     ------
     RecordError
-        When the file cannot be read, is not what its suffix says, holds no names or no numbers,
-        is larger than is read, or needs a library that is not installed.
+        When it cannot be read, is not what its suffix says, or is larger than is read.
     """
     suffix = path.suffix.lower()
     try:

@@ -18,6 +18,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +34,27 @@ MEMORY, SECONDS = 2 * 2**30, 120.0
 """Bytes beyond what the process has already, and seconds, that the reading of a file may take."""
 
 
+_LESS = "save only the test's own columns, or as .csv"
+
+
 class UnreadableError(Exception):
     """Raised by a reader whose message follows the file's name."""
+
+
+def import_library(path: Path, module: str, name: str, extra: str) -> None:
+    """Import what a format needs, so that a copy of this process has it."""
+    try:
+        import_module(module)
+    except ImportError as error:
+        raise RecordError(
+            f'reading {path} needs {name}, which is not installed: pip install "mfd_bayes[{extra}]"'
+        ) from error
 
 
 def read_in_child(read: Callable[[Path], Content], path: Path, kind: str) -> Content:
     """What a reader returns of a file, from a process of its own; `kind` names the format.
 
-    Raises
-    ------
-    RecordError
-        When the file is none of its format, or reading it takes more than is allowed.
+    Refused where the file is none of its format, or reading it takes more than is allowed.
     """
     path.open("rb").close()
     forks = hasattr(os, "fork") and threading.active_count() == 1
@@ -59,18 +70,12 @@ def read_in_child(read: Callable[[Path], Content], path: Path, kind: str) -> Con
             at += arrays[-1].nbytes
     except ValueError:  # the process ended before it had written all
         facts, arrays = {"error": ""}, []
-    match facts.pop("error", None):
-        case None:
-            return facts, arrays
-        case "memory":
-            raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_LESS}")
-        case "":
-            raise RecordError(f"{path} is not {kind} that can be read")
-        case message:
-            raise RecordError(f"{path} {message}")
-
-
-_LESS = "save only the test's own columns, or as .csv"
+    error = facts.pop("error", None)
+    if error is None:
+        return facts, arrays
+    if error == "memory":
+        raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_LESS}")
+    raise RecordError(f"{path} {error or f'is not {kind} that can be read'}")
 
 
 def _forked(read: Callable[[Path], Content], path: Path) -> bytes | None:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import datetime
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
-from mfd_bayes.records.readers.grid import Grid, find_table, table_of
+from mfd_bayes.records.readers.child import (
+    Content,
+    UnreadableError,
+    import_library,
+    read_in_child,
+)
+from mfd_bayes.records.readers.grid import find_table, table_of
 from mfd_bayes.records.readers.table import Cell, Table
 
 CELLS = 2_000_000  # most cells of a workbook: eight minutes of four columns at 1024 Hz
@@ -24,60 +28,50 @@ def read_excel(path: Path) -> Table:
     Columns without a name are called by their number, from A = 1. Formulas count with the values
     that Excel stored.
     """
-    try:
-        import openpyxl  # noqa: F401  # a copy of this process has it then
-    except ImportError as error:
-        raise RecordError(
-            f'reading {path} needs openpyxl, which is not installed: pip install "mfd_bayes[excel]"'
-        ) from error
+    import_library(path, "openpyxl", "openpyxl", "excel")
     with path.open("rb") as file:
         if file.read(len(_OLE)) == _OLE:
             raise RecordError(
                 f"{path} is an old .xls workbook or has a password; save it as .xlsx without one"
             )
     sheets = read_in_child(_sheets, path, "an Excel workbook (.xlsx)")[0]["sheets"]
-    grids = [
-        Grid(
-            path,
-            f"sheet {title!r} of {path}",
-            [cells for _, cells in rows],
-            [f"row {number}" for number, _ in rows],
-        )
+    found = [
+        (one, title, cells, [f"row {number}" for number, _ in rows])
         for title, rows in sheets
+        if (one := find_table(cells := [row for _, row in rows])) is not None
     ]
-    found = [(n, one) for n, grid in enumerate(grids) if (one := find_table(grid)) is not None]
     if not found:
-        held = "; ".join(f"sheet {title!r} {_described(rows)}" for title, rows in sheets[:5])
+        held = "; ".join(
+            f"sheet {title!r} begins with "
+            + ", ".join([repr(cell) for cell in rows[0][1] if cell is not None][:4])
+            if rows
+            else f"sheet {title!r} is empty"
+            for title, rows in sheets[:5]
+        )
         raise RecordError(f"{path} holds no row of two names or more above numbers: {held}")
-    number, layout = max(found, key=lambda one: (one[1].names is not None, one[1].weight))
+    best = max(found, key=lambda one: (one[0].names is not None, one[0].weight))
+    layout, title, rows, places = best
     alike = [
-        repr(sheets[n][0])
-        for n, one in found
-        if n != number
+        repr(other)
+        for one, other, cells, _ in found
+        if other != title
         and layout.names is not None
         and one.names is not None
-        and grids[n].rows[one.names] == grids[number].rows[layout.names]
+        and cells[one.names] == rows[layout.names]
     ]
     have, are = ("has", "is") if len(alike) == 1 else ("have", "are")
     doubt = (
-        f"sheet {sheets[number][0]!r} is read; {', '.join(alike[:4])} {have} the same columns, "
-        f"and {are} not"
+        f"sheet {title!r} is read; {', '.join(alike[:4])} {have} the same columns, and {are} not"
     )
-    title = sheets[number][0]
     return table_of(
-        grids[number],
+        path,
+        f"sheet {title!r} of {path}",
+        rows,
+        places,
         layout,
-        place=lambda at: f"{grids[number].places[at]} of sheet {title!r}",
+        place=lambda at: f"{places[at]} of sheet {title!r}",
         doubts=(doubt,) if alike else (),
-        trim=True,
-    )
-
-
-def _described(rows: Sequence[tuple[int, list[Cell]]]) -> str:
-    if not rows:
-        return "is empty"
-    first = [repr(cell) for cell in rows[0][1] if cell is not None]
-    return f"begins with {', '.join(first[:4])}"
+    )[0]
 
 
 def _sheets(path: Path) -> Content:

@@ -11,15 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.table import (
-    NUMBER,
-    Cell,
-    Column,
-    Table,
-    bare_unit,
-    labels,
-    parse,
-)
+from mfd_bayes.records.readers.table import NUMBER, Cell, Column, Table, bare_unit, labels, parse
 from mfd_bayes.records.readers.time_stamps import is_stamp
 from mfd_bayes.units import DIMENSIONS, UNREAD, measure
 
@@ -34,26 +26,6 @@ _MISSING = frozenset(("nan", "na", "n/a", "n.a.", "null", "none", "inf", "infini
 _TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate", "mass"}
 _TELLING |= {"acceleration", "length / time ** 2"}
 _ACCELERATION = re.compile(r"%?\s*g|gals?|(?:[cm]?m|in|ft)/s(?:ec)?\^?2", re.IGNORECASE)  # no gram
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """Rows of cells, those of a text file perhaps only its first ones.
-
-    Attributes
-    ----------
-    path : Path
-    of : str
-        What holds the rows, for messages: the path, or a sheet of it.
-    rows : sequence of rows
-    places : sequence of str
-        Name of each row: "line 17".
-    """
-
-    path: Path
-    of: str
-    rows: Sequence[Row]
-    places: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -83,38 +55,33 @@ def kinds(row: Row) -> str:
     )
 
 
-def find_table(grid: Grid, *, exact: bool = False) -> Layout | None:
+def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
     """Layout of the table that weighs most, or else of the longest block of rows of numbers.
 
     A table is a row of at least two names, perhaps a row of units, and a row with a number.
     Titles and settings above it ("Station", "Rate 1024") are no table, or a small one, which
     counts the less the fewer numbers it has. With `exact`, a row beyond whose end the numbers go on
-    is a title too. Of tables with the same names the first is taken: a
-    heading may stand above every block.
+    is a title too. Of tables with the same names the first is taken: a heading may stand above
+    every block.
     """
-    rows = grid.rows[:SEARCHED]
+    rows = rows[:SEARCHED]
     known = [kinds(row) for row in rows]
     numbers = [kind.count("n") for kind in known]
     filled = [len(kind) - kind.count("-") for kind in known]
     found: list[Layout] = []
-    for at, kind in enumerate(known):
-        if numbers[at] or filled[at] < 2 or at + 1 == len(rows):
+    for at in range(len(rows) - 1):
+        if numbers[at] or filled[at] < 2:
             continue
-        below = rows[at + 1]
-        units = at + 1 if not numbers[at + 1] and gives_units(below, rows[at]) else None
-        data = at + 1 if units is None else units + 1
+        units = at + 1 if not numbers[at + 1] and gives_units(rows[at + 1], rows[at]) else None
+        data = at + 1 if units is None else at + 2
         end = numbers.index(0, data) if 0 in numbers[data:] else len(rows)
-        narrow = exact and len(kind.rstrip("-")) < len(
-            (known[data : data + 1] or [""])[0].rstrip("-")
-        )
-        if end == data or narrow:
-            continue
-        count = sum(numbers[data:end])
-        found.append(Layout(at, units, data, count / sum(filled[data:end]), count))
+        width = len(known[data].rstrip("-")) if exact and data < len(rows) else 0
+        if end > data and len(known[at].rstrip("-")) >= width:
+            count = sum(numbers[data:end])
+            found.append(Layout(at, units, data, count / sum(filled[data:end]), count))
     if found:
         best = max(found, key=lambda one: (one.weight, one.count))
-        names = rows[best.names or 0]
-        return next(one for one in found if rows[one.names or 0] == names)
+        return next(one for one in found if rows[one.names or 0] == rows[best.names or 0])
     blocks: list[Layout] = []
     for (width, bare), group in groupby(range(len(rows)), lambda i: (filled[i], numbers[i] >= 2)):
         block = list(group)
@@ -126,148 +93,141 @@ def find_table(grid: Grid, *, exact: bool = False) -> Layout | None:
 
 def gives_units(row: Row, names: Row) -> bool:
     """Whether a row holds two units or more below names, and at least as many units as words."""
-    texts = [bare_unit(c) if isinstance(c, str) else "" for c in row]
     under = [at for at, c in enumerate(row) if c not in (None, "")]
     if any(at >= len(names) or names[at] in (None, "") for at in under):
         return False
-    units = [text for text in texts if text]
+    units = [unit for c in row if isinstance(c, str) and (unit := bare_unit(c))]
     unread = sum(len(unit) > 1 and unit.lower() in UNREAD for unit in units)
     found = ["acceleration" if _ACCELERATION.fullmatch(u) else measure(u) for u in units]
-    told = sum(of in _TELLING for of in found) + unread
-    words = sum(of is None for of in found) - unread
-    return told >= 2 and 2 * words <= len(under)
+    words = found.count(None) - unread
+    return sum(of in _TELLING for of in found) + unread >= 2 and 2 * words <= len(under)
 
 
 def table_of(
-    grid: Grid,
+    path: Path,
+    of: str,
+    rows: Sequence[Row],
+    places: Sequence[str],
     layout: Layout,
     *,
     place: Callable[[int], str],
     names: Sequence[str] | None = None,
     units: Row = (),
-    body: Sequence[int] | None = None,
-    load: Callable[[Sequence[int], Sequence[int]], Sequence[Column]] | None = None,
+    load: Callable[[Sequence[int]], Sequence[Column]] | None = None,
     decimals: tuple[str, ...] = (".",),
     doubts: tuple[str, ...] = (),
     head: tuple[str, ...] = (),
-    trim: bool = False,
-) -> Table:
-    """Table of a grid whose layout is known.
+    blank: Cell = None,
+) -> tuple[Table, Sequence[int]]:
+    """Table of a grid whose layout is known, and its rows of numbers.
 
     Parameters
     ----------
-    grid : Grid
+    path : Path
+    of : str
+        What holds the rows, for messages: the path, or a sheet of it.
+    rows : sequence of rows
+        With `load` perhaps only the first ones.
+    places : sequence of str
+        Name of each row in its file or sheet: "line 17".
     layout : Layout
     place : callable
-        Name of a row of the grid.
-    names : sequence of str, optional
-        Of the columns, where they do not stand in the layout's row of names.
-    units : row
-        Of the columns, where they do not stand in the layout's row of units.
-    body : sequence of int, optional
-        Rows of numbers, where it is known that there are no others.
+        Name of a row for the messages of the table.
+    names, units : row, optional
+        Of the columns, where they do not stand in the layout's rows.
     load : callable, optional
-        Cells of columns, from 0, in rows.
+        Cells of columns, from 0, where it is known that nothing stands between the numbers.
     decimals, doubts, head
         As in `Table`.
-    trim : bool
-        Whether columns end at the last row where one of those that are read is filled.
-
-    Raises
-    ------
-    RecordError
-        When the grid has rows of numbers that are not the table's and may be meant.
+    blank : cell
+        In place of a cell that a short row lacks. Columns end at the last row in which one of
+        those that are read is not None.
     """
     headed = layout.names is not None or names is not None
-    heading = [] if layout.names is None else list(grid.rows[layout.names])
-    first = grid.rows[layout.data] if layout.data < len(grid.rows) else ()
-    at = list(range(len(names))) if names is not None else _columns(heading, first)
-    if names is None:
+    first = rows[layout.data] if layout.data < len(rows) else ()
+    if names is not None:
+        at = list(range(len(names)))
+    else:
+        heading = () if layout.names is None else rows[layout.names]
+        own, kind = kinds(heading).rstrip("-"), kinds(first)
+        at = [
+            k
+            for k in range(max(len(own), len(kind)))
+            if (k < len(own) and heading[k] is not None)
+            or kind[k : k + 1] == "n"
+            or (not heading and kind[k : k + 1] == "t")
+        ]
         texts = [" ".join(str(heading[k] or "").split()) if k < len(heading) else "" for k in at]
         names = labels(texts, [k + 1 for k in at])
     if layout.units is not None:
-        units = grid.rows[layout.units]
-    found: Body | None = None
-    if body is None:
-        found = _body(grid, layout, names)
-        body = found.rows
-    notes = _left_out(grid, layout, found, names, headed)
+        units = rows[layout.units]
+    body: Sequence[int] = range(layout.data, len(places))
+    blocks: dict[int, int] = {}
+    footer: list[int] = []
+    if load is None:
+        body, blocks, footer = _body(of, rows, places, layout, len(names))
+    notes = _above(of, rows, places, layout.data, names, headed)
+    if len(footer) >= TABLE:
+        raise RecordError(
+            f"{of} holds more than one table: from {places[footer[0]]}, rows begin with words"
+        )
+    if footer:
+        notes.append(f"{places[footer[0]]} and below: numbers below the table, not used")
     position = dict(zip(names, at, strict=True))
+    picked = [rows[i] for i in body] if load is None else []
 
     def cells(wanted: Sequence[str]) -> Mapping[str, Column]:
-        places = [position[name] for name in wanted]
+        where = [position[name] for name in wanted]
         if load is not None:
-            return dict(zip(wanted, load(body, places), strict=True))
-        columns = [[r[k] if k < len(r) else None for r in picked] for k in places]
-        while trim and columns and columns[0] and all(c[-1] is None for c in columns):
+            return dict(zip(wanted, load(where), strict=True))
+        columns = [[r[k] if k < len(r) else blank for r in picked] for k in where]
+        while columns and columns[0] and all(c[-1] is None for c in columns):
             for column in columns:
                 column.pop()
         return dict(zip(wanted, columns, strict=True))
 
-    picked = [grid.rows[i] for i in body] if load is None else []
-    first = grid.rows[body[0]] if len(body) else ()
+    first = rows[body[0]] if len(body) else ()
     stamped = frozenset(n for n, k in position.items() if k < len(first) and is_stamp(first[k]))
     stated = {
         name: unit
         for name, k in position.items()
         if k < len(units) and (unit := bare_unit(str(units[k] or "")))
     }
-    return Table(
-        grid.path,
+    above = (
+        " ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in row if c is not None)
+        for row in rows[: layout.data]
+    )
+    table = Table(
+        path,
         tuple(names),
         cells,
         lambda row: place(body[row]),
         stated | dict.fromkeys(stamped, "s"),
         numbers=tuple(k + 1 for k in at),
         headed=headed,
-        blocks={} if found is None else {n: grid.places[i] for n, i in found.blocks.items()},
-        notes=notes,
+        blocks={n: places[i] for n, i in blocks.items()},
+        notes=tuple(notes),
         doubts=doubts,
         decimals=decimals,
-        head=head or tuple(_said(row) for row in grid.rows[: layout.data]),
+        head=head or tuple(above),
         stamped=stamped,
     )
+    return table, body
 
 
-def _said(row: Row) -> str:
-    """A row above the table as a text: "Sample rate 100"."""
-    return " ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in row if c is not None)
-
-
-def _columns(heading: Row, first: Row) -> list[int]:
-    """Columns, from 0, that have a name, or a number in the first row."""
-    numbers = kinds(first)
-    end = len(kinds(heading).rstrip("-")) if heading else len(first)
-    return [
-        k
-        for k in range(max(end, len(numbers)))
-        if (k < min(end, len(heading)) and heading[k] is not None)
-        or numbers[k : k + 1] == "n"
-        or (not heading and numbers[k : k + 1] == "t")
-    ]
-
-
-@dataclass(frozen=True)
-class Body:
-    """Rows of numbers of a table, and what stands between and below them."""
-
-    rows: list[int]
-    blocks: dict[int, int]  # number among `rows` of the first below a repeated heading, to its row
-    footer: list[int]  # rows with a number in them below the table
-    other: int | None  # first row of a heading that is not the table's
-
-
-def _body(grid: Grid, layout: Layout, labelled: Sequence[str]) -> Body:
-    """Rows of numbers, without headings that are repeated above each block, and without a footer.
+def _body(
+    of: str, rows: Sequence[Row], places: Sequence[str], layout: Layout, width: int
+) -> tuple[list[int], dict[int, int], list[int]]:
+    """Rows of numbers; of these the first below a repeated heading, to its row; and the footer.
 
     Rows of text that stand together are a heading where they hold the row of names, or begin as
     the rows above the table do; below the names, only the same row of units may stand. All others
     are kept, and refused once a column of them is read.
     """
-    rows, size = grid.rows, len(grid.rows)
-    names = None if layout.names is None else _plain(rows[layout.names])
-    units = None if layout.units is None else _plain(rows[layout.units])
-    own = {_beginning(row) for row in rows[: layout.names]} if layout.names is not None else set()
+    size = len(rows)
+    names = None if layout.names is None else _filled(rows[layout.names])
+    units = None if layout.units is None else _filled(rows[layout.units])
+    own = set() if layout.names is None else {_beginning(row) for row in rows[: layout.names]}
     first = rows[layout.data] if layout.data < size else ()
     column = next(
         (k for k, kind in enumerate(kinds(first)) if kind == "n" or is_stamp(first[k])), 0
@@ -276,60 +236,53 @@ def _body(grid: Grid, layout: Layout, labelled: Sequence[str]) -> Body:
     dropped: set[int] = set()
     starts: dict[int, int] = {}  # row below a repeated heading, to the heading's first row
     footer: list[int] = []
-    other: int | None = None
+    other: int | None = None  # first row of a heading that is not the table's
     for _, pairs in groupby(enumerate(words), lambda pair: pair[1] - pair[0]):
         group = [at for _, at in pairs]
         if _goes_on(rows, group[0], layout.data):
             continue
-        texts, below = [_plain(rows[at]) for at in group], group[-1] + 1
+        texts, below = [_filled(rows[at]) for at in group], group[-1] + 1
+        again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
         if below == size:
             if names not in texts and any("n" in kinds(text) for text in texts):
                 footer = group
             dropped.update(group)
-            continue
-        behind = texts[texts.index(names) + 1 :] if names in texts else []
-        again = names in texts and behind in ([], [units])
-        if again or all(_beginning(t) in own and _shared(t, names) == 0 for t in texts):
+        elif again or all(_beginning(t) in own and _shared(t, names) == 0 for t in texts):
             dropped.update(group)
             starts[below] = group[0]
         elif other is None and any(_shared(text, names) >= 2 for text in texts):
             other = group[0]
+    if other is not None:
+        raise RecordError(
+            f"{of} has another heading at {places[other]}, with other units, or with its "
+            "names in another order: keep one table in a file"
+        )
     kept = [at for at in range(layout.data, size) if at not in dropped]
-    while kept and len(rows[kept[-1]]) != len(labelled) and "n" not in kinds(rows[kept[-1]]):
+    while kept and len(rows[kept[-1]]) != width and "n" not in kinds(rows[kept[-1]]):
         kept.pop()  # other text below the numbers
-    return Body(kept, {n: starts[at] for n, at in enumerate(kept) if at in starts}, footer, other)
+    return kept, {n: starts[at] for n, at in enumerate(kept) if at in starts}, footer
 
 
 def _is_text(row: Row, column: int) -> bool:
     """Whether a row holds words where the first row has its first number."""
     cell = row[column] if column < len(row) else None
-    if cell not in (None, ""):
-        return is_word(cell) or (
-            isinstance(cell, str) and not NUMBER.fullmatch(cell) and any(map(is_word, row[:column]))
-        )
-    return any(map(is_word, row[: column + 1]))
+    if cell in (None, ""):
+        return any(map(is_word, row[: column + 1]))
+    text = isinstance(cell, str) and not NUMBER.fullmatch(cell)
+    return is_word(cell) or (text and any(map(is_word, row[:column])))
 
 
-def _left_out(
-    grid: Grid, layout: Layout, body: Body | None, names: Sequence[str], headed: bool
-) -> tuple[str, ...]:
-    """Sentences on rows of numbers above and below a table, which are not used.
+def _above(
+    of: str, rows: Sequence[Row], places: Sequence[str], data: int, names: Row, headed: bool
+) -> list[str]:
+    """Sentences on rows of numbers above a table, which are not used.
 
-    Raises
-    ------
-    RecordError
-        When there are so many above it that they are a table too, or such as it has, and it has no
-        names to tell them apart.
+    Refused where there are so many that they are a table too, or such as it has, and it has no
+    names to tell them apart.
     """
-    of, places, above = grid.of, grid.places, grid.rows[: layout.data]
-    if body is not None and body.other is not None:
-        raise RecordError(
-            f"{of} has another heading at {places[body.other]}, with other units, or with its "
-            "names in another order: keep one table in a file"
-        )
     notes = []
-    known = [kinds(row) for row in above]
-    for has_numbers, group in groupby(range(len(above)), lambda at: known[at].count("n") >= 2):
+    known = [kinds(row) for row in rows[:data]]
+    for has_numbers, group in groupby(range(len(known)), lambda at: known[at].count("n") >= 2):
         members = list(group)
         if not has_numbers:
             continue
@@ -337,11 +290,8 @@ def _left_out(
         where = places[first]
         if last > first:
             where = f"{where.replace(' ', 's ', 1)} to {places[last].split(' ')[1]}"
-        titles = [
-            above[at]
-            for at in range(max(first - 2, 0), first)
-            if len(known[at].replace("-", "")) > 1
-        ]
+        before = range(max(first - 2, 0), first)
+        titles = [rows[at] for at in before if len(known[at].replace("-", "")) > 1]
         plain = all("t" not in known[at] for at in members)
         width = len(known[first].rstrip("-"))
         alone = plain and len(members) > 2 and not titles and width == len(names)
@@ -349,18 +299,11 @@ def _left_out(
         if len(members) >= TABLE or alone or same or (plain and not (headed or titles)):
             raise RecordError(
                 f"{of} holds more than one table: {where} hold numbers, and others begin at "
-                f"{places[layout.data]}: keep one table in a file"
+                f"{places[data]}: keep one table in a file"
             )
         if plain or len(members) > 2:
             notes.append(f"{where}: numbers above the table, not used")
-    footer = [] if body is None else body.footer
-    if len(footer) >= TABLE:
-        raise RecordError(
-            f"{of} holds more than one table: from {places[footer[0]]}, rows begin with words"
-        )
-    if footer:
-        notes.append(f"{places[footer[0]]} and below: numbers below the table, not used")
-    return tuple(notes)
+    return notes
 
 
 def _goes_on(rows: Sequence[Row], at: int, start: int) -> bool:
@@ -387,12 +330,11 @@ def is_word(cell: Cell) -> bool:
     return bool(re.match(r"[^\W\d_]|[*%]", text)) and text not in _MISSING and not is_stamp(text)
 
 
-def _plain(row: Row) -> list[Cell]:
+def _filled(row: Row) -> list[Cell]:
     """Cells of a row, without empty ones at its end."""
     return list(row[: len(kinds(row).rstrip("-"))])
 
 
 def _beginning(row: Row) -> str:
     """First words of a row, without their numbers."""
-    first = next((cell for cell in row if cell not in (None, "")), "")
-    return re.sub(r"\d+", "", str(first))
+    return re.sub(r"\d+", "", str(next((cell for cell in row if cell not in (None, "")), "")))

@@ -36,7 +36,19 @@ def read_json(path: Path) -> Table:
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
     bare = isinstance(content, list) and bool(content) and isinstance(content[0], list)
-    columns, rows = _columns(path, content)
+    rows: dict[str, tuple[str, ...]] = {}  # labels of the rows of columns that have them
+    match content:
+        case [[*first], *_]:
+            columns = _of_rows(path, content, labels([""] * len(first)))
+        case {"columns": [*names], "data": [*lines]}:
+            columns = _of_rows(path, lines, names)
+        case [*lines]:
+            columns = _of_rows(path, lines)
+        case {}:
+            rows = {name: tuple(sorted(c)) for name, c in content.items() if isinstance(c, dict)}
+            columns = {k: _in_order(v) for k, v in content.items() if isinstance(v, dict | list)}
+        case _:
+            raise RecordError(f"{path} must hold an object of lists or a list of objects")
     whole = content if isinstance(content, dict) else {}
     given = next((whole[key] for key in _UNITS if key in whole), None)
     names = [name for name in columns if name not in _UNITS]
@@ -55,45 +67,25 @@ def read_json(path: Path) -> Table:
             raise RecordError(f"columns of {path} have different lengths or row labels")
         return {name: columns[name] for name in wanted}
 
-    settings = {k: v for k, v in whole.items() if type(v) in (int, float, str)}
     return Table(
         path,
         tuple(columns),
         load,
-        lambda row: f"sample {row + 1}",
-        units | dict.fromkeys(stamped, "s"),
+        units=units | dict.fromkeys(stamped, "s"),
         headed=not bare,
-        head=tuple(f"{name}: {value}" for name, value in settings.items()),
+        head=tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str)),
         stamped=stamped,
     )
 
 
-def _columns(path: Path, content: Any) -> tuple[dict[str, list[Any]], dict[str, tuple[str, ...]]]:
-    """Columns, and the labels of the rows of those that have them."""
-    match content:
-        case [[*first], *_]:
-            names = labels([""] * len(first))
-            return _from_rows(path, [_row(names, row) for row in content]), {}
-        case {"columns": [*names], "data": [*rows]}:
-            return _from_rows(path, [_row(names, row) for row in rows]), {}
-        case [*rows]:
-            return _from_rows(path, rows), {}
-        case {}:
-            keyed = {name: tuple(sorted(c)) for name, c in content.items() if isinstance(c, dict)}
-            lists = {k: _in_order(v) for k, v in content.items() if isinstance(v, dict | list)}
-            return lists, keyed
-    raise RecordError(f"{path} must hold an object of lists or a list of objects")
-
-
-def _row(names: Sequence[Any], row: object) -> object:
-    if isinstance(row, list) and len(row) == len(names):
-        return {str(name): cell for name, cell in zip(names, row, strict=True)}
-    return row
-
-
-def _from_rows(path: Path, rows: list[Any]) -> dict[str, list[Any]]:
+def _of_rows(
+    path: Path, rows: list[Any], labelled: Sequence[Any] | None = None
+) -> dict[str, list[Any]]:
+    """Columns of rows that are objects, or lists with a cell for each label."""
     names: dict[str, None] = {}
     for i, row in enumerate(rows):
+        if labelled is not None and isinstance(row, list) and len(row) == len(labelled):
+            rows[i] = row = dict(zip(map(str, labelled), row, strict=True))
         if not isinstance(row, dict):
             raise RecordError(f"row {i + 1} of {path} must be an object with one value per column")
         names.update(dict.fromkeys(row))

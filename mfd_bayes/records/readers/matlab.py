@@ -38,9 +38,7 @@ def read_matlab(path: Path) -> Table:
     def load(wanted: Sequence[str]) -> dict[str, Column]:
         return {name: np.array(columns[name], dtype=np.float64) for name in wanted}
 
-    return Table(
-        path, tuple(columns), load, lambda row: f"sample {row + 1}", head=tuple(facts["settings"])
-    )
+    return Table(path, tuple(columns), load, head=tuple(facts["settings"]))
 
 
 def _arrays(path: Path) -> Content:
@@ -49,8 +47,8 @@ def _arrays(path: Path) -> Content:
         head = file.read(_USER_BLOCK + len(_HDF5))
     found: dict[str, NDArray[np.generic]] = {}
     settings = []
-    read = _v73 if head.startswith(_HDF5) or head.endswith(_HDF5) else _v5
-    for name, array in read(path):
+    variables = _v73(path) if head.startswith(_HDF5) or head.endswith(_HDF5) else _v5(path)
+    for name, array in variables:
         if array.size == 1:
             settings.append(f"{name}: {array.reshape(-1)[0]:.9g}")
         found |= dict(_signals(name, array))
@@ -94,14 +92,12 @@ def _inside(name: str, value: Any, depth: int) -> Arrays:
         place = f"{name}({number})" if value.size > 1 else name
         fields = dict(zip(value.dtype.names, element, strict=True))
         label: Any = fields.get("label")
-        words = str(label.reshape(-1)[0]).strip() if _is_text(label) else ""
+        words = ""
+        if isinstance(label, np.ndarray) and label.dtype.kind == "U" and label.size == 1:
+            words = str(label.reshape(-1)[0]).strip()
         for field, content in fields.items():
             own = f" {words}" if words and field == "values" else ""
             yield from _inside(f"{place}.{field}{own}", content, depth + 1)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1
 
 
 def _v73(path: Path) -> Arrays:

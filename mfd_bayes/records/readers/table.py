@@ -102,7 +102,7 @@ class Table:
     load : callable
         Cells, or numbers, of the columns of names that exist.
     place : callable
-        Name of a row, from 0: "line 17".
+        Name of a row, from 0: "line 17"; by default "sample 17".
     units : mapping of str to str
         By column, where the file gives one.
     numbers : tuple of int, optional
@@ -125,7 +125,7 @@ class Table:
     path: Path
     names: tuple[str, ...]
     load: Callable[[Sequence[str]], Mapping[str, Column]]
-    place: Callable[[int], str]
+    place: Callable[[int], str] = lambda row: f"sample {row + 1}"
     units: Mapping[str, str] = field(default_factory=dict)
     numbers: tuple[int, ...] | None = None
     headed: bool = True
@@ -162,43 +162,32 @@ class Table:
     def _read(
         self, names: Sequence[str], dates: str
     ) -> tuple[Mapping[str, Column], dict[str, Array]]:
-        """Cells and numbers of columns."""
+        """Cells and numbers of columns, with the sign of decimals that reads most cells."""
         for name in names:
             if self.names.count(name) != 1:
                 raise self.no_column(name)
         stamps = self.load([name for name in names if name in self.stamped])
-        plain = self.load([name for name in names if name not in self.stamped])
-        found = self._numbers(plain)
+        cells = self.load([name for name in names if name not in self.stamped])
+        read = [{n: parse(column, sign) for n, column in cells.items()} for sign in self.decimals]
+        found = max(read, key=lambda one: sum(np.isfinite(v).sum() for v in one.values()))
+        if found is not read[0]:
+            columns = self.load(self.names).values()
+            text = "\n".join(c for column in columns for c in column if isinstance(c, str))
+            if not SURELY_DECIMAL.search(text) and (either := _COMMA_NUMBER.search(text)):
+                raise RecordError(
+                    f"numbers of {self.path} such as {either[0]!r} may have a decimal comma or a "
+                    "thousands separator; write them with a decimal point"
+                )
         for name, column in stamps.items():
             found[name] = elapsed(self.path, name, list(column), dates)
-        found = {n: np.where(np.isinf(v), np.nan, v) for n, v in found.items()}
-        sizes = {name: found[name].size for name in names}
+        found = {name: np.where(np.isinf(found[name]), np.nan, found[name]) for name in names}
+        sizes = {name: values.size for name, values in found.items()}
         if len(set(sizes.values())) > 1:
             lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
             raise RecordError(f"columns of {self.path} have different lengths: {lengths}")
         if 0 in sizes.values():
             raise RecordError(f"{self.path} has columns but no data")
-        return {**stamps, **plain}, {name: found[name] for name in names}
-
-    def _numbers(self, cells: Mapping[str, Column]) -> dict[str, Array]:
-        """Numbers of columns, with the sign of decimals that reads most cells."""
-        read = [
-            {name: parse(column, sign) for name, column in cells.items()} for sign in self.decimals
-        ]
-        best = max(read, key=lambda found: sum(np.isfinite(v).sum() for v in found.values()))
-        if best is not read[0]:
-            self._check_commas()
-        return best
-
-    def _check_commas(self) -> None:
-        """Refuse numbers whose comma may be a decimal sign or a thousands separator in all."""
-        columns = self.load(self.names).values()
-        text = "\n".join(c for column in columns for c in column if isinstance(c, str))
-        if not SURELY_DECIMAL.search(text) and (found := _COMMA_NUMBER.search(text)):
-            raise RecordError(
-                f"numbers of {self.path} such as {found[0]!r} may have a decimal comma or a "
-                "thousands separator; write them with a decimal point"
-            )
+        return {**stamps, **cells}, found
 
     def _bad_cell(self, name: str, row: int, cells: Mapping[str, Column]) -> RecordError:
         """Error for a cell that holds no finite number: text, an empty cell, nan or infinity."""
@@ -238,17 +227,10 @@ class Table:
 
     def number_of(self, name: str) -> int:
         """Number of a column in the file, from 1."""
-        at = self.names.index(name)
-        return at + 1 if self.numbers is None else self.numbers[at]
+        return (self.numbers or range(1, len(self.names) + 1))[self.names.index(name)]
 
     def name_of(self, column: str | int) -> str:
-        """Name of a column that is given by its name or its number, from 1.
-
-        Raises
-        ------
-        RecordError
-            When there is no column of that number.
-        """
+        """Name of a column that is given by its name or its number, from 1."""
         if isinstance(column, str):
             return column
         numbers = self.numbers or range(1, len(self.names) + 1)

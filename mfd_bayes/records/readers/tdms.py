@@ -14,7 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
+from mfd_bayes.records.readers.child import (
+    Content,
+    UnreadableError,
+    import_library,
+    read_in_child,
+)
 from mfd_bayes.records.readers.table import Column, Table, bare_unit
 from mfd_bayes.units import factor, measure
 
@@ -49,31 +54,40 @@ def read_tdms(path: Path) -> Table:
     Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
     ``group/time`` where groups were sampled at different times.
     """
-    try:
-        import nptdms  # noqa: F401  # a copy of this process has it then
-    except ImportError as error:
-        raise RecordError(
-            f'reading {path} needs npTDMS, which is not installed: pip install "mfd_bayes[tdms]"'
-        ) from error
+    import_library(path, "nptdms", "npTDMS", "tdms")
     facts, arrays = read_in_child(_channels, path, "a TDMS file")
     found = facts["channels"]
     if not found:
         raise RecordError(f"{path} holds no channel with data")
     shared = Counter(one["name"] for one in found)
     names = [c["name"] if shared[c["name"]] == 1 else f"{c['group']}/{c['name']}" for c in found]
-    kinds = {name: one["kind"] for name, one in zip(names, found, strict=True)}
     columns = dict(zip(names, arrays, strict=True))
-    units = {name: _unit(one) for name, one in zip(names, found, strict=True)}
     starts = (one["properties"].get("wf_start_time") for one in found)
     first = min((start for start in starts if isinstance(start, float)), default=0.0)
-    clocks = {
-        name: clock
-        for name, one in zip(names, found, strict=True)
-        if one["kind"] in "fiub" and (clock := _clock(one, first)) is not None
+    kinds, units, groups, clocks = {}, {}, {}, {}
+    for name, one in zip(names, found, strict=True):
+        kind, own = one["kind"], one["properties"]
+        unit = own.get("unit_string") or own.get("NI_UnitDescription") or ""
+        kinds[name], groups[name] = kind, one["group"]
+        units[name] = "s" if kind == "M" else bare_unit(str(unit))
+        if kind in "fiub" and (clock := _clock(one, first)) is not None:
+            clocks[name] = clock
+    timed = {  # channels that are a time by their kind, their name or their unit
+        name
+        for name in names
+        if kinds[name] in "fiubM"
+        and ("time" in name.rpartition("/")[2].lower() or measure(units[name]) == "time")
     }
-    timed = {n for n in names if kinds[n] in "fiubM" and _is_time(n, kinds[n], units[n])}
-    groups = {name: one["group"] for name, one in zip(names, found, strict=True)}
-    times = {} if timed else {n: c for n, c in _times(clocks, groups).items() if n not in columns}
+    times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
+    for group in () if timed else dict.fromkeys(groups[name] for name in clocks):
+        own = [clock for name, clock in clocks.items() if groups[name] == group]
+        begin = min(own, key=lambda clock: clock.begin)
+        if all(clock.even(begin) for clock in own):
+            ends = [round((c.begin - begin.begin) / c.step) + c.samples for c in own]
+            times[f"{group}/time"] = replace(begin, samples=max(ends))
+    if len(set(times.values())) == 1:  # one for all
+        times = {"time": next(iter(times.values()))}
+    times = {name: clock for name, clock in times.items() if name not in columns}
 
     def load(wanted: Sequence[str]) -> dict[str, Column]:
         for name in wanted:
@@ -93,8 +107,7 @@ def read_tdms(path: Path) -> Table:
         path,
         (*times, *names),
         load,
-        lambda row: f"sample {row + 1}",
-        {name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
+        units={name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
         notes=_apart(clocks),
         head=tuple(facts["settings"]),
     )
@@ -154,13 +167,6 @@ def _plain(value: Any) -> float | str | None:
     return float(value)
 
 
-def _unit(one: dict[str, Any]) -> str:
-    """Unit that a channel's properties state; empty where they state none."""
-    own = one["properties"]
-    unit = own.get("unit_string") or own.get("NI_UnitDescription") or ""
-    return "s" if one["kind"] == "M" else bare_unit(str(unit))
-
-
 def _clock(one: dict[str, Any], first: float) -> _Clock | None:
     """Clock of a waveform over time; start times count from that of the first channel."""
     own = one["properties"]
@@ -174,11 +180,6 @@ def _clock(one: dict[str, Any], first: float) -> _Clock | None:
     scale, dated = factor(unit, "time"), isinstance(began, float)
     begin = start * scale + (began - first if isinstance(began, float) else 0.0)
     return _Clock(step * scale, begin, one["samples"], dated)
-
-
-def _is_time(name: str, kind: str, unit: str) -> bool:
-    """Whether a channel is a time by its kind, its name or its unit."""
-    return kind == "M" or "time" in name.rpartition("/")[2].lower() or measure(unit) == "time"
 
 
 def _apart(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
@@ -205,28 +206,24 @@ def _together(
 ) -> dict[str, Column]:
     """Columns while all of them were measured, at the samples of the one that began last.
 
-    Raises
-    ------
-    RecordError
-        When they have other steps, are never measured together, or the file has one time for all
-        of them, which is `timed`.
+    Refused where they have other steps, are never measured together, or differ though the file
+    has one time for all of them, which is `timed`.
     """
     if len(set(clocks.values())) < 2:
         return {}
     first, one = next(iter(clocks.items()))
     for name, clock in clocks.items():
         late = clock.begin - one.begin
-        differ = (
-            f"{path}: {name} begins {abs(late):.6g} s {'after' if late > 0 else 'before'} {first}"
-        )
         if not clock.even(one):
-            differ = (
+            raise RecordError(
                 f"{path}: {first} has a step of {one.step:g} s and {name} one of {clock.step:g} s"
+                + (", and the file has one time" if timed else ": resample them first")
             )
-        if timed and (not clock.even(one) or abs(late) > SHARE * one.step):
-            raise RecordError(f"{differ}, and the file has one time")
-        if not clock.even(one):
-            raise RecordError(f"{differ}: resample them first")
+        if timed and abs(late) > SHARE * one.step:
+            way = "after" if late > 0 else "before"
+            raise RecordError(
+                f"{path}: {name} begins {abs(late):.6g} s {way} {first}, and the file has one time"
+            )
         if clock.dated != one.dated and late:
             raise RecordError(
                 f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
@@ -245,17 +242,5 @@ def _together(
             found[name] = values[round(begin) : round(begin) + size]
         else:
             found[name] = np.interp(begin + np.arange(size), np.arange(values.size), values)
-    sizes = min(len(column) for column in found.values())
-    return {name: column[:sizes] for name, column in found.items()}
-
-
-def _times(clocks: Mapping[str, _Clock], groups: Mapping[str, str]) -> dict[str, _Clock]:
-    """Clock for all channels, or for each group whose channels share a step: first to last."""
-    found: dict[str, _Clock] = {}
-    for group in dict.fromkeys(groups[name] for name in clocks):
-        own = [clock for name, clock in clocks.items() if groups[name] == group]
-        first = min(own, key=lambda clock: clock.begin)
-        if all(clock.even(first) for clock in own):
-            ends = [round((c.begin - first.begin) / c.step) + c.samples for c in own]
-            found[f"{group}/time"] = replace(first, samples=max(ends))
-    return {"time": next(iter(found.values()))} if len(set(found.values())) == 1 else found
+    size = min(map(len, found.values()))
+    return {name: column[:size] for name, column in found.items()}

@@ -14,7 +14,6 @@ import numpy as np
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers.grid import (
     SEARCHED,
-    Grid,
     Layout,
     Row,
     find_table,
@@ -50,9 +49,9 @@ def read_text(path: Path) -> Table:
     kept = [i for i, line in enumerate(lines) if line.strip() and not comment(line)]
     if not kept:
         raise RecordError(f"{path} is empty")
-    head = [lines[i] for i in kept[:SEARCHED]]
-    separator, rows, layout = _layout(path, head)
-    width = len(rows[layout.data]) if layout.names is None else _width(rows[layout.names])
+    separator, rows, layout = _layout(path, [lines[i] for i in kept[:SEARCHED]])
+    row = rows[layout.data if layout.names is None else layout.names]
+    width = len(row) if layout.names is None else max(len(kinds(row).rstrip("-")), 1)
     names: Sequence[str] | None = None
     units: Row = ()
     top = kept[layout.data if layout.names is None else layout.names]
@@ -68,32 +67,32 @@ def read_text(path: Path) -> Table:
                 "join it with the next lines"
             )
         rows = [*rows[: layout.data], *(_split(line, separator) for line in body)]
-    grid = Grid(path, str(path), rows, [f"line {i + 1}" for i in kept])
-
-    def load(at: Sequence[int], positions: Sequence[int]) -> Sequence[Column]:
-        if text is not None and not positions:
-            return []
-        if text is not None:
-            return _parsed(text, separator, positions)
-        picked = [rows[i] for i in at]
-        _check_widths(grid, at, separator, width, top + 1, headed=table.headed)
-        return [[row[k] if k < len(row) else "" for row in picked] for k in positions]
-
-    table = table_of(
-        grid,
+    places = [f"line {i + 1}" for i in kept]
+    table, at = table_of(
+        path,
+        str(path),
+        rows,
+        places,
         layout,
-        place=grid.places.__getitem__,
+        place=places.__getitem__,
         names=names,
         units=units,
-        body=range(layout.data, len(kept)) if text is not None else None,
-        load=load,
+        load=None if text is None else lambda columns: _parsed(text, separator, columns),
         decimals=(".",) if separator == "," else (".", ","),
         head=tuple(lines[:top]),
+        blank="",
     )
     if table.headed and len(lines) > len(kept):
         _check_order(path, lines, table.names, top)
-    if text is None:
-        table.load(table.names[:1])  # it checks the widths of all rows
+    for number in at if text is None else ():
+        row = rows[number]
+        # Between blanks no cell can be empty.
+        if any(row[width:]) or (separator == BLANKS and len(row) < width):
+            as_in = "one for each name in" if table.headed else "as many as in"
+            raise RecordError(
+                f"{places[number]} of {path}: expected {width} cells, {as_in} line {top + 1}, "
+                f"found {len(row)}"
+            )
     return table
 
 
@@ -142,7 +141,7 @@ def _layout(path: Path, head: list[str]) -> tuple[str, list[Row], Layout]:
         rows: list[Row] = [_split(line, separator) for line in head]
         if separator != BLANKS:
             check_names(path, [""] * max(map(len, rows)))
-        layout = find_table(Grid(path, str(path), rows, ()), exact=separator != BLANKS)
+        layout = find_table(rows, exact=separator != BLANKS)
         while separator == BLANKS and layout is not None and layout.names is not None:
             # Words with single blanks between them are names only where each has a column.
             spaced = re.split(r"\s{2,}|\t", head[layout.names].strip())
@@ -151,7 +150,7 @@ def _layout(path: Path, head: list[str]) -> tuple[str, list[Row], Layout]:
             if len(rows[layout.names]) == len(rows[layout.data]):
                 break
             rows[layout.names] = ()
-            layout = find_table(Grid(path, str(path), rows, ()))
+            layout = find_table(rows)
         if layout is not None:
             found.append((separator, rows, layout))
     if found:
@@ -168,11 +167,6 @@ def _split(line: str, separator: str) -> list[str]:
     if '"' not in line:
         return [cell.strip() for cell in line.split(separator)]
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
-
-
-def _width(names: Row) -> int:
-    """Number of names, without empty ones at the end."""
-    return max(len(kinds(names).rstrip("-")), 1)
 
 
 def _clean(body: list[str], separator: str, width: int) -> str | None:
@@ -193,51 +187,33 @@ def _clean(body: list[str], separator: str, width: int) -> str | None:
 
 def _parsed(text: str, separator: str, positions: Sequence[int]) -> Sequence[Column]:
     """Columns of clean rows: numbers where a column holds them alone, else its cells."""
-    comma = separator != "," and "." not in text and SURELY_DECIMAL.search(text) is not None
-    decimal = "," if comma else "."
-    found = _frame(text, separator, positions, dtype=np.float64, decimal=decimal)
-    if found is None or not all(np.all(np.isfinite(column)) for column in found):
-        cells = _frame(text, separator, positions, dtype=str, keep_default_na=False) or []
-        return [column.tolist() for column in cells]
-    return found
-
-
-def _frame(text: str, separator: str, positions: Sequence[int], **options: Any) -> list[Any] | None:
-    """Columns as pandas reads them; None where it cannot."""
     import pandas as pd
 
+    if not positions:
+        return []
+    comma = separator != "," and "." not in text and SURELY_DECIMAL.search(text) is not None
+    options: dict[str, Any] = {"dtype": np.float64, "decimal": "," if comma else "."}
     if pd.__version__.startswith("2."):  # its own parser reads 1e4294967297 as 10
         options["float_precision"] = "round_trip"
-    try:
-        frame = pd.read_csv(
-            StringIO(text),
-            sep=r"\s+" if separator == BLANKS else separator,
-            header=None,
-            usecols=sorted(set(positions)),
-            skipinitialspace=True,
-            index_col=False,
-            **options,
-        )
-    except (ValueError, OverflowError):  # pandas' own are a ValueError too
-        return None
-    return [frame[k].to_numpy() for k in positions]
-
-
-def _check_widths(
-    grid: Grid, at: Sequence[int], separator: str, width: int, heading: int, *, headed: bool
-) -> None:
-    """Refuse a line with more cells than names, unless the others are empty.
-
-    Where blanks separate cells, a line with fewer cells is refused too: no cell can be empty.
-    """
-    for number in at:
-        row = grid.rows[number]
-        if any(row[width:]) or (separator == BLANKS and len(row) < width):
-            as_in = "one for each name in" if headed else "as many as in"
-            raise RecordError(
-                f"{grid.places[number]} of {grid.path}: expected {width} cells, {as_in} line "
-                f"{heading}, found {len(row)}"
+    for kind in (options, {"dtype": str, "keep_default_na": False}):
+        try:
+            frame = pd.read_csv(
+                StringIO(text),
+                sep=r"\s+" if separator == BLANKS else separator,
+                header=None,
+                usecols=sorted(set(positions)),
+                skipinitialspace=True,
+                index_col=False,
+                **kind,
             )
+        except (ValueError, OverflowError):  # pandas' own are a ValueError too
+            continue
+        columns = [frame[k].to_numpy() for k in positions]
+        if kind is not options:
+            return [column.tolist() for column in columns]
+        if all(np.all(np.isfinite(column)) for column in columns):
+            return columns
+    return []
 
 
 def _commented(

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
 
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_MONTHS_ELSEWHERE = {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
+_NAMES = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTHS = {name: number for number, name in enumerate(_NAMES, start=1)}
+_MONTHS |= {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
 _DATE = (
     r"(?:(?P<y>\d{4})(?P<s1>[-/.])(?P<m>\d{1,2})(?P=s1)(?P<d>\d{1,2})"  # 2024-03-05
     r"|(?P<cy>\d{4})(?P<cm>\d{2})(?P<cd>\d{2})"  # 20240305
@@ -63,25 +64,22 @@ def elapsed(path: Path, name: str, cells: Sequence[object], dates: str = "") -> 
     texts = [cell.strip().strip("'") if isinstance(cell, str) else "" for cell in cells]
     matches = [_match(text) for text in texts]
     orders = [dates] if dates else ["day first", "month first"]
-    read = {order: _seconds(matches, month_first=order == "month first") for order in orders}
-    counts = {order: int(np.isfinite(seconds).sum()) for order, seconds in read.items()}
-    best = [order for order in orders if counts[order] == max(counts.values())]
-    found = [read[order] for order in best]
-    if len(found) > 1 and not np.array_equal(found[0], found[1], equal_nan=True):
-        whole = [order for order in best if not _gap(read[order])]
-        if len(whole) != 1:
-            raise RecordError(
-                f"the dates of column {name!r} of {path}, such as {texts[-1]!r}, may have the day "
-                'or the month first: write dates = "day first" or dates = "month first" for it'
-            )
-        return read[whole[0]]
-    return found[0]
-
-
-def _gap(seconds: NDArray[np.float64]) -> bool:
-    """Whether a time goes back, or has a step far longer than usual."""
-    steps = np.diff(seconds[np.isfinite(seconds)])
-    return bool(steps.size and (steps.min() < 0.0 or steps.max() > _GAP * np.median(steps)))
+    read = [_seconds(matches, month_first=order == "month first") for order in orders]
+    counts = [int(np.isfinite(seconds).sum()) for seconds in read]
+    found = [seconds for seconds, n in zip(read, counts, strict=True) if n == max(counts)]
+    if len(found) == 1 or np.array_equal(found[0], found[1], equal_nan=True):
+        return found[0]
+    whole = []  # without a time that goes back, or a step far longer than usual
+    for seconds in found:
+        steps = np.diff(seconds[np.isfinite(seconds)])
+        if not steps.size or (steps.min() >= 0.0 and steps.max() <= _GAP * np.median(steps)):
+            whole.append(seconds)
+    if len(whole) != 1:
+        raise RecordError(
+            f"the dates of column {name!r} of {path}, such as {texts[-1]!r}, may have the day "
+            'or the month first: write dates = "day first" or dates = "month first" for it'
+        )
+    return whole[0]
 
 
 def _seconds(matches: Sequence[re.Match[str] | None], *, month_first: bool) -> NDArray[np.float64]:
@@ -106,9 +104,8 @@ def _seconds(matches: Sequence[re.Match[str] | None], *, month_first: bool) -> N
         if part["zone"] and part["zone"][0] in "+-":
             digits = part["zone"][1:].replace(":", "")
             minutes -= int(part["zone"][0] + "1") * (60 * int(digits[:2]) + int(digits[2:]))
-        fraction = (part["frac"] or part["frac2"] or "").ljust(9, "0")
-        seconds = 60 * minutes + int(part["sec"] or part["sec2"])
-        clocks[at] = seconds * 10**9 + int(fraction)
+        fraction = int((part["frac"] or part["frac2"] or "").ljust(9, "0"))
+        clocks[at] = (60 * minutes + int(part["sec"] or part["sec2"])) * 10**9 + fraction
         days[at] = 0 if day is None else day
         dated = dated or day is not None
     good = np.flatnonzero(days >= 0)
@@ -126,26 +123,17 @@ def _seconds(matches: Sequence[re.Match[str] | None], *, month_first: bool) -> N
 
 def _day(part: dict[str, str | None], month_first: bool) -> int | None:
     """Day of a stamp, since the year 1; None where it has no date."""
-    if part.get("days"):
-        return int(part["days"] or 0)
-    if part.get("y") or part.get("cy"):
-        year, month, day = (
-            part["y"] or part["cy"],
-            part["m"] or part["cm"],
-            part["d"] or part["cd"],
-        )
-    elif part.get("a"):
-        year, day, month = part["ab"], part["a"], part["b"]
-        if month_first:
-            day, month = month, day
-    elif part.get("nd") or part.get("ud"):
-        year, day = part.get("ny") or part["uy"], part.get("nd") or part["ud"]
-        word = (part.get("nm") or part["um"] or "")[:3].lower()
-        if word not in _MONTHS and word not in _MONTHS_ELSEWHERE:
-            raise ValueError(word)
-        number = _MONTHS.index(word) + 1 if word in _MONTHS else _MONTHS_ELSEWHERE[word]
-        month = str(number)
-    else:
+
+    def of(*names: str) -> str:
+        return next((text for name in names if (text := part.get(name))), "")
+
+    if days := of("days"):
+        return int(days)
+    year, month, day = of("y", "cy", "ab", "ny", "uy"), of("m", "cm", "b"), of("d", "cd", "a")
+    if not year:
         return None
-    full = int(year or 0) + (2000 if len(year or "") == 2 else 0)
-    return date(full, int(month or 0), int(day or 0)).toordinal()
+    if month_first and of("a"):
+        month, day = day, month
+    number = _MONTHS.get(of("nm", "um")[:3].lower(), 0) if not month else int(month)
+    full = int(year) + 2000 * (len(year) == 2)
+    return date(full, number, int(day or of("nd", "ud"))).toordinal()

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mfd_bayes.records.faults import Fault
+from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import Loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours

@@ -97,13 +97,7 @@ def longest_piece(
 
 
 def check_increasing(table: Table, time: Array) -> None:
-    """Refuse a time of a table, (T,), s, that is too short, stands still or goes back.
-
-    Raises
-    ------
-    RecordError
-        When it is.
-    """
+    """Refuse a time of a table, (T,), s, that is too short, stands still or goes back."""
     path, place = table.path, table.place
     if time.size < SAMPLES:
         raise RecordError(f"{path} has {time.size} samples; at least {SAMPLES} are needed")
@@ -145,13 +139,7 @@ def clock_of(time: Array) -> Clock:
 def checked_window(
     window: object, name: str = "a window", error: type[MfdError] = RecordError
 ) -> tuple[float, float]:
-    """Two times, s, the first before the second; either may be infinite.
-
-    Raises
-    ------
-    MfdError
-        Of the kind `error`, when they are none.
-    """
+    """Two times, s, the first before the second; either may be infinite."""
     expected = f"{name} must be two times in s, the earlier one first, got {window!r}"
     if isinstance(window, str | bytes) or not isinstance(window, Sequence | np.ndarray):
         raise error(expected)
@@ -165,13 +153,7 @@ def checked_window(
 
 
 def parse_window(text: str, *, of: str = "") -> tuple[float, float]:
-    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages.
-
-    Raises
-    ------
-    UnitError
-        When it is not two times, the first before the second.
-    """
+    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages."""
     parts = text.split(" to ")
     if len(parts) != 2:
         raise UnitError(f"{of or 'a window'} must be two times such as '0 s to 60 s', got {text!r}")

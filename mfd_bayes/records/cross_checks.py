@@ -1,18 +1,104 @@
-"""Faults of tests that only the comparison with the other tests shows."""
+"""Tests compared with each other: duplicates, signs, units, and laws of what a loop shows."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
+from typing import ClassVar
 
 import numpy as np
 
-from mfd_bayes.records.faults import Fault
-from mfd_bayes.records.together.causes import Cause, likely_cause
-from mfd_bayes.records.together.odd import QUANTITIES, SAME_LEVEL, Deviation, find_odd
-from mfd_bayes.records.together.tested import Tested
-from mfd_bayes.records.together.twins import find_twin
+from mfd_bayes.records.data_quality import Fault
+from mfd_bayes.records.duplicates import Signature, find_twin
+from mfd_bayes.records.loop_features import Readings, asymmetry, read_off
+from mfd_bayes.records.loops import channels_swapped, find_loops
+from mfd_bayes.records.motion import Array
+from mfd_bayes.records.outliers import (
+    QUANTITIES,
+    SAME_LEVEL,
+    Cause,
+    find_odd,
+    likely_cause,
+)
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.spikes import without_spikes
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import actuation_factor
+
+STEADY = 3
+"""Fewest loops at full stroke of a record whose readings are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """A test as it is compared with others.
+
+    Attributes
+    ----------
+    signature : Signature
+    readings : Readings or None
+        None where the record has too few loops at full stroke.
+    lopsided : (P,), kip
+        Difference of the two directions along a stroke.
+    direction : int
+        First direction of the motion, +1 or -1.
+    work : float, kip*in
+        Energy of the loops; negative where one sign is swapped.
+    level : float, kip or ksi
+        Actuation, NaN where it is not known.
+    actuation : str
+        As the campaign gives it, "" for a column.
+    units : mapping of str to str
+        Unit of displacement and of force that the record was read in.
+    step, cycle : float, s
+        Median step of time, and median time of a full loop; 0 where there is none.
+    speed : float, in/s
+        Exceeded in a tenth of the samples.
+    swapped : bool
+        Whether displacement and force seem to be each other.
+    """
+
+    __test__: ClassVar[bool] = False  # pytest must not take it for a test class
+
+    id: str
+    signature: Signature
+    readings: Readings | None
+    lopsided: Array
+    direction: int
+    work: float
+    level: float
+    actuation: str
+    units: dict[str, str]
+    step: float = 0.0
+    cycle: float = 0.0
+    speed: float = float("nan")
+    swapped: bool = False
+
+    @classmethod
+    def of(cls, name: str, record: Record, trace: Trace, actuation: str = "") -> Tested:
+        """A test of its record, whose trace has every sample and a force."""
+        trace = without_spikes(trace)
+        loops = find_loops(trace)
+        steady = bool(np.count_nonzero(loops.strong) >= STEADY)
+        energy = np.empty(0) if loops.energy is None else loops.energy
+        units = {role: record.columns[role][1] for role in ("displacement", "force")}
+        return cls(
+            id=name,
+            signature=Signature.of(trace),
+            readings=read_off(trace) if steady else None,
+            lopsided=asymmetry(trace) if steady else np.full(1, np.nan),
+            direction=trace.direction,
+            work=float(energy.sum()),
+            level=trace.reference_actuation,
+            actuation=actuation,
+            units=units,
+            step=float(np.median(np.diff(trace.time))),
+            cycle=float(np.median(loops.period)) if loops.period.size else 0.0,
+            speed=float(np.quantile(np.abs(trace.velocity), 0.9)),
+            swapped=channels_swapped(trace),
+        )
+
 
 OTHERS, OTHERS_OF_NEGATIVE = 3, 2
 """Fewest other tests that all begin in the same direction for one that does not to be named, and
@@ -32,18 +118,6 @@ UNLIKE = 1.6
 
 SPEED = 3.0
 
-_OF_FORCE = (
-    "the swapped sign is probably that of the force: its motion begins as those of the other tests"
-)
-_OF_DISPLACEMENT = (
-    "the swapped sign is probably that of the displacement: its motion begins in the direction "
-    "opposite to that of all other tests"
-)
-_BOTH = (
-    "its motion begins in the direction opposite to that of all other tests, and its two "
-    "directions of motion seem exchanged: the signs of force and displacement are probably both "
-    "swapped"
-)
 _SAID = {"gap": "a gap of {:.3g} in", "slope": "a build-up of {:.3g} kip/in"}
 _SAID |= {"plateau": "a slip force of {:.3g} kip"}
 
@@ -76,29 +150,22 @@ def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests that are the same measurement as one before."""
     named = set()
     for other, one in combinations(tests, 2):
-        if one.id in named or not _may_be_twins(one, other):
+        if one.id in named:
             continue
+        if one.readings is not None and other.readings is not None:
+            # Energies are about the same, but for the sign where one sign is swapped.
+            energies = abs(one.readings.energy), abs(other.readings.energy)
+            if not min(energies) > (1.0 - LIKE) * max(energies):
+                continue
         twin = find_twin(one.signature, other.signature)
         if twin is None:
             continue
         named.add(one.id)
-        longer = max(one.signature.bins, other.signature.bins)
-        part = twin.share * one.signature.bins / longer
+        part = twin.share * one.signature.bins / max(one.signature.bins, other.signature.bins)
         what = f"same record as {other.id}"
         if part < WHOLE:
             what = f"the same measurement as {other.id} in {part:.0%} of the longer record"
         yield one.id, Fault("duplicate", f"{what}: it would count twice")
-
-
-def _may_be_twins(one: Tested, other: Tested) -> bool:
-    """Whether two tests are worth the search: loops of about the same energy, or none to tell by.
-
-    A record in which one sign is swapped has the energy of its twin but for the sign.
-    """
-    if one.readings is None or other.readings is None:
-        return True
-    energies = abs(one.readings.energy), abs(other.readings.energy)
-    return min(energies) > (1.0 - LIKE) * max(energies)
 
 
 def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
@@ -109,18 +176,21 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         ways = {t.direction for t in others}
         if len(others) < (OTHERS_OF_NEGATIVE if one.work < 0.0 else OTHERS) or len(ways) > 1:
             continue
-        turned = one.direction not in ways
+        begins = "its motion begins in the direction opposite to that of all other tests"
         if one.work < 0.0:
-            yield one.id, Fault("force sign", _OF_DISPLACEMENT if turned else _OF_FORCE)
-        elif turned and _mirrored(one, others):
-            yield one.id, Fault("both signs", _BOTH)
-
-
-def _mirrored(one: Tested, others: Sequence[Tested]) -> bool:
-    """Whether the difference of the two directions is more like the opposite of the others'."""
-    alike = [np.corrcoef(one.lopsided, t.lopsided)[0, 1] for t in others]
-    known = [value for value in alike if np.isfinite(value)]
-    return bool(known) and float(np.median(known)) < 0.0
+            which = f"displacement: {begins}"
+            if one.direction in ways:
+                which = "force: its motion begins as those of the other tests"
+            yield one.id, Fault("force sign", f"the swapped sign is probably that of the {which}")
+        elif one.direction not in ways:
+            alike = [np.corrcoef(one.lopsided, t.lopsided)[0, 1] for t in others]
+            known = [value for value in alike if np.isfinite(value)]
+            if known and float(np.median(known)) < 0.0:  # the directions are exchanged
+                both = (
+                    f"{begins}, and its two directions of motion seem exchanged: the signs of "
+                    "force and displacement are probably both swapped"
+                )
+                yield one.id, Fault("both signs", both)
 
 
 def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
@@ -134,7 +204,22 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     for j, away in found.items():
         others = [t for i, t in enumerate(steady) if i not in found]
         cause = likely_cause(away, steady[j].units)
-        yield steady[j].id, Fault(cause.name, _sentence(steady[j], away, cause, others))
+        k = int(np.nanargmax(np.abs(away.values) / away.sds))
+        value = getattr(steady[j].readings, QUANTITIES[k])
+        said, expected = _SAID[QUANTITIES[k]].format(value), value / np.exp(away.values[k])
+        why = cause.words
+        if cause.name == "actuation":
+            why = _of_actuation(steady[j], cause, others)
+        elif cause.name == "another device":
+            why = "neither a unit nor the actuation explains it; is it the record of another "
+            why += "device, or of another session?"
+        elif not why:
+            size = cause.factor if cause.factor > 1.0 else 1.0 / cause.factor
+            way = "large" if cause.factor > 1.0 else "small"
+            why = f"its {cause.name} seems to be {size:.2g} times too {way}: check its unit and "
+            why += "the sensor's factor"
+        shown = f"its loop has {said}, where the other tests suggest {expected:.3g}"
+        yield steady[j].id, Fault(cause.name, f"{shown}: {why}")
     rest = [t for i, t in enumerate(steady) if i not in found]
     far = list(_far_levels(rest))
     yield from far
@@ -228,34 +313,6 @@ def _from_neighbours(
 
 def _plateau(test: Tested) -> float:
     return test.readings.plateau if test.readings else float("nan")
-
-
-def _sentence(test: Tested, found: Deviation, cause: Cause, others: Sequence[Tested]) -> str:
-    """What is odd, with figures, and its likely cause."""
-    k = int(np.nanargmax(np.abs(found.values) / found.sds))
-    value = getattr(test.readings, QUANTITIES[k])
-    said, expected = _SAID[QUANTITIES[k]].format(value), value / np.exp(found.values[k])
-    shown = f"its loop has {said}, where the other tests suggest {expected:.3g}"
-    return f"{shown}: {_because(test, cause, others)}"
-
-
-def _because(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:
-    """The likely cause in words."""
-    if cause.words:
-        return cause.words
-    if cause.name == "actuation":
-        return _of_actuation(test, cause, others)
-    if cause.name == "another device":
-        return (
-            "neither a unit nor the actuation explains it; is it the record of another device, or "
-            "of another session?"
-        )
-    size = cause.factor if cause.factor > 1.0 else 1.0 / cause.factor
-    way = "large" if cause.factor > 1.0 else "small"
-    return (
-        f"its {cause.name} seems to be {size:.2g} times too {way}: check its unit and the sensor's "
-        "factor"
-    )
 
 
 def _of_actuation(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:

@@ -1,21 +1,30 @@
-"""Faults of the sensors: force and displacement as they were measured."""
+"""Faults of a record that would spoil its fit: of the sensors, the clock and the units."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.faults.clock import CROSSING
-from mfd_bayes.records.faults.fault import Fault, Samples, count, runs, spread
-from mfd_bayes.records.faults.lag import estimate_lag
+from mfd_bayes.records.lag import estimate_lag
+from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops
 from mfd_bayes.records.motion import Array, sensor_noise
-from mfd_bayes.records.readings import read_off
+from mfd_bayes.records.resampling import crossing_times
+from mfd_bayes.records.spikes import force_spikes, interpolated, runs, spikes_of, without_spikes
 from mfd_bayes.records.trace import Trace
 
+Samples = NDArray[np.intp]
+
+
+FAST = 400.0  # a speed, in/s, that no damper reaches
+CROSSING = 10  # fewest samples, and steps of the sensor, across the gap
+DROPPED = 1.5  # after a step of time longer than this many median steps, samples are missing
+REPEATED = 0.01  # share of samples equal to the one before, above which it is not by chance
+AT_REST = 10  # in a longer run of equal samples the actuator is at rest
+SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
 CLIPPED = 5  # fewest samples in a row at the extreme of the force that show a load cell's limit
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
 """A lag is reported above all three: s, samples, and share of a cycle."""
@@ -24,10 +33,6 @@ ALIKE, SCALE = 0.9, 1.25
 """Least correlation, and largest factor, between a displacement and its velocity's integral."""
 
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
-SPIKE = 0.10  # an isolated sample that stands out by this share of the signal's range is a spike
-OVERFLOW, LONGEST = 10.0, 5
-"""Further from the median than so many times the range of the middle half, a value that does not
-change, or that lasts for at most so many samples, is no measurement."""
 NOISE = 0.05  # most noise of a displacement, by its share of the travel of the build-up
 DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero,
 STEADY_DRIFT, CHANCE, STEADY = 0.07, 0.01, 5
@@ -41,6 +46,111 @@ TRAVEL, SWING, FEW = 0.05, 0.6, 0.05
 """A frozen force holds while the motion goes on by this share of the stroke; a frozen displacement
 while the force goes through this share of its range, or else it jumps when it comes back. Where the
 noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fault:
+    """A fault of a record that would spoil its fit.
+
+    `samples`, (K,), are those at which it was found; empty for the whole record.
+    """
+
+    name: str  # one of `NAMES`
+    sentence: str  # the finding, with figures and units, and its possible cause
+    samples: Samples = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+
+def spread(starts: Samples, lengths: Samples) -> Samples:
+    """All samples of runs, with the one before each."""
+    pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
+    return np.concatenate(pieces or [np.empty(0)]).astype(np.intp)
+
+
+def count(number: int, thing: str) -> str:
+    """Number and noun: "3 steps"."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def time_unit(trace: Trace) -> Iterator[Fault]:
+    """A speed that no test of a damper has."""
+    speed = float(np.max(np.abs(np.diff(trace.displacement) / np.diff(trace.time))))
+    if np.quantile(np.abs(trace.velocity), 0.9) > FAST:
+        yield Fault(
+            "time unit",
+            f"a speed of {speed:.3g} in/s is implausible: check the units of time and displacement",
+        )
+
+
+def short_record(trace: Trace) -> Iterator[Fault]:
+    """Too few samples or cycles."""
+    turns = trace.cycle_turns.size
+    if trace.samples < SAMPLES or turns < 2 * LOOPS:
+        yield Fault(
+            "short record",
+            f"the record is very short, {trace.samples} samples and {turns} turning points; "
+            f"{SAMPLES} samples and {LOOPS} cycles are little already",
+        )
+
+
+def stroke(trace: Trace, gap: float) -> Iterator[Fault]:
+    """A motion that stays within the gap."""
+    travel = float(np.ptp(trace.displacement))
+    if travel <= gap:
+        yield Fault(
+            "stroke",
+            f"the stroke of {travel:.3g} in is within the gap of about {gap:.2g} in that the "
+            "priors expect: the device may never slip",
+        )
+
+
+def rate(trace: Trace, gap: float) -> Iterator[Fault]:
+    """Too few samples across the gap."""
+    times = crossing_times(trace.time, trace.displacement, trace.turning_points, gap)
+    hertz = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
+    if times and (crossing := float(np.median(times)) * hertz) < CROSSING:
+        yield Fault(
+            "rate",
+            f"{hertz:.4g} Hz leave {crossing:.2g} samples in the first {gap:.2g} in after "
+            f"a reversal, where the force builds up; {CROSSING} are needed to resolve it",
+        )
+
+
+def dropped(trace: Trace) -> Iterator[Fault]:
+    """Steps of time that are too long: samples are missing."""
+    steps = np.diff(trace.time)
+    median = float(np.median(steps))
+    at = np.flatnonzero(steps > DROPPED * median)
+    if at.size:
+        yield Fault(
+            "dropped samples",
+            f"{count(at.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
+            f"{steps[at].max():.3g} s, median {median:.3g} s), the first at "
+            f"{trace.time[at[0]]:.4g} s: samples were dropped",
+            at + 1,
+        )
+
+
+def repeated(trace: Trace) -> Iterator[Fault]:
+    """Samples equal to the one before while the actuator moves."""
+    if trace.force is None or np.ptp(trace.force) == 0.0:
+        return  # a slow displacement alone may repeat its last digit
+    steps = np.abs(np.diff(trace.displacement))
+    same = (steps == 0.0) & (np.diff(trace.force) == 0.0)
+    starts, lengths = runs(np.concatenate([[False], same]))
+    inside = (starts > 0) & (starts + lengths < steps.size) & (lengths <= AT_REST)
+    starts, lengths = starts[inside], lengths[inside]
+    smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
+    beside = np.minimum(steps[starts - 1], steps[starts + lengths])
+    moving = beside > 2 * smallest
+    at = spread(starts[moving] + 1, lengths[moving] - 1)
+    if at.size > REPEATED * trace.samples:
+        yield Fault(
+            "repeated samples",
+            f"{at.size} samples ({at.size / trace.samples:.1%}) repeat the one before while the "
+            f"displacement moves, the first at {trace.time[at[0]]:.4g} s: the logger was slower "
+            "than its clock",
+            at,
+        )
 
 
 def no_force(trace: Trace) -> Iterator[Fault]:
@@ -145,9 +255,9 @@ def spikes(trace: Trace) -> Iterator[Fault]:
     if trace.force is not None:
         measured["force"] = (trace.force, "kip")
     for name, (values, unit) in measured.items():
-        at = _spikes(values) if name == "displacement" else _force_spikes(trace)
+        at = spikes_of(values) if name == "displacement" else force_spikes(trace)
         if at.size:
-            height = float(np.max(np.abs(values - _mended(values, at))))
+            height = float(np.max(np.abs(values - interpolated(values, at))))
             yield Fault(
                 "spikes",
                 f"{count(at.size, 'isolated sample')} of the {name} "
@@ -156,79 +266,6 @@ def spikes(trace: Trace) -> Iterator[Fault]:
                 "before a fit; all else is told without them",
                 at,
             )
-
-
-def without_spikes(trace: Trace) -> Trace:
-    """The trace with its spikes replaced by lines between their neighbours."""
-    x, force = _spikes(trace.displacement), trace.force
-    at = _force_spikes(trace)
-    if x.size:
-        beside = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
-        motion = _mended(trace.displacement, x), None, force, _mended(trace.velocity, beside)
-        trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
-    return replace(trace, force=_mended(np.asarray(force), at)) if at.size else trace
-
-
-def mended(values: Array) -> Array:
-    """A signal with lines in place of its spikes."""
-    at = _spikes(values)
-    return _mended(values, at) if at.size else values
-
-
-def _mended(values: Array, at: Samples) -> Array:
-    """A signal with lines in place of some samples."""
-    sound = np.delete(np.arange(values.size), at)
-    return np.asarray(np.interp(np.arange(values.size), sound, values[sound]))
-
-
-def _spikes(values: Array) -> Samples:
-    """Spikes of one or a few samples, and overflow values."""
-    found = [*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]
-    return np.asarray(np.unique(np.concatenate(found)), dtype=np.intp)
-
-
-def _force_spikes(trace: Trace) -> Samples:
-    """Spikes of the force, if any; where the motion turns, a force within its range is none."""
-    if trace.force is None:
-        return np.empty(0, dtype=np.intp)
-    at, steps = _spikes(trace.force), np.diff(trace.displacement)
-    turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
-    low, high = np.quantile(trace.force, [0.005, 0.995])
-    explained = turns & (trace.force >= low) & (trace.force <= high)
-    return np.asarray(at[~explained[at]], dtype=np.intp)
-
-
-def _isolated(values: Array, width: int) -> Samples:
-    """Samples that differ from both neighbours, while the neighbours agree."""
-    inside = np.lib.stride_tricks.sliding_window_view(values[1:-1], width)
-    if not inside.size:
-        return np.empty(0, dtype=np.intp)
-    left, right = values[: -width - 1], values[width + 1 :]
-    before, behind = inside - left[:, None], inside - right[:, None]
-    up = np.minimum(before.min(axis=1), behind.min(axis=1))
-    down = np.minimum(-before.max(axis=1), -behind.max(axis=1))
-    height = np.maximum(np.maximum(up, down), 0.0)
-    agree = np.abs(right - left) < 0.25 * height
-    reach = float(np.subtract(*np.quantile(values, [0.995, 0.005])))
-    usual = float(np.quantile(height, 0.99))
-    share = SPIKE if width == 1 else 1.0  # a peak of the signal itself is wider
-    at = np.flatnonzero(agree & (height > share * reach) & (height > 4 * usual)) + 1
-    return np.unique(at[:, None] + np.arange(width)).astype(np.intp)
-
-
-def _over(values: Array) -> Samples:
-    """Values of an overflow or a missing reading: far from all others, and reached in one step."""
-    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
-    away = np.abs(values - middle)
-    found = [np.empty(0, dtype=np.intp)]
-    if high > low:
-        for start, length in zip(*runs(away > OVERFLOW * (high - low)), strict=True):
-            at = np.arange(start + 1, start + 1 + length)
-            ends = [n for n in (start, start + 1 + length) if 0 <= n < values.size]
-            sudden = all(away[n] < 0.5 * away[at].min() for n in ends)
-            if sudden and (length <= LONGEST or np.ptp(values[at]) == 0.0):
-                found.append(at)
-    return np.concatenate(found)
 
 
 def jumps(trace: Trace) -> Iterator[Fault]:
@@ -292,7 +329,8 @@ def _held_displacement(trace: Trace) -> Samples:
         for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)
     ]
     long = (lengths >= HELD) & (lengths > LONGER * _usual(trace, starts, lengths))
-    return _samples(starts, lengths, long & np.array(frozen, dtype=bool))
+    long &= np.array(frozen, dtype=bool)
+    return spread(starts[long], lengths[long])
 
 
 def _held_force(trace: Trace) -> Samples:
@@ -313,7 +351,8 @@ def _held_force(trace: Trace) -> Samples:
     back = np.isin(starts + lengths + 1, jumps)
     long &= (travel > 0.5 * stroke) | ((starts > 0) & (starts + lengths + 1 < trace.samples))
     long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
-    return _samples(starts, lengths, long & (travel > LONGER * _usual(trace, starts, travel)))
+    long &= travel > LONGER * _usual(trace, starts, travel)
+    return spread(starts[long], lengths[long])
 
 
 def _equal(values: Array) -> tuple[Samples, Samples]:
@@ -328,10 +367,6 @@ def _usual(trace: Trace, starts: Samples, sizes: Array | Samples) -> float:
     longest = np.zeros(turns.size + 1)
     np.maximum.at(longest, np.searchsorted(turns, starts, side="right"), sizes)
     return float(np.quantile(longest, 0.8, method="lower"))
-
-
-def _samples(starts: Samples, lengths: Samples, which: NDArray[np.bool_]) -> Samples:
-    return spread(starts[which], lengths[which])
 
 
 def zero_moves(trace: Trace) -> Iterator[Fault]:
@@ -361,10 +396,15 @@ def zero_moves(trace: Trace) -> Iterator[Fault]:
 
 def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
     """A displacement in steps that are too large for the stroke or the gap."""
-    quantum = _quantum(trace.displacement)
-    if quantum is None:
-        return
     stroke = float(np.ptp(trace.displacement))
+    levels = np.unique(trace.displacement)
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * stroke]
+    if steps.size < 3 or levels.size > 0.5 * trace.samples:
+        return
+    quantum = float(steps.min())
+    if np.mean(np.abs(steps / quantum - np.round(steps / quantum)) < 0.1) <= 0.95:
+        return  # the signal is not quantised
     across = "" if gap is None else f", {gap / quantum:.2g} in the gap"
     if quantum > stroke / LEVELS or (gap is not None and quantum > gap / CROSSING):
         yield Fault(
@@ -391,18 +431,6 @@ def noise(trace: Trace) -> Iterator[Fault]:
             f"over which the force builds up, {rise:.2g} in: stiffness and slip force would come "
             "out too small; take a smoother channel, or filter it before",
         )
-
-
-def _quantum(values: Array) -> float | None:
-    """Step of a quantised signal; None where the signal is not quantised."""
-    levels = np.unique(values)
-    steps = np.diff(levels)
-    steps = steps[steps > 1e-9 * np.ptp(values)]
-    if steps.size < 3 or levels.size > 0.5 * values.size:
-        return None
-    quantum = float(steps.min())
-    whole = np.abs(steps / quantum - np.round(steps / quantum)) < 0.1
-    return quantum if np.mean(whole) > 0.95 else None
 
 
 def drift(trace: Trace) -> Iterator[Fault]:
@@ -457,3 +485,38 @@ def _drift_of_few(trace: Trace) -> float | None:
     ends = float(trace.force[-few:].mean() - trace.force[:few].mean())
     along = float(trend) * float(trace.time[-1] - trace.time[0])
     return min(along, ends, key=abs) if along * ends > 0.0 else None
+
+
+NAMES = (
+    *("no force", "force sign", "channels", "velocity", "time unit", "short record", "stroke"),
+    *("clipping", "lag", "jump", "held", "displacement zero", "spikes", "dropped samples"),
+    *("repeated samples", "resolution", "noise", "rate", "drift"),
+)
+"""Names of the faults, the most serious first."""
+
+_OF_RECORD = (
+    *(no_force, force_sign, velocity, clipping, lag, noise, jumps, held, zero_moves),
+    *(drift, time_unit, short_record, dropped, repeated),
+)
+_CONSEQUENCES = {
+    "channels": {"clipping", "lag", "noise", "drift", "held"},
+    "held": {"clipping", "lag", "drift", "repeated samples"},
+}
+"""Faults that need not be told where another is."""
+
+
+def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
+    """Faults of a record, the most serious first; empty where none was found.
+
+    The trace must have every sample of its record: decimation hides faults. `gap` is the median
+    width of the device's gap, in; without it, rate and stroke are not checked.
+    """
+    found = list(spikes(trace))
+    trace = without_spikes(trace)
+    found += [fault for check in _OF_RECORD for fault in check(trace)]
+    found += resolution(trace, gap)
+    if gap is not None:
+        found += [*stroke(trace, gap), *rate(trace, gap)]
+    hidden = {name for fault in found for name in _CONSEQUENCES.get(fault.name, ())}
+    found = [fault for fault in found if fault.name not in hidden]
+    return tuple(sorted(found, key=lambda fault: NAMES.index(fault.name)))

@@ -7,11 +7,11 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from mfd_bayes.records.faults import Fault
+from mfd_bayes.records.columns import ROLES, header_unit, stated_unit
+from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.roles import ROLES, header_unit, stated_unit
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import (
     actuation_factor,

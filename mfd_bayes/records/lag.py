@@ -32,7 +32,12 @@ def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
     (lag, (K,) int) or None
         None without a force or reversals, or where no lag fits clearly better.
     """
-    turns = _clear_reversals(trace)
+    x, turns = trace.displacement, trace.cycle_turns
+    ends = np.concatenate([[0], turns, [x.size - 1]])
+    strokes = np.array([abs(x[b] - x[a]) for a, b in pairwise(ends)])
+    long = strokes >= STROKES * np.ptp(x)
+    turns = turns[long[:-1] & long[1:]]  # away from the ends, between long strokes
+    turns = turns[:: max(1, -(-turns.size // REVERSALS))]
     if trace.force is None or np.ptp(trace.force) == 0.0 or turns.size < 2:
         return None
     step = float(np.median(np.diff(trace.time)))
@@ -45,16 +50,6 @@ def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
     spacing = coarse[1] - coarse[0]
     lag, _, _ = _best(trace, turns, lag + np.linspace(-spacing, spacing, 9))
     return lag, turns
-
-
-def _clear_reversals(trace: Trace) -> NDArray[np.intp]:
-    """Turns of the whole motion between long strokes, away from the ends."""
-    x, turns = trace.displacement, trace.cycle_turns
-    ends = np.concatenate([[0], turns, [x.size - 1]])
-    strokes = np.array([abs(x[b] - x[a]) for a, b in pairwise(ends)])
-    long = strokes >= STROKES * np.ptp(x)
-    clear = turns[long[:-1] & long[1:]]
-    return clear[:: max(1, -(-clear.size // REVERSALS))]
 
 
 def _best(trace: Trace, turns: NDArray[np.intp], lags: Array) -> tuple[float, float, float]:
@@ -71,16 +66,18 @@ def _misfit(trace: Trace, turn: int, lags: Array) -> Array:
     """Squared misfit of the release to the force around one turn, (lengths, lags)."""
     near = NEAR * float(np.ptp(trace.displacement))
     away = np.abs(trace.displacement - trace.displacement[turn])
-    first, last = _window(away, turn, near)
+    before, behind = np.flatnonzero(away[:turn] > near), np.flatnonzero(away[turn:] > near)
+    first = int(before[-1]) + 1 if before.size else 0
+    last = turn + int(behind[0]) - 1 if behind.size else away.size - 1
     if last - first < 4:
         return np.zeros((_LENGTHS.size, lags.size))
     count = min(_SAMPLES, last - first + 1)
     time = np.linspace(trace.time[first], trace.time[last], count)
     force = np.interp(time, trace.time[first : last + 1], np.asarray(trace.force)[first : last + 1])
-    behind = np.where(np.arange(away.size) > turn, away, 0.0)
+    released = np.where(np.arange(away.size) > turn, away, 0.0)
     begin = max(0, first - (last - first))
     distance = np.interp(
-        time[None, :] - lags[:, None], trace.time[begin : last + 1], behind[begin : last + 1]
+        time[None, :] - lags[:, None], trace.time[begin : last + 1], released[begin : last + 1]
     )
     shape = -np.expm1(-distance[None] / (near * _LENGTHS[:, None, None]))
     # Parts that are linear in time, as a viscous force is at a turn, are removed from both.
@@ -92,12 +89,3 @@ def _misfit(trace: Trace, turn: int, lags: Array) -> Array:
     along = shape @ force
     gain = np.divide(along**2, square, out=np.zeros_like(along), where=square > 1e-12)
     return np.asarray(np.sum(force**2) - gain)
-
-
-def _window(away: Array, turn: int, near: float) -> tuple[int, int]:
-    """First and last sample around a turn within a distance of it."""
-    before = np.flatnonzero(away[:turn] > near)
-    behind = np.flatnonzero(away[turn:] > near)
-    first = int(before[-1]) + 1 if before.size else 0
-    last = turn + int(behind[0]) - 1 if behind.size else away.size - 1
-    return first, last

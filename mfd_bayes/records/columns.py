@@ -79,12 +79,6 @@ def roles_of(
     A column is given by its name, or by its number from 1. One for the actuation is looked for
     only where `actuation`, a constant, is not given; one for the time only where the file is
     `timed`.
-
-    Raises
-    ------
-    RecordError
-        When a role is unknown, no column or several could be time or displacement, or the
-        actuation is given twice.
     """
     for role in (*columns, *units):
         if role not in ROLES:
@@ -114,29 +108,8 @@ def roles_of(
     return {role: roles[role] for role in ROLES if role in roles}
 
 
-def check_once(table: Table, roles: Mapping[str, str]) -> None:
-    """Refuse a column that is given for two roles.
-
-    Raises
-    ------
-    RecordError
-        When there is one.
-    """
-    seen: dict[str, str] = {}
-    for role, name in roles.items():
-        other = seen.setdefault(name, role)
-        if other != role:
-            raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
-
-
 def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str:
-    """Unit of a column: as given, or from its name, or from the file's row of units.
-
-    Raises
-    ------
-    RecordError
-        When there is none, or the name and the row of units contradict each other.
-    """
+    """Unit of a column: as given, or from its name, or from the file's row of units."""
     if given := units.get(role):
         return given
     ours, theirs = header_unit(own_name(name)), table.units.get(name)

@@ -64,9 +64,9 @@ class Signature:
     def of(cls, trace: Trace) -> Signature:
         """Signature of a trace with a force."""
         time = trace.time - trace.time[0]
-        return cls(
-            time, _integral(time, np.asarray(trace.force)), _integral(time, trace.displacement)
-        )
+        means = (0.5 * (v[1:] + v[:-1]) for v in (np.asarray(trace.force), trace.displacement))
+        sums = (np.cumsum(mean * np.diff(time)) for mean in means)
+        return cls(time, *(np.concatenate([[0.0], total]) for total in sums))
 
     @property
     def bins(self) -> int:
@@ -118,26 +118,9 @@ def find_twin(one: Signature, other: Signature) -> Twin | None:
     return Twin(min(1.0, _overlap(one, other, np.array([lag]))[1] / one.bins), lag)
 
 
-def _integral(time: Array, values: Array) -> Array:
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
 def _coarse_lags(one: Signature, other: Signature) -> list[int]:
     """Bins by which `one` begins after `other`, where both look alike, the likest first."""
     shifts = np.arange(1 - one.bins, other.bins)
-    alike, larger = _compared(one, other, shifts)
-    padded = np.concatenate([[-1.0], alike, [-1.0]])
-    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= LIKE)
-    best = sorted(np.flatnonzero(peaks).tolist(), key=lambda k: -alike[k])[:PLACES]
-    return [int(shifts[k]) for k in best if larger[k] < LARGER]
-
-
-def _compared(one: Signature, other: Signature, shifts: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Correlation of both forces over their overlap, and how much larger one is, by the shift.
-
-    The correlation is -1 where the overlap is short; the ratio of the rms values is at least 1.
-    """
     size = 1 << (one.bins + other.bins - 1).bit_length()
     products = np.fft.irfft(other.spectrum(size) * np.conj(one.spectrum(size)), size)[shifts]
     begin, end = np.maximum(0, -shifts), np.minimum(one.bins, other.bins - shifts)
@@ -148,9 +131,13 @@ def _compared(one: Signature, other: Signature, shifts: NDArray[np.intp]) -> tup
     enough = end - begin > max(SHORTEST, 0.5 * min(one.bins, other.bins)) - 0.5
     norm = np.sqrt(np.maximum(energies[0] * energies[1], 0.0))
     safe = np.maximum(norm, 1e-9 * max(float(norm.max()), 1e-300))
+    alike = np.where(enough, products / safe, -1.0)  # correlation of the forces in the overlap
     least, most = np.minimum(*energies), np.maximum(*energies)
     larger = np.sqrt(most / np.maximum(least, 1e-9 * max(float(most.max()), 1e-300)))
-    return np.where(enough, products / safe, -1.0), larger
+    padded = np.concatenate([[-1.0], alike, [-1.0]])
+    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= LIKE)
+    best = sorted(np.flatnonzero(peaks).tolist(), key=lambda k: -alike[k])[:PLACES]
+    return [int(shifts[k]) for k in best if larger[k] < LARGER]
 
 
 def _refined(one: Signature, other: Signature, lag: float, step: float) -> tuple[float, float]:

@@ -73,14 +73,7 @@ def parse_sine(text: str) -> Harmonic:
         raise UnitError(f"{_FORM}, got {text!r}")
     amplitude = parse_quantity(parts[0], "displacement", of="the amplitude")
     frequency = parse_quantity(parts[1], "rate", of="the frequency")
-    cycles = _cycles(parts[2], text)
-    if not (amplitude > 0.0 and frequency > 0.0):
-        raise UnitError(f"amplitude and frequency must be above zero, got {text!r}")
-    return Harmonic(amplitude, frequency, cycles)
-
-
-def _cycles(part: str, text: str) -> float:
-    number, _, word = part.partition(" ")
+    number, _, word = parts[2].partition(" ")
     try:
         cycles = float(number)
     except ValueError:
@@ -89,4 +82,6 @@ def _cycles(part: str, text: str) -> float:
         raise UnitError(f"{_FORM}, got {text!r}")
     if not 1.0 <= cycles <= MOST_CYCLES:
         raise UnitError(f"a harmonic motion has 1 to {MOST_CYCLES} cycles, got {text!r}")
-    return cycles
+    if not (amplitude > 0.0 and frequency > 0.0):
+        raise UnitError(f"amplitude and frequency must be above zero, got {text!r}")
+    return Harmonic(amplitude, frequency, cycles)

@@ -1,4 +1,4 @@
-"""Tests whose gap, build-up or slip force does not follow that of the other tests."""
+"""Tests whose gap, build-up or slip force does not follow the others, and the likely cause."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.records.motion import Array
+from mfd_bayes.units import factor
 
 FEWEST = 3
 """Fewest tests among which one can be odd."""
@@ -70,7 +71,8 @@ def find_odd(logs: Array, levels: Array) -> dict[int, Deviation]:
     left = list(range(len(levels)))
     for _ in range(len(levels) // 3):  # without the worst, others that are odd show
         if len(left) > FEWEST - 1:
-            left.remove(_worst(logs, place, left))
+            rest = {j: [i for i in left if i != j] for j in left}
+            left.remove(min(left, key=lambda j: _disagreement(logs, place, rest[j])))
     every = set(range(len(levels)))
     odd = []
     for j in sorted(every - set(left)):  # against the trimmed tests, or all the others
@@ -127,11 +129,6 @@ def _line(x: Array, y: Array, k: int) -> tuple[float, float, float, float, float
     return middle, value, slope, max(spread, float(SCATTER[k])), float(weight**-0.5)
 
 
-def _worst(logs: Array, place: Array, left: Sequence[int]) -> int:
-    """The test without which the others agree best."""
-    return min(left, key=lambda j: _disagreement(logs, place, [i for i in left if i != j]))
-
-
 def _disagreement(logs: Array, place: Array, tests: Sequence[int]) -> float:
     """Sum of squares of what is left of lines through tests, in units of the scatter."""
     total = 0.0
@@ -145,3 +142,56 @@ def _disagreement(logs: Array, place: Array, tests: Sequence[int]) -> float:
         prior = ((slope - _MIDDLE[k]) / BEND[k]) ** 2
         total += float(np.sum((rest / SCATTER[k]) ** 2)) + prior
     return total
+
+
+UNITS = {
+    "displacement": ("in", "mm", "cm", "m"),
+    "force": ("kip", "lbf", "kN", "N", "MN", "kgf"),
+}
+"""Units that a column may be in instead of the one that it was read in."""
+
+WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0, 1.0])}
+"""By how much the logarithms of gap, build-up and slip force grow with that of a wrong factor."""
+
+FREE = 4.0
+"""Penalty of a cause with a free factor: a unit that explains as much is the likelier."""
+
+ANYTHING = 14.0
+"""Penalty of another device, which explains every deviation."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause; `name` is that of a fault, `factor` that by which it is wrong."""
+
+    name: str
+    words: str
+    misfit: float
+    factor: float = 1.0
+
+
+def likely_cause(found: Deviation, units: dict[str, str]) -> Cause:
+    """The cause that explains a deviation best.
+
+    A length that is too large by f makes the gap f times as wide and the build-up f times less
+    steep; a force that is too large by f makes build-up and slip force f times as large; an
+    actuation that is too large by f leaves the loop as it is and the law is asked elsewhere.
+    """
+    known = np.isfinite(found.values)
+    values = np.where(known, found.values, 0.0)
+    weights = np.where(known, 1.0 / found.sds**2, 0.0)
+    causes: list[Cause] = []
+    for role, way in (*WAYS.items(), ("actuation", -found.exponents)):
+        used = units.get(role, "")
+        for unit in UNITS.get(role, ()):
+            wrong = factor(used, role) / factor(unit, role)
+            if abs(np.log(wrong)) > 0.2:
+                misfit = float((values - way * np.log(wrong)) ** 2 @ weights)
+                words = f"its {role} seems to be in {unit}, not in {used}"
+                causes.append(Cause(f"unit of {role}", words, misfit, wrong))
+        size = float(way**2 @ weights)
+        log = float((way * values) @ weights) / size if size > 0 else 0.0
+        misfit = float((values - way * log) ** 2 @ weights)
+        causes.append(Cause(role, "", misfit + FREE, float(np.exp(log))))
+    causes.append(Cause("another device", "", ANYTHING))
+    return min(causes, key=lambda cause: cause.misfit)

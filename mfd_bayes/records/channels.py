@@ -7,16 +7,25 @@ times = "518.7 mm^2" }, minus_mass = "3 kg" }`` is F = load - pressure x area - 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.clock import SAMPLES, after_gaps, check_increasing, parse_window
+from mfd_bayes.records.columns import roles_of, unit_of
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.roles import unit_of
-from mfd_bayes.units import factor, measure, parse_mass, parse_quantity, split_quantity
+from mfd_bayes.records.time_axis import SAMPLES, after_gaps, check_increasing, parse_window
+from mfd_bayes.records.trace import check_size
+from mfd_bayes.units import (
+    ActuationUnit,
+    actuation_factor,
+    factor,
+    measure,
+    parse_mass,
+    parse_quantity,
+    split_quantity,
+)
 
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
 _ORDER = 3  # of the polynomial of the differentiator
@@ -87,14 +96,20 @@ class Source:
         return self == Source(self.column, self.unit)
 
     def check(self, role: str, path: object) -> None:
-        """Refuse parts that a role cannot have.
-
-        Raises
-        ------
-        MfdError
-            When there is one, or a part is of a kind that it cannot have.
-        """
-        self._check_kinds(f"the {role} of {path}")
+        """Refuse parts that a role cannot have."""
+        of = f"the {role} of {path}"
+        minus = self.minus
+        if not isinstance(minus, Subtracted | None):
+            raise RecordError(
+                f"minus of {of} must be a Subtracted, such as {_MINUS}, got {minus!r}"
+            )
+        given = {name: getattr(self, name) for name in _EXAMPLES if name != "times"}
+        given |= {} if minus is None else {"times": minus.times}
+        for name, value in given.items():
+            if not isinstance(value, str):
+                raise UnitError(
+                    f"{name} of {of} must be text such as {_EXAMPLES[name]!r}, got {value!r}"
+                )
         if (self.rate or self.dates) and role != "time":
             raise RecordError(f"rate and dates belong to the time of {path}, not to the {role}")
         if (self.column is None) != bool(self.rate):
@@ -126,21 +141,6 @@ class Source:
                 f"measured_at of the {role} of {path} needs an arm, the radius at "
                 "which it is wanted"
             )
-
-    def _check_kinds(self, of: str) -> None:
-        """Refuse parts that are no text, which a quantity is, or no column that is taken off."""
-        minus = self.minus
-        if not isinstance(minus, Subtracted | None):
-            raise RecordError(
-                f"minus of {of} must be a Subtracted, such as {_MINUS}, got {minus!r}"
-            )
-        given = {name: getattr(self, name) for name in _EXAMPLES if name != "times"}
-        given |= {} if minus is None else {"times": minus.times}
-        for name, value in given.items():
-            if not isinstance(value, str):
-                raise UnitError(
-                    f"{name} of {of} must be text such as {_EXAMPLES[name]!r}, got {value!r}"
-                )
 
     def words(self, name: str, unit: str) -> str:
         """What the signal is, in words, from the name and the unit that its column has."""
@@ -192,17 +192,12 @@ def scale_of(source: Source, role: str, unit: str, of: str) -> tuple[float, str]
             "'rad', or a length with measured_at, the radius at which it was measured"
         )
     scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
-    return source.sign * scale / arm, _force_of(unit)
+    parts = [part.strip() for part in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
+    return source.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
 
 
 def step_of(rate: str, of: str) -> float:
-    """Step of time, s, of a rate, "100 Hz", or of a step itself, "10 ms".
-
-    Raises
-    ------
-    UnitError
-        When it is neither, or none above zero.
-    """
+    """Step of time, s, of a rate, "100 Hz", or of a step itself, "10 ms"."""
     value, unit = split_quantity(rate, of=of, example="100 Hz")
     if not value > 0.0:
         raise UnitError(f"{of}: expected a rate above 0, got {rate!r}")
@@ -225,16 +220,20 @@ def take_off(
         Role to signal, internal units: time, displacement and this one.
     raw : mapping
         Name to column, in the file's units.
-
-    Raises
-    ------
-    MfdError
-        When a unit, a mass or a window cannot be used.
     """
     signal = signals[role]
     of = f"the {role} of {table.path}"
     if source.minus is not None:
-        signal = signal - _subtracted(table, role, source.minus, raw)
+        other, minus = source.minus, f"minus of {role}"
+        name = table.name_of(other.column)
+        unit = unit_of(table, minus, name, {} if other.unit is None else {minus: other.unit})
+        column = f"column {name!r} of {table.path}"
+        if other.times:
+            value, by = split_quantity(other.times, of=f"times of {column}")
+            scale = factor(f"{unit}*{by}", role, of=f"{column} times {other.times}")
+            signal = signal - raw[name] * value * scale
+        else:
+            signal = signal - raw[name] * factor(unit, role, of=column)
     if source.minus_mass:
         mass = parse_mass(source.minus_mass, of=f"minus_mass of {of}")
         if mass < 0.0:
@@ -250,17 +249,13 @@ def take_off(
             raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
         signal = signal - float(np.mean(signal[inside]))
     elif source.tare:
-        signal = signal - _tare_of(source, role, f"tare of {of}")
+        number, unit = split_quantity(source.tare, of=f"tare of {of}")
+        try:  # what the column reads at zero, or what the signal does
+            zero = number * scale_of(source, role, unit, f"tare of {of}")[0]
+        except UnitError:
+            zero = parse_quantity(source.tare, role, of=f"tare of {of}")
+        signal = signal - zero
     return signal
-
-
-def _tare_of(source: Source, role: str, of: str) -> float:
-    """What a column reads at zero, as the signal of its role; or that signal at zero itself."""
-    number, unit = split_quantity(source.tare, of=of)
-    try:
-        return number * scale_of(source, role, unit, of)[0]
-    except UnitError:
-        return parse_quantity(source.tare, role, of=of)
 
 
 def acceleration(time: Array, displacement: Array) -> Array:
@@ -270,42 +265,21 @@ def acceleration(time: Array, displacement: Array) -> Array:
     over a tenth of the median half-cycle; uneven times are evened first. Each piece between gaps
     in time is taken by itself; one of fewer than `SAMPLES` samples has none.
     """
-    pieces = np.split(np.arange(time.size), after_gaps(time))
-    enough = [piece for piece in pieces if piece.size >= SAMPLES]
-    found = np.zeros(time.size)
-    for piece in enough:
-        found[piece] = _second_derivative(time[piece], displacement[piece])
-    return found
-
-
-def _second_derivative(time: Array, displacement: Array) -> Array:
-    """As `acceleration`, of a piece without gaps."""
     from scipy.signal import savgol_filter
 
-    even = np.linspace(time[0], time[-1], time.size)
-    turns = turning_points(displacement, smallest_turn(displacement))
-    half = float(np.median(np.diff(turns))) if turns.size > 1 else float(time.size)
-    window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), time.size - 1 + time.size % 2)
-    smooth = savgol_filter(
-        np.interp(even, time, displacement), window, _ORDER, deriv=2, delta=even[1] - even[0]
-    )
-    return np.asarray(np.interp(time, even, smooth), dtype=np.float64)
-
-
-def _subtracted(table: Table, role: str, other: Subtracted, raw: Mapping[str, Array]) -> Array:
-    """What a column takes off, in the internal unit of a role."""
-    name = table.name_of(other.column)
-    unit = unit_of(
-        table,
-        f"minus of {role}",
-        name,
-        {} if other.unit is None else {f"minus of {role}": other.unit},
-    )
-    of = f"column {name!r} of {table.path}"
-    if not other.times:
-        return raw[name] * factor(unit, role, of=of)
-    value, by = split_quantity(other.times, of=f"times of {of}")
-    return raw[name] * value * factor(f"{unit}*{by}", role, of=f"{of} times {other.times}")
+    found = np.zeros(time.size)
+    for piece in np.split(np.arange(time.size), after_gaps(time)):
+        if piece.size < SAMPLES:
+            continue
+        t, x = time[piece], displacement[piece]
+        even = np.linspace(t[0], t[-1], t.size)
+        turns = turning_points(x, smallest_turn(x))
+        half = float(np.median(np.diff(turns))) if turns.size > 1 else float(t.size)
+        window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), t.size - 1 + t.size % 2)
+        smooth = np.interp(even, t, x)
+        smooth = savgol_filter(smooth, window, _ORDER, deriv=2, delta=even[1] - even[0])
+        found[piece] = np.interp(t, even, smooth)
+    return found
 
 
 def _radius(text: str, of: str) -> float:
@@ -315,7 +289,109 @@ def _radius(text: str, of: str) -> float:
     return radius
 
 
-def _force_of(unit: str) -> str:
-    """Unit of force in that of a torque: "kN" of "kN*m"."""
-    parts = [part.strip() for part in unit.replace("·", "*").split("*")]
-    return next((part for part in parts if measure(part) == "force"), "kip")
+DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
+
+
+def sources_of(
+    table: Table,
+    columns: Mapping[str, str | int | Source] | None,
+    units: Mapping[str, str] | None,
+    actuation: str | None,
+) -> dict[str, Source]:
+    """Role to its source, with the column's name and its unit."""
+    examples = {"columns": {"force": "load"}, "units": {"force": "kN"}}
+    for name, mapping in (("columns", columns), ("units", units)):
+        if mapping is not None and not isinstance(mapping, Mapping):
+            raise RecordError(f"{name} must be a mapping such as {examples[name]}, got {mapping!r}")
+    columns, units = columns or {}, units or {}
+    given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
+    stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units)
+    for role, source in given.items():
+        source.check(role, table.path)
+    named = {r: s.column for r, s in given.items() if s.column is not None}
+    rated = "time" in given and bool(given["time"].rate)
+    roles = roles_of(table, named, stated, actuation=actuation, timed=not rated)
+    found = {"time": given["time"]} if rated else {}
+    for role, name in roles.items():
+        source = given.get(role, Source(name))
+        found[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
+    return found
+
+
+def signals_of(
+    table: Table, sources: Mapping[str, Source]
+) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
+    """Role to signal, internal units, and to name and unit; unit of a measured actuation."""
+    raw = table.columns(wanted_of(table, sources), sources["time"].dates)
+    signals: dict[str, Array] = {}
+    named: dict[str, tuple[str, str]] = {}
+    internal: ActuationUnit | None = None
+    for role, source in sources.items():
+        name, unit = str(source.column), str(source.unit)
+        of = f"column {name!r} of {table.path}"
+        if role == "time":
+            signals[role] = _times(table, source, raw)
+            named[role] = (f"sample number at {source.rate}", "s") if source.rate else (name, unit)
+            check_size(of, role, signals[role])
+            continue
+        if role == "actuation":
+            scale, internal = actuation_factor(unit, of=of)
+        else:
+            scale, unit = scale_of(source, role, unit, of)
+        named[role] = name, unit
+        with np.errstate(over="ignore"):  # check_magnitude refuses infinity
+            signals[role] = raw[name] * scale
+        check_size(of, role, signals[role])
+    seen: dict[str, str] = {}
+    for role, (name, _) in named.items():
+        if (other := seen.setdefault(name, role)) != role:
+            raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
+    for role, source in sources.items():
+        if not source.plain and source.column is not None:
+            signals[role] = take_off(table, role, source, signals, raw)
+            check_size(f"the {role} of {table.path}", role, signals[role])
+    if "actuation" in signals:
+        if np.mean(signals["actuation"]) < 0:
+            raise RecordError(f"the actuation of {table.path} is negative on average")
+        # Single samples below zero are the sensor's noise.
+        signals["actuation"] = np.maximum(signals["actuation"], 0.0)
+    for signal in signals.values():
+        signal.flags.writeable = False
+    return signals, named, internal
+
+
+def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
+    """Times, s: of a rate, or of a column; dates, counted since 1904 or 1970, from the first row.
+
+    NaN where a cell holds none.
+    """
+    if source.rate:
+        rows = next(iter(raw.values())).size
+        return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows, dtype=np.float64)
+    name, unit = str(source.column), str(source.unit)
+    scale, values = scale_of(source, "time", unit, f"column {name!r} of {table.path}")[0], raw[name]
+    start = values[np.argmax(np.isfinite(values))]
+    with np.errstate(over="ignore", invalid="ignore"):  # check_size refuses infinity
+        times: Array = (values - start if start * scale >= DATE else values) * scale
+    return times
+
+
+def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
+    """The table, or the rows about a window, s, where cells outside it hold no numbers."""
+    raw = table.values(wanted_of(table, sources), sources["time"].dates)
+    good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
+    if good.all():
+        return table
+    time = _times(table, sources["time"], raw)
+    inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
+    if not inside.size or not good[inside[0] : inside[-1] + 1].all():
+        return table  # whose columns are refused, with the place of the cell
+    bad = np.flatnonzero(~good)
+    first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
+    last = int(np.min(bad[bad > inside[-1]], initial=time.size))
+    return table.part(
+        first,
+        last,
+        f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
+        f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
+    )
