@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.modes import Mode, around_modes, climb, find_modes, prior_scale
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
@@ -217,6 +216,8 @@ def fit_again(
         if found.k <= LARGEST_K and found.size >= ENOUGH:
             how = AT_ONCE if rounds == 1 else BY_WEIGHTS
             return SecondFit(found.q, found.weights, how, found.k, found.size)
+    from mfd_bayes.calibration.ensembles import sample_density  # emcee takes long to import
+
     modes = list(near)
     for mode in find_modes(posterior, rng, starts=SEARCHED):
         if not any(other.is_near(mode.q, mode.log_prob) for other in modes):

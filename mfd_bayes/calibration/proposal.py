@@ -204,10 +204,6 @@ class Adaptive:
         self.q, self.log_prob = np.empty((0, first.means.shape[1])), np.empty(0)
         self._densities = np.empty((0, 0))  # of each proposal at each draw
 
-    def add(self, proposal: Mixture) -> None:
-        """Draw next from this proposal and the one that was to come."""
-        self.proposals[-1] = joined([proposal, self.proposals[-1]], [0.5, 0.5])
-
     def run(self) -> Adaptive:
         """Draw from the last proposal, weigh all draws anew, and fit the next one to them."""
         newest = self.proposals[-1]
@@ -230,11 +226,6 @@ class Adaptive:
         following = fit_mixture(self.q, self._rng, tempered)
         self.proposals.append(joined([following, self.proposals[0]], [1.0 - FIRST, FIRST]))
         return self
-
-    def mixture(self) -> Mixture:
-        """The later half of the proposals together."""
-        late = self.proposals[len(self.proposals) // 2 :]
-        return joined(late, [1.0 / len(late)] * len(late))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.effort import Effort, find_effort
-from mfd_bayes.calibration.ensembles import Chains, sample_density
 from mfd_bayes.calibration.modes import Mode, find_modes, mode_shares, nearest_modes
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.quantities import interval_rows, intervals_of
@@ -19,6 +19,9 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.store.cards import counted, grid
+
+if TYPE_CHECKING:
+    from mfd_bayes.calibration.ensembles import Chains
 
 Array = NDArray[np.float64]
 
@@ -108,6 +111,8 @@ def sample(
     FitError
         When the prior has no mass at any start, or an argument is none of those above.
     """
+    from mfd_bayes.calibration.ensembles import sample_density  # emcee takes long to import
+
     began = time.perf_counter()
     if not isinstance(posterior, Posterior):
         raise FitError(f"posterior must be a Posterior, got {type(posterior).__name__}")
