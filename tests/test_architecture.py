@@ -25,8 +25,7 @@ ROOMS = (
     "response",
     "campaign",
     "runs",
-    "validation",
-    "assessment",
+    "evaluation",
     "reporting",
     "pipeline",
     "cli",
@@ -148,7 +147,7 @@ def test_what_is_read_otherwise_would_be_seen() -> None:
 def test_the_command_line_computes_nothing() -> None:
     names = [name for path in PACKAGE.glob("cli/*.py") for name in imports_of(path)]
     rooms = {file.split(".")[1] for file in files_of(tuple(names))} & set(ROOMS)
-    assert rooms <= {"pipeline", "cli", "jobs", "runs", "assessment"}  # the last two: to print
+    assert rooms <= {"pipeline", "cli", "jobs", "runs", "evaluation"}  # the last two: to print
 
 
 def test_no_module_is_a_drawer() -> None:

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from benchmarks.anylab.devices import DEVICES, Device, write_device
-from mfd_bayes.assessment import assess
+from mfd_bayes.evaluation import assess
 from mfd_bayes.runs.opening import open_run
 
 

@@ -35,14 +35,14 @@ import numpy as np
 
 from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
-from mfd_bayes.assessment.design import DesignRow, design_rows
 from mfd_bayes.calibration.cycles import derive_from_force
 from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.evaluation.design import DesignRow, design_rows
+from mfd_bayes.evaluation.folds import Fold, folds_of
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.run import Run
-from mfd_bayes.validation.folds import Fold, folds_of
 
 SESSION = "2022-07"
 SMALLEST = ("20lb_0.50Hz_1.0in", "35lb_0.50Hz_1.0in", "80lb_0.50Hz_1.0in")

@@ -16,13 +16,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from mfd_bayes.evaluation.views import Fan, Interval
 
 import mfd_bayes as mb
 from benchmarks.common.machine import processor, versions
-from mfd_bayes.assessment.views import Fan, Interval
+from mfd_bayes.evaluation.scores import crps, rrse
 from mfd_bayes.population.bands import Band
 from mfd_bayes.reporting.figures import Marks, draw_history, to_png
-from mfd_bayes.validation.scores import crps, rrse
 
 RECORDS = {
     # test: end of the given part, window of the scores, s; RRSE published; wanted alone and given

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mfd_bayes.evaluation.scores import score
 from mfd_bayes.planning.candidate import Limits, harmonic_of
 from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.study import Effort, Situation, advise, goals_of
@@ -30,7 +31,6 @@ from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.run import Run
-from mfd_bayes.validation.scores import score
 
 KNOWN = ((25, 35), (22, 70))
 """Tensions that are known first, lbf, in each of two studies."""

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from mfd_bayes.assessment.design import DesignRow
-    from mfd_bayes.assessment.views import CampaignView, Check, DerivedRow, LeftOutView
+    from mfd_bayes.evaluation.design import DesignRow
+    from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.findings import Finding
     from mfd_bayes.runs.results import Comparison
@@ -144,7 +144,7 @@ def print_derived(rows: Sequence[DerivedRow], probability: float) -> None:
 
 def print_design(rows: Sequence[DesignRow]) -> None:
     """Print mean and bounding properties with their factors."""
-    from mfd_bayes.assessment.design import BASES
+    from mfd_bayes.evaluation.design import BASES
 
     tail = 50.0 * (1.0 - rows[0].probability)
     caption = (
@@ -170,7 +170,7 @@ def print_rows(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) 
 
 def print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
     """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
-    from mfd_bayes.assessment.width import width_sentence
+    from mfd_bayes.evaluation.width import width_sentence
 
     if not quiet:
         table = _table("What makes the band wide", ["source"], ["share of the variance"])

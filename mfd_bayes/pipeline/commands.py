@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.assessment import fails, is_whole
-from mfd_bayes.assessment.views import (
-    CampaignView,
-)
 from mfd_bayes.campaign.draft import doubts, gaps, lacks_priors
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import StoreError
+from mfd_bayes.evaluation import fails, is_whole
+from mfd_bayes.evaluation.views import (
+    CampaignView,
+)
 from mfd_bayes.jobs.dispatch import check_workers
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, check_dry, working_in

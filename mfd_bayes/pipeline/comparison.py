@@ -7,10 +7,11 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.assessment.views import (
+from mfd_bayes.errors import StoreError
+from mfd_bayes.evaluation.models import Candidate, candidates, check_cycles, compare_runs
+from mfd_bayes.evaluation.views import (
     LeftOutView,
 )
-from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
 from mfd_bayes.pipeline.crossvalidation import check_parts, leave_out_parts
@@ -24,7 +25,6 @@ from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.results import Comparison
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_text
-from mfd_bayes.validation.models import Candidate, candidates, check_cycles, compare_runs
 
 Observe = Callable[[Step], None]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from mfd_bayes.assessment.views import (
+from mfd_bayes.evaluation.folds import fold_id, folds_of, part_kind, parts_of, run_folds
+from mfd_bayes.evaluation.views import (
     CampaignView,
 )
 from mfd_bayes.jobs.job import State, Step
@@ -16,7 +17,6 @@ from mfd_bayes.population.settings import setting_of
 from mfd_bayes.runs.folder import remove_partial_files
 from mfd_bayes.runs.results import CampaignCrossValidation
 from mfd_bayes.runs.run import Run
-from mfd_bayes.validation.folds import fold_id, folds_of, part_kind, parts_of, run_folds
 
 Observe = Callable[[Step], None]
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from mfd_bayes.assessment.zeros import zero_sentences
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.file import Test
+from mfd_bayes.evaluation.zeros import zero_sentences
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Design

@@ -6,15 +6,15 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mfd_bayes.assessment.next_test import (
+from mfd_bayes.campaign.draft.toml import commented, quoted
+from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.evaluation.next_test import (
     advice_content,
     advice_sentence,
     candidate_words,
     shown_rows,
     together_words,
 )
-from mfd_bayes.campaign.draft.toml import commented, quoted
-from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.study import Advice

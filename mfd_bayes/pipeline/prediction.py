@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.assessment.bands import Compared, compare
-from mfd_bayes.assessment.derived_rows import measured_rows, predicted_rows
-from mfd_bayes.assessment.design import DesignRow, design_rows, design_warnings, draws_of
-from mfd_bayes.assessment.views import DerivedRow, Fan, Interval
 from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.evaluation.bands import Compared, compare
+from mfd_bayes.evaluation.derived_rows import measured_rows, predicted_rows
+from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, draws_of
+from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mfd_bayes.assessment.prior_check import MOST, most_wrong, prior_fan, share_inside
 from mfd_bayes.calibration.prior_files import WRITTEN, load_priors
 from mfd_bayes.campaign.draft import (
     Draft,
@@ -18,6 +17,7 @@ from mfd_bayes.campaign.draft import (
 from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
+from mfd_bayes.evaluation.prior_check import MOST, most_wrong, prior_fan, share_inside
 from mfd_bayes.pipeline.findings import findings_together, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.cross_checks import Tested

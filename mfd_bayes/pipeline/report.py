@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.assessment import assess, verdicts
-from mfd_bayes.assessment.views import (
+from mfd_bayes.evaluation import assess, verdicts
+from mfd_bayes.evaluation.views import (
     IDENTIFIABILITY,
     CampaignView,
     LeftOutView,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from mfd_bayes.assessment.design import DesignRow
-from mfd_bayes.assessment.views import (
+from mfd_bayes.evaluation.design import DesignRow
+from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
     DerivedRow,

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mfd_bayes.assessment.checks import INFORMED
-from mfd_bayes.assessment.views import (
+from mfd_bayes.evaluation.checks import INFORMED
+from mfd_bayes.evaluation.views import (
     FREE_EXPONENT,
     IDENTIFIABILITY,
     NOISE,

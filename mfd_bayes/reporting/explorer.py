@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.assessment.views import Array, CampaignView, TestView
+from mfd_bayes.evaluation.views import Array, CampaignView, TestView
 from mfd_bayes.reporting.colours import BANDS, DATA, SKY
 from mfd_bayes.runs.systems import System
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from mfd_bayes.assessment.views import CampaignView, NoiseRow, Row
+from mfd_bayes.evaluation.views import CampaignView, NoiseRow, Row
 from mfd_bayes.reporting.latex import laws_tex, parameters_tex
 
 INTERVAL = {"kind": "equal-tailed", "probability": 0.95}

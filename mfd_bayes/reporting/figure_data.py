@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mfd_bayes.assessment.views import Array, CampaignView, Fan, TestView, TruthRow
+from mfd_bayes.evaluation.views import Array, CampaignView, Fan, TestView, TruthRow
 from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.tables import csv_text, next_csv

@@ -16,11 +16,11 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
-from mfd_bayes.assessment.checks import INFORMED
-from mfd_bayes.assessment.next_test import advice_sentence, shown_rows, together_words
-from mfd_bayes.assessment.views import FREE_EXPONENT, CampaignView, TestView
-from mfd_bayes.assessment.width import width_sentence
 from mfd_bayes.calibration.identifiability import SENSITIVE, TRADE_OFF
+from mfd_bayes.evaluation.checks import INFORMED
+from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
+from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
+from mfd_bayes.evaluation.width import width_sentence
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.conversion import shown_in
 from mfd_bayes.reporting.digest import (

@@ -6,7 +6,7 @@ import string
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 
-from mfd_bayes.assessment.views import CampaignView, NoiseRow, Row, TestView
+from mfd_bayes.evaluation.views import CampaignView, NoiseRow, Row, TestView
 from mfd_bayes.reporting.symbols import maths, meaning, number, of_population, printable, unit_text
 
 TESTS = 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mfd_bayes.assessment.views import Row
+from mfd_bayes.evaluation.views import Row
 from mfd_bayes.reporting.symbols import number
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from html import unescape
 from importlib.util import find_spec
 
-from mfd_bayes.assessment.views import CampaignView, Row, TestView
 from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.views import CampaignView, Row, TestView
 from mfd_bayes.reporting.symbols import in_html, meaning, printable, unit_text
 
 _PART = re.compile(r"<sub>(.*?)</sub>|<[^>]+>|([^<]+)")

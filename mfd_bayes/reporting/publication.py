@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.assessment.views import CampaignView, TestView
+from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.likelihoods import meanwhile
 from mfd_bayes.jobs.workers import run_in_processes

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from mfd_bayes.assessment.design import BASES, DesignRow
-from mfd_bayes.assessment.next_test import advice_rows
-from mfd_bayes.assessment.views import (
+from mfd_bayes.evaluation.design import BASES, DesignRow
+from mfd_bayes.evaluation.next_test import advice_rows
+from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
     DerivedRow,

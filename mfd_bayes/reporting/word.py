@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from itertools import count, product
 from typing import Any
 
-from mfd_bayes.assessment.views import CampaignView, Row
+from mfd_bayes.evaluation.views import CampaignView, Row
 from mfd_bayes.reporting.noises import others_text
 from mfd_bayes.reporting.paper_tables import Line, PaperTable, Symbol, paper_tables
 from mfd_bayes.reporting.symbols import number, printable

@@ -6,7 +6,7 @@ import io
 import math
 from typing import Any
 
-from mfd_bayes.assessment.views import CampaignView, Row
+from mfd_bayes.evaluation.views import CampaignView, Row
 from mfd_bayes.reporting.noises import others_text
 from mfd_bayes.reporting.paper_tables import Line, PaperTable, paper_tables
 from mfd_bayes.reporting.symbols import printable

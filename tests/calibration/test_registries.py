@@ -14,13 +14,13 @@ from mfd_bayes.calibration.priors import WIDTH, Family
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.models import check_models
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.population.laws import complete_laws, default_laws
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import symbols
-from mfd_bayes.validation.models import check_models
 
 TIME = np.arange(0, 4, 1 / 32)
 MOTION = np.sin(2 * np.pi * 0.5 * TIME)

@@ -21,12 +21,12 @@ from typer.testing import CliRunner
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
+from mfd_bayes.evaluation.folds import folds_of, run_folds
 from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.workers import run_in_processes
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import posterior_of
-from mfd_bayes.validation.folds import folds_of, run_folds
 
 pytestmark = [
     pytest.mark.skipif(

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.assessment import assess
 from mfd_bayes.calibration import result
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.evaluation import assess
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.opening import open_run
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.assessment import assess
 from mfd_bayes.calibration import result
 from mfd_bayes.campaign import file
 from mfd_bayes.cli.commands import app
+from mfd_bayes.evaluation import assess
 from mfd_bayes.pipeline import commands, comparison, crossvalidation, report
 from mfd_bayes.pipeline.plan import Options
 from mfd_bayes.runs.opening import open_run

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from mfd_bayes.assessment.next_test import goal_words
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.next_test import goal_words
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
 from mfd_bayes.runs.systems import US

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from mfd_bayes.assessment.views import (
+from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
     DerivedRow,
@@ -24,6 +23,7 @@ from mfd_bayes.assessment.views import (
     TestView,
     TruthRow,
 )
+
 from mfd_bayes.calibration.identifiability import (
     Directions,
     Identifiability,

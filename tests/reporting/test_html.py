@@ -8,8 +8,7 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-
-from mfd_bayes.assessment.views import (
+from mfd_bayes.evaluation.views import (
     COVERAGE,
     DIRECTIONS,
     IDENTIFIABILITY,
@@ -17,6 +16,7 @@ from mfd_bayes.assessment.views import (
     Judgement,
     ReadingRow,
 )
+
 from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures

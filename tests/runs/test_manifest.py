@@ -13,6 +13,7 @@ from types import ModuleType
 import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.evaluation.folds import Fold, read_predictions
 from mfd_bayes.pipeline.commands import effort_of, report
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored
@@ -20,7 +21,6 @@ from mfd_bayes.runs.manifest import read_begun, read_manifest
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.resumption import Existing, prepare_folder
 from mfd_bayes.store.files import write_text
-from mfd_bayes.validation.folds import Fold, read_predictions
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mfd_bayes.assessment.views import Array, Fan
 from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.views import Array, Fan
 from mfd_bayes.records.motion import HYSTERESIS, turning_points
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours

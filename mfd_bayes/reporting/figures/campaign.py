@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from matplotlib.figure import Figure
 
-from mfd_bayes.assessment.views import CampaignView, Fan, TestView
+from mfd_bayes.evaluation.views import CampaignView, Fan, TestView
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.figures.laws import draw_laws
 from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview

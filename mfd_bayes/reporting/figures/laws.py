@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mfd_bayes.assessment.views import Fan, LawView
+from mfd_bayes.evaluation.views import Fan, LawView
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mfd_bayes.assessment.views import Array, Fan, Interval, TestView
+from mfd_bayes.evaluation.views import Array, Fan, Interval, TestView
 from mfd_bayes.records.motion import turning_points
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours

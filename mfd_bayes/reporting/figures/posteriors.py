@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from mfd_bayes.assessment.checks import INFORMED
-from mfd_bayes.assessment.views import Array, Marginal, TruthRow
+from mfd_bayes.evaluation.checks import INFORMED
+from mfd_bayes.evaluation.views import Array, Marginal, TruthRow
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.panels import COLUMNS, in_rows, of_pairs

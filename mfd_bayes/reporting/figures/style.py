@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from mfd_bayes.assessment.views import Fan, Interval
+from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.units import percent
 

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from mfd_bayes.assessment.views import CampaignView
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look

@@ -1,6 +1,0 @@
-"""Bands, checks, tables and the verdict of a finished run."""
-
-from mfd_bayes.assessment.shown import is_whole
-from mfd_bayes.assessment.verdict import assess, fails, verdicts
-
-__all__ = ["assess", "fails", "is_whole", "verdicts"]

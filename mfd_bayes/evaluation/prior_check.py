@@ -1,0 +1,119 @@
+"""Force that the priors allow, beside the measured force, and the prior that fits it least."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.campaign.file import Campaign
+from mfd_bayes.evaluation.bands import fan_of
+from mfd_bayes.evaluation.views import Fan
+from mfd_bayes.friction import models
+from mfd_bayes.records.loop_features import Scales, scales_of
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.systems import System
+
+PRIOR_DRAWS = 400
+
+MOST = 0.5
+"""Share of a test's force inside the 95 % prior band below which its priors are wrong."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A prior beside what a record shows.
+
+    Attributes
+    ----------
+    quantity : str
+    unit : str
+        Internal unit of `expected` and `found`.
+    expected, found : float
+        Median of the prior, and the figure that the record shows.
+    away : float
+        Distance of both in standard deviations of the prior.
+    source : str
+        Where the figure is read.
+    """
+
+    quantity: str
+    unit: str
+    expected: float
+    found: float
+    away: float
+    source: str
+
+    def sentence(self, system: System) -> str:
+        """What is wrong with the prior, and what would mend it."""
+        found = system.words([self.found], self.unit, 3)
+        return (
+            f"the prior most wrong is that of {self.quantity}: its median is "
+            f"{system.words([self.expected], self.unit, 3)}, and {self.source} is {found}, "
+            f"{self.away:.2g} of its standard deviations away; give it a median of about {found}, "
+            "or let mfd-bayes init write priors.toml from the records"
+        )
+
+
+def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
+    """Bands of the force under the prior, without noise, for a test's motion."""
+    posterior = Posterior(trace, priors, campaign.noise, campaign.model)
+    drawn = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
+    force = posterior.force(drawn) + drawn["offset"][:, None]
+    return fan_of("prior", force)
+
+
+def share_inside(fan: Fan, trace: Trace) -> float:
+    """Share of the samples whose force is inside the widest band."""
+    widest = fan.intervals[-1]
+    force = np.asarray(trace.force)
+    return float(np.mean((force >= widest.lower) & (force <= widest.upper)))
+
+
+def most_wrong(priors: PriorFile, model: str, traces: Sequence[Trace]) -> Misfit | None:
+    """The prior of a model that is farthest from what records show, by its own spread.
+
+    None where the records show no scales, or no prior can be compared with one.
+    """
+    known = {quantity.name for quantity in models.find_model(model).quantities}
+    found = [
+        misfit
+        for trace in traces
+        if (scales := scales_of(trace)) is not None
+        for misfit in _misfits(priors, scales)
+        if misfit.quantity in known
+    ]
+    return max(found, key=lambda misfit: misfit.away, default=None)
+
+
+def _misfits(priors: PriorFile, scales: Scales) -> Iterator[Misfit]:
+    """Each prior that a record shows something of, beside it."""
+    slip = ("kip", scales.force, "the plateau of the loop")
+    rise = ("kip/in", scales.build_up, "the slope at which the force comes back")
+    shown = {
+        **dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"), slip),
+        "sigma0": ("kip/in", scales.unloading, "the slope after a reversal"),
+        "k3": rise,
+        **dict.fromkeys(("k", "k_fwd", "k_bwd"), rise),
+        "d2": ("in", 0.5 * scales.length, "half the travel until the force has come back"),
+    }
+    for name, (unit, value, source) in shown.items():
+        prior = priors.parameters.get(name)
+        if prior is not None and (away := _away(prior, value)) is not None:
+            yield Misfit(name, unit, prior.typical, value, away, source)
+
+
+def _away(prior: Prior, value: float) -> float | None:
+    """Distance of a value from a prior's median, in its standard deviations."""
+    drawn = prior.draw(np.random.default_rng(0), 1001)
+    middle = prior.typical
+    if prior.on_half_line:
+        drawn, middle = np.log(drawn), float(np.log(middle))
+        value = float(np.log(value)) if value > 0.0 else np.nan
+    spread = float(np.std(drawn))
+    known = spread > 0.0 and np.isfinite(value)
+    return abs(value - middle) / spread if known else None

@@ -1,1 +1,0 @@
-"""How well tests are predicted that a fit has not seen."""

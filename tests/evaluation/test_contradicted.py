@@ -1,0 +1,72 @@
+"""Tests that do not begin where the one before ended, by posteriors that are made up."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.evaluation.contradicted import contradicted_starts
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.opening import open_run
+
+TIME = np.arange(201) / 50
+
+
+@pytest.fixture(scope="module")
+def run(benchmark_module, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made") / "out"
+    benchmark_module("fuzz.runs").write_run(folder)
+    run = open_run(folder)
+    tests = dict(run.manifest.settings.tests)
+    tests["b"] = tests["b"].model_copy(update={"after": "a"})
+    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    return replace(run, manifest=run.manifest.changed(settings=settings))
+
+
+def with_start(run, start, first=1.0, sampled=True):
+    """The run whose test a ends in slip forward, and b begins at a place with some spread."""
+    test = run.tests["a"]
+    values = test.stored.values()
+    spread = 0.02 * np.random.default_rng(0).normal(size=len(values["start"]))
+    ended = Trace.from_arrays(TIME, 5.0 - 5.0 * np.cos(0.25 * np.pi * TIME))  # to 10 in
+    begun = Trace.from_arrays(TIME, 10.0 + first * np.sin(np.pi * TIME))
+    names = test.posterior.names if sampled else ("Fc_fwd",)
+    stubs = {
+        name: SimpleNamespace(
+            id=name,
+            trace=trace,
+            posterior=SimpleNamespace(model=test.posterior.model, names=names, noise=None),
+            stored=SimpleNamespace(values=lambda w0=w0: {**values, "start": w0}),
+        )
+        for name, trace, w0 in (
+            ("a", ended, values["start"]),
+            ("b", begun, np.clip(start + spread, 0.0, 1.0)),
+        )
+    }
+    return replace(run, tests=stubs)
+
+
+@pytest.mark.parametrize(("start", "first"), [(0.2, 1.0), (0.8, -1.0)])
+def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
+    (found,) = contradicted_starts(with_start(run, start, first))
+    assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
+    assert found.sentence.startswith("the test begins at 0.20 [0.1")
+    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in found.sentence
+    assert not found.spoils
+
+
+@pytest.mark.parametrize(("start", "first"), [(1.0, 1.0), (0.0, -1.0), (0.88, 1.0)])
+def test_a_start_where_the_test_before_ended_is_none(run, start, first):
+    assert contradicted_starts(with_start(run, start, first)) == []
+
+
+def test_a_start_that_was_not_sampled_contradicts_nothing(run):
+    assert contradicted_starts(with_start(run, 0.2, sampled=False)) == []
+
+
+def test_tests_that_follow_none_are_not_compared(run):
+    settings = run.manifest.settings
+    tests = {n: t.model_copy(update={"after": ""}) for n, t in settings.tests.items()}
+    free = run.manifest.changed(settings=settings.model_copy(update={"tests": tests}))
+    assert contradicted_starts(replace(with_start(run, 0.2), manifest=free)) == []

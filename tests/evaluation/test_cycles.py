@@ -1,0 +1,162 @@
+"""The density of a cycle given all others, against a dense normal distribution."""
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from mfd_bayes.calibration.noise import NOISES
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.errors import FitError
+from mfd_bayes.evaluation.cycles import (
+    FEWEST,
+    conditional_density,
+    cycle_log_likelihood,
+    find_cycles,
+)
+from mfd_bayes.records.trace import Trace
+
+FILE = load_priors("brfd")
+TIMES = {
+    "uniform": np.arange(24) / 64,
+    "irregular": np.sort(np.random.default_rng(0).uniform(0, 0.4, 24)),
+}
+STARTS = np.array([0, 5, 6, 17])
+VALUES = {
+    "noise_sd": np.array([0.2, 0.3]),
+    "noise_time": np.array([0.05, 0.02]),
+    "noise_build": np.array([2.0, 0.5]),
+    "noise_fade": np.array([0.3, 0.1]),
+    "noise_build_time": np.array([0.01, 0.1]),
+    "noise_dof": np.array([4.0, 10.0]),
+    "d2": np.array([0.1, 0.2]),
+    "d3": np.array([0.1, 0.05]),
+}
+
+
+def noise_of(name, time, seed=1):
+    """Residuals (2, T), travel, and the result of `memory`."""
+    rng = np.random.default_rng(seed)
+    travel = np.abs(rng.normal(0.2, 0.2, (2, time.size)))
+    values = {k: v for k, v in VALUES.items() if not k.startswith("noise_dof")}
+    if name == "student_t":
+        values |= {"noise_dof": VALUES["noise_dof"]}
+    residual = rng.normal(0, 0.3, (2, time.size))
+    return residual, travel, values, NOISES[name].memory(time, values, travel)
+
+
+def dense(decay, scale):
+    """Covariance of the noise: the product of all φ between two samples, (T, T)."""
+    along = np.cumsum(np.where(np.isinf(decay), 1e3, decay))
+    return np.exp(-np.abs(along[:, None] - along)) * np.outer(scale, scale)
+
+
+@pytest.mark.parametrize("times", TIMES)
+@pytest.mark.parametrize("name", ["ou", "iid", "staged"])
+def test_density_of_a_left_out_block_is_that_of_a_dense_normal(name, times):
+    time = TIMES[times]
+    residual, travel, values, (decay, scale) = noise_of(name, time)
+    given, whole = conditional_density(residual, decay, scale, STARTS)
+    assert given.shape == (2, 4)
+    for row in range(2):
+        covariance = dense(decay[row], scale[row])
+        total = stats.multivariate_normal(cov=covariance).logpdf(residual[row])
+        assert whole[row] == pytest.approx(total, rel=1e-9)
+        for block, (begin, end) in enumerate(zip(STARTS, [*STARTS[1:], time.size], strict=True)):
+            rest = np.r_[0:begin, end : time.size]
+            others = stats.multivariate_normal(cov=covariance[np.ix_(rest, rest)])
+            expected = total - others.logpdf(residual[row, rest])
+            assert given[row, block] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    # the noise model's own density is the same, and the gap matters where the noise is correlated
+    own = NOISES[name].log_density(residual, time, values, travel)
+    np.testing.assert_allclose(whole, own, rtol=1e-9)
+    alone = np.add.reduceat(stats.norm.logpdf(residual, scale=scale), STARTS, axis=1)
+    assert (np.abs(given - alone).max() > 0.1) == (name != "iid")
+
+
+@pytest.mark.parametrize("times", TIMES)
+def test_the_whole_density_of_student_t_noise_is_the_noise_models_own(times):
+    time = TIMES[times]
+    residual, _, values, (decay, scale) = noise_of("student_t", time)
+    _, whole = conditional_density(residual, decay, scale, STARTS, values["noise_dof"])
+    np.testing.assert_allclose(
+        whole, NOISES["student_t"].log_density(residual, time, values), rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize("behind", [-2.0, 0.0, 0.7, 3.0])
+def test_the_bridge_of_student_t_noise_is_near_the_integral_over_the_hole(behind):
+    # one sample is left out between two; its place is integrated out
+    dof, phi = 4.0, 0.8
+    width = np.sqrt(1 - phi**2)
+
+    def step(after, before):
+        return stats.t(dof).pdf((after - phi * before) / width) / width
+
+    residual = np.array([[0.5, 0.2, behind]])
+    decay, scale = np.array([[np.inf, -np.log(phi), -np.log(phi)]]), np.ones((1, 3))
+    given, _ = conditional_density(residual, decay, scale, np.arange(3), np.array([dof]))
+    hole = integrate.quad(lambda e: step(e, 0.5) * step(behind, e), -30, 30, limit=400)[0]
+    exact = np.log(step(0.2, 0.5) * step(behind, 0.2) / hole)
+    assert given[0, 1] == pytest.approx(exact, abs=0.12)
+
+
+# --- cycles
+
+
+def harmonic(hertz=1.0, seconds=6.0, rate=64):
+    time = np.arange(0, seconds, 1 / rate)
+    motion = np.sin(2 * np.pi * hertz * time)
+    return Trace.from_arrays(time, motion, 0.03, 2 * np.tanh(9 * np.cos(2 * np.pi * hertz * time)))
+
+
+def test_cycles_of_a_harmonic_record_are_its_periods():
+    trace = harmonic()
+    cycles = find_cycles(trace)
+    assert cycles[0] == 0
+    assert cycles[-1] == trace.samples
+    assert set(cycles[1:-1]) <= set(trace.turning_points)
+    np.testing.assert_allclose(np.diff(trace.time[cycles[1:-1]]), 1.0, atol=0.02)
+    assert len(cycles) - 1 == 6
+
+
+def test_what_is_left_at_the_end_is_joined_to_the_last_cycle():
+    trace = harmonic(seconds=6.0)
+    shorter = harmonic(seconds=4.0)  # ends a quarter of a period after a turn
+    for found in (find_cycles(trace), find_cycles(shorter)):
+        assert np.diff(found).min() >= 0.5 * 64
+
+
+def test_small_loops_are_joined_until_they_last_half_a_mean_period():
+    time = np.arange(0, 20, 1 / 64)
+    motion = np.sin(np.pi * time) + 0.05 * np.sin(2 * np.pi * 7 * time)
+    trace = Trace.from_arrays(time, motion, 0.03, motion)
+    period = 2 * np.pi * trace.displacement.std() / trace.velocity.std()
+    cycles = find_cycles(trace)
+    assert len(trace.turning_points) > 100
+    lasting = np.diff(np.append(time, time[-1])[cycles])
+    assert np.all(lasting >= period / 2 - 0.02)
+    # the control: every second turning point by itself would be far shorter
+    assert np.diff(time[trace.turning_points[::2]]).min() < 0.5 * period / 2
+
+
+def test_cycles_begin_behind_what_is_masked():
+    cycles = find_cycles(harmonic(), first=100)
+    assert cycles[0] == 100
+
+
+def test_a_record_of_too_few_cycles_is_refused():
+    with pytest.raises(FitError, match=rf"at least {FEWEST} cycles, got 2"):
+        find_cycles(harmonic(seconds=2.2))
+
+
+@pytest.mark.parametrize("model", ["three_stage", "lugre", "bouc_wen", "backlash"])
+@pytest.mark.parametrize("noise", ["ou", "iid", "staged", "student_t"])
+@pytest.mark.parametrize("start", ["sample", "mask"])
+def test_cycles_have_the_posteriors_own_likelihood(model, noise, start):
+    posterior = Posterior(harmonic(), FILE, noise, model, start=start)
+    q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), 7))
+    cycles = find_cycles(posterior.trace, posterior.first)
+    given, whole = cycle_log_likelihood(posterior, posterior.values(q), cycles)
+    assert given.shape == (7, len(cycles) - 1)
+    np.testing.assert_allclose(whole, posterior.log_likelihood(q), rtol=1e-8)

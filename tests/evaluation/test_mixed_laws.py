@@ -1,0 +1,82 @@
+"""Constants of each law where laws are compared."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.evaluation.mixed_laws import FEWEST, mixed_rows
+from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.runs.systems import SI, US
+
+REFERENCE = 2.0  # ksi
+NUMBER = {name: number for number, name in enumerate(LAW_NAMES)}
+
+
+class Mixed:
+    """Population of 4 chains × 50 draws; a quarter of the chains has each of four laws."""
+
+    laws = ("proportional", "affine", "power", "constant")
+
+    def __init__(self, name="Fc_fwd", draws=50):
+        laws = {"sigma0": "proportional", name: "compare"}
+        self.design = SimpleNamespace(laws=laws, reference=REFERENCE)
+        self.law_weights = {name: dict.fromkeys(self.laws, 0.25)}
+        of_chain = np.array([[NUMBER[law]] * draws for law in self.laws])
+        self.choice = np.stack([np.zeros_like(of_chain), of_chain], axis=-1)
+
+    def median(self, name, actuation):
+        level = np.array([3.0, 4.0, 5.0, 6.0])  # kip at the reference, by chain
+        return np.broadcast_to(level[:, None, None], (*self.choice.shape[:2], 1))
+
+    def shapes(self, name):
+        share = np.broadcast_to(np.array([1.0, 0.75, 1.0, 0.0])[:, None], self.choice.shape[:2])
+        exponent = np.broadcast_to(np.array([1.0, 1.0, 0.6, 1.0])[:, None], self.choice.shape[:2])
+        return share, exponent
+
+
+def table(population, system=US):
+    rows = mixed_rows(population, "ksi", system)
+    return {(row.note.split(" law")[0], row.name): row for row in rows}
+
+
+def test_each_law_has_its_own_constants():
+    found = table(Mixed())
+    medians = {key: row.median for key, row in found.items()}
+    assert medians == pytest.approx(
+        {
+            ("proportional", "K_c_fwd"): 1.5,
+            ("affine", "K_c_fwd"): 1.5,  # 4 · 0.75 / 2
+            ("affine", "Fc_fwd_0"): 1.0,
+            ("power", "Fc_fwd"): 5.0,
+            ("power", "exponent_Fc_fwd"): 0.6,
+            ("constant", "Fc_fwd"): 6.0,
+        }
+    )
+
+
+def test_the_weight_stands_beside_the_law_and_the_level_with_its_actuation():
+    found = table(Mixed())
+    assert found["affine", "Fc_fwd_0"].note == "affine law, weight 0.25"
+    assert found["power", "Fc_fwd"].note == "power law, weight 0.25; at 2000 psi"
+    assert table(Mixed(), SI)["power", "Fc_fwd"].note.endswith("at 13.79 MPa")
+
+
+def test_units_are_those_of_the_constants():
+    found = table(Mixed())
+    assert found["power", "Fc_fwd"].unit == "kip"
+    assert found["affine", "Fc_fwd_0"].unit == "kip"
+    assert found["affine", "K_c_fwd"].unit == "in^2"
+    assert found["power", "exponent_Fc_fwd"].unit == "1"
+
+
+def test_a_law_of_few_draws_has_no_interval():
+    assert mixed_rows(Mixed(draws=FEWEST - 1), "ksi", US) == []
+
+
+def test_parts_of_chains_have_no_convergence_of_their_own():
+    assert all(np.isnan(row.r_hat) for row in mixed_rows(Mixed(), "ksi", US))
+
+
+def test_a_quantity_with_one_law_is_left_to_the_table_of_slopes():
+    assert not any("sigma0" in row.name for row in mixed_rows(Mixed(), "ksi", US))

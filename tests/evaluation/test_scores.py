@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+from pydantic import TypeAdapter
+from scipy import stats
+
+from mfd_bayes.evaluation.scores import COVERAGES, crps, rrse, score
+from mfd_bayes.runs.results import Score
+
+
+def normal_crps(mean, sd, y):
+    """Gneiting and Raftery (2007), Eq. 21."""
+    z = (y - mean) / sd
+    return sd * (z * (2 * stats.norm.cdf(z) - 1) + 2 * stats.norm.pdf(z) - 1 / np.sqrt(np.pi))
+
+
+def naive_crps(draws, y):
+    pairs = np.abs(draws[:, None] - draws[None])
+    return np.abs(draws - y).mean(axis=0) - 0.5 * pairs.mean(axis=(0, 1))
+
+
+def test_crps_is_the_closed_form_of_a_normal():
+    draws = np.random.default_rng(1).normal(2.0, 0.5, size=(40000, 5))
+    y = np.array([0.5, 1.8, 2.0, 2.3, 4.0])
+    np.testing.assert_allclose(crps(draws, y), normal_crps(2.0, 0.5, y), atol=0.01)
+    assert np.max(np.abs(crps(draws, y) - normal_crps(2.0, 1.0, y))) > 0.05  # the control
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 60])
+def test_crps_is_that_of_all_pairs(n):
+    rng = np.random.default_rng(n)
+    draws, y = rng.standard_t(3, size=(n, 9)), rng.normal(size=9)
+    np.testing.assert_allclose(crps(draws, y), naive_crps(draws, y), rtol=1e-12, atol=1e-14)
+
+
+def test_crps_of_one_draw_is_its_absolute_error():
+    np.testing.assert_allclose(crps(np.array([[1.0, -2.0]]), np.array([3.0, -2.0])), [2.0, 0.0])
+
+
+def test_crps_does_not_depend_on_the_order_of_draws():
+    rng = np.random.default_rng(4)
+    draws, y = rng.normal(size=(50, 3)), rng.normal(size=3)
+    np.testing.assert_allclose(crps(draws[::-1], y), crps(draws, y), rtol=1e-13)
+
+
+def test_calibrated_draws_cover_as_often_as_they_say():
+    rng = np.random.default_rng(5)
+    centre = np.sin(np.linspace(0, 20, 4000))
+    observed = centre + 0.3 * rng.normal(size=4000)
+    right = score(centre + 0.3 * rng.normal(size=(1000, 4000)), observed)
+    np.testing.assert_allclose(right.coverage, COVERAGES, atol=0.03)
+    assert right.width == pytest.approx(2 * 1.96 * 0.3, rel=0.02)
+    narrow = score(centre + 0.1 * rng.normal(size=(1000, 4000)), observed)  # the control
+    assert narrow.coverage[-1] < 0.6
+    assert narrow.crps > right.crps
+
+
+def test_the_interval_score_is_its_formula():
+    rng = np.random.default_rng(7)
+    draws, observed = rng.normal(size=(4000, 6)), np.array([-5.0, -1.0, 0.0, 1.0, 3.0, 2.5])
+    lower, upper = np.quantile(draws, [0.025, 0.975], axis=0)
+    found = score(draws, observed)
+    beyond = np.where(observed < lower, lower - observed, 0.0)
+    beyond += np.where(observed > upper, observed - upper, 0.0)
+    assert found.interval_score == pytest.approx(np.mean(upper - lower + 40.0 * beyond))
+    assert found.interval_score > found.width
+    inside = score(draws, 0.1 * np.arange(6))
+    assert inside.interval_score == pytest.approx(inside.width)
+
+
+def test_the_interval_score_is_least_for_the_true_spread():
+    rng = np.random.default_rng(8)
+    observed = rng.normal(size=3000)
+    found = [
+        score(sd * rng.normal(size=(800, 3000)), observed).interval_score for sd in (0.6, 1.0, 1.7)
+    ]
+    assert min(found) == found[1]
+    # of a normal, 2 z + 2 [φ(z) − z (1 − Φ(z))]/0.025 at z = 1.96
+    z = stats.norm.ppf(0.975)
+    expected = 2 * z + 80 * (stats.norm.pdf(z) - z * 0.025)
+    assert found[1] == pytest.approx(expected, rel=0.05)
+
+
+def test_a_score_comes_back_from_its_fields():
+    found = score(np.random.default_rng(9).normal(size=(50, 4)), np.arange(4.0))
+    stored = {**vars(found), "coverage": list(found.coverage)}
+    assert TypeAdapter(Score).validate_python(stored) == found  # as a manifest is read
+
+
+def test_an_exact_prediction_has_no_error():
+    observed = np.sin(np.linspace(0, 6, 50))
+    found = score(np.tile(observed, (20, 1)), observed)
+    assert found.coverage == (1.0, 1.0, 1.0)
+    np.testing.assert_allclose((found.width, found.crps, found.rrse), 0.0, atol=1e-14)
+
+
+def test_rrse_of_the_mean_is_one():
+    observed = np.random.default_rng(6).normal(size=100)
+    assert rrse(np.full(100, observed.mean()), observed) == pytest.approx(1.0)
+    assert rrse(0.5 * (observed + observed.mean()), observed) == pytest.approx(0.5)
+    assert rrse(observed - 3 * observed.std(), observed) == pytest.approx(3.0)
+
+
+def test_a_force_that_is_constant_has_no_relative_error():
+    assert np.isnan(rrse(np.zeros(5), np.full(5, 2.0)))
