@@ -1,0 +1,60 @@
+"""Sentences that keep their quantities as data; they are written in the reader's units once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from mfd_bayes.units import in_digits
+
+Writer = Callable[[Sequence[float], str, int], str]
+"""Writes values of an internal unit with a number of digits: `([0.2, 0.3], "in", 3)`."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One value, or the ends of a range, in an internal unit (kip, in, s, ksi, …)."""
+
+    values: tuple[float, ...]
+    unit: str
+    digits: int = 3
+
+    @classmethod
+    def of(cls, *values: float, unit: str, digits: int = 3) -> Quantity:
+        """Quantity of one value or of the ends of a range."""
+        return cls(tuple(float(value) for value in values), unit, digits)
+
+
+@dataclass(frozen=True)
+class Message:
+    """A sentence with named quantities: `Message("the force jumps by {jump}", {"jump": …})`.
+
+    Attributes
+    ----------
+    template : str
+        As `str.format` takes it; braces that are meant are doubled.
+    values : mapping
+        By name: a `Quantity`, which is written in the reader's units, or text, which stays.
+    """
+
+    template: str
+    values: Mapping[str, Quantity | str] = field(default_factory=dict)
+
+    def to_text(self, writer: Writer) -> str:
+        """The sentence with its quantities as `writer` writes them, such as `System.words`."""
+        shown = {
+            name: writer(value.values, value.unit, value.digits)
+            if isinstance(value, Quantity)
+            else value
+            for name, value in self.values.items()
+        }
+        return self.template.format(**shown)
+
+    def __str__(self) -> str:
+        """The sentence in internal units."""
+        return self.to_text(_internal)
+
+
+def _internal(values: Sequence[float], unit: str, digits: int) -> str:
+    shown = dict.fromkeys(in_digits(value, digits) for value in values)
+    return f"{' to '.join(shown)} {unit}"
