@@ -16,7 +16,7 @@ import pytest
 from typer.main import get_command
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.effort import EFFORTS
+from mfd_bayes.calibration.diagnostics import EFFORTS
 from mfd_bayes.campaign import schema
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.commands import app

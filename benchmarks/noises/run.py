@@ -33,8 +33,7 @@ from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import platform_line
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.noise_sensitivity import Bounds, moves, quantiles_of
-from mfd_bayes.calibration.result import load_result
-from mfd_bayes.calibration.task import calibrate_test
+from mfd_bayes.calibration.result import calibrate_test, load_result
 from mfd_bayes.evaluation.read_off import reading_rows
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 

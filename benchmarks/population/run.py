@@ -52,8 +52,7 @@ from benchmarks.common.series import fingerprint, run_series
 from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
 from benchmarks.population import study as study_of
 from benchmarks.population.study import FACTORS, RIGHT, WALKERS
-from mfd_bayes.calibration.diagnostics import measure
-from mfd_bayes.calibration.effort import EFFORTS
+from mfd_bayes.calibration.diagnostics import EFFORTS, measure
 from mfd_bayes.errors import MfdError
 
 MEAN, SPREAD = 0.1, 0.1

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sbc.study import narrow_priors
-from mfd_bayes.calibration.effort import EFFORTS, Effort
+from mfd_bayes.calibration.diagnostics import EFFORTS, Effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.quantities import intervals_of
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.bands import Forecast, Predictor

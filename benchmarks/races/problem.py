@@ -10,8 +10,8 @@ from scipy import special, stats
 
 from benchmarks.sampling.reference import find_posterior
 from mfd_bayes.calibration.diagnostics import measure
-from mfd_bayes.calibration.modes import around_modes, find_modes
-from mfd_bayes.calibration.proposal import Adaptive
+from mfd_bayes.calibration.modes import find_modes
+from mfd_bayes.calibration.proposal import Adaptive, around_modes
 
 ESS, R_HAT = 400.0, 1.01
 """When a person may stop waiting: of every coordinate."""

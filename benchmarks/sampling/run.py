@@ -63,8 +63,7 @@ from benchmarks.sampling.reference import (
     find_posterior,
     reached,
 )
-from mfd_bayes.calibration.diagnostics import measure
-from mfd_bayes.calibration.effort import EFFORTS
+from mfd_bayes.calibration.diagnostics import EFFORTS, measure
 from mfd_bayes.calibration.sampling import sample
 
 BARS = {"emcee, stretch move": 5.0, "NUTS": 30.0}

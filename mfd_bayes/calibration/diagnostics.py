@@ -2,20 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
+from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.numbers import real_number, whole_number
 from mfd_bayes.store.arviz import import_arviz
 
 Array = NDArray[np.float64]
 
 FEWEST_STEPS = 8
 """Of fewer steps of a chain, R̂ and effective sample size cannot be told."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Length and targets of a sampling; a FitError where one is no number that can be one.
+
+    Attributes
+    ----------
+    ess : float
+        Bulk and tail effective sample size that every quantity must reach.
+    limit : int
+        Largest number of steps of each ensemble; the report shows targets that were missed.
+    r_hat : float
+        Largest R̂ across ensembles.
+    length : float
+        Least number of kept steps, in autocorrelation times: the effective sample size alone
+        cannot tell walkers that have not moved from independent draws.
+    ensembles : int
+        Independent ensembles, each a chain.
+    walkers : int
+        Walkers of each ensemble; more are used where there are many dimensions.
+    kept : int
+        Approximate number of draws kept from each ensemble.
+    starts : int
+        Points from which modes are searched; with few points a minor mode is missed.
+    """
+
+    name: str = field(default="", kw_only=True)
+    ess: float
+    limit: int
+    r_hat: float = 1.01
+    length: float = 5.0
+    ensembles: int = 4
+    walkers: int = 48
+    kept: int = 3000
+    starts: int = 24
+
+    def __post_init__(self) -> None:
+        for name in ("ess", "r_hat"):
+            value = getattr(self, name)
+            real_number(f"{name} of an effort", value, FitError, (0.0, inf), inside=True)
+        real_number("length of an effort", self.length, FitError, (0.0, inf))
+        for name in ("limit", "ensembles", "walkers", "kept", "starts"):
+            whole_number(f"{name} of an effort", getattr(self, name), 1, FitError)
+
+
+EFFORTS = {
+    "quick": Effort(name="quick", ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
+    "standard": Effort(name="standard", ess=400, limit=8000),
+    "thorough": Effort(name="thorough", ess=2000, limit=40000, length=50.0, kept=8000, starts=72),
+}
+
+
+def find_effort(effort: str | Effort) -> Effort:
+    """Effort of that name.
+
+    Raises
+    ------
+    FitError
+        When there is none; the message lists the known names.
+    """
+    if isinstance(effort, Effort):
+        return effort
+    if not isinstance(effort, str) or effort not in EFFORTS:
+        raise FitError(f"unknown effort {effort!r}: expected one of {', '.join(EFFORTS)}")
+    return EFFORTS[effort]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,3 +275,22 @@ def log_if_positive(*samples: Array) -> tuple[Array, ...]:
     if all(np.all(sample > 0) for sample in samples):
         return tuple(np.log(sample) for sample in samples)
     return samples
+
+
+Interval = tuple[float, float, float]
+"""50, 2.5 and 97.5 % quantiles of the draws of a quantity."""
+
+
+def intervals_of(values: Mapping[str, Array]) -> dict[str, Interval]:
+    """Median and equal-tailed 95 % interval of quantities, from draws of any shape."""
+    found = {name: np.quantile(drawn, [0.5, 0.025, 0.975]) for name, drawn in values.items()}
+    return {name: (float(a), float(b), float(c)) for name, (a, b, c) in found.items()}
+
+
+def interval_rows(
+    intervals: Mapping[str, Interval],
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows of a table: name, unit, median and 95 % interval of quantities, as text."""
+    known = units()
+    rows = [(n, known.get(n, ""), *(f"{x:.4g}" for x in three)) for n, three in intervals.items()]
+    return ("quantity", "unit", "median", "2.5 %", "97.5 %"), rows

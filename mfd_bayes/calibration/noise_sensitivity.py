@@ -9,18 +9,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.modes import Mode, around_modes, climb, find_modes, prior_scale
+from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.modes import Mode, climb, find_modes, prior_scale
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.proposal import Adaptive, Proposal, fit_mixture
-from mfd_bayes.calibration.sampling import Draws
+from mfd_bayes.calibration.proposal import Adaptive, Proposal, around_modes, fit_mixture
 from mfd_bayes.errors import FitError, MfdError
+
+if TYPE_CHECKING:
+    from mfd_bayes.calibration.sampling import Draws
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float]
@@ -216,7 +218,7 @@ def fit_again(
         if found.k <= LARGEST_K and found.size >= ENOUGH:
             how = AT_ONCE if rounds == 1 else BY_WEIGHTS
             return SecondFit(found.q, found.weights, how, found.k, found.size)
-    from mfd_bayes.calibration.ensembles import sample_density  # emcee takes long to import
+    from mfd_bayes.calibration.sampling import sample_density  # emcee takes long to import
 
     modes = list(near)
     for mode in find_modes(posterior, rng, starts=SEARCHED):

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.noise import Noise, find_noise
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors, priors_of
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors, priors_of, quantities_of_fit
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.quantities import quantities_of_fit
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.columns import columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.model import Model

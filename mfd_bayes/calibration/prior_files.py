@@ -12,10 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.calibration import noise as noises
 from mfd_bayes.calibration import priors
+from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import PriorError, UnitError
+from mfd_bayes.friction import models
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
@@ -45,6 +48,44 @@ _MULTIPLES = MappingProxyType(
 _MULTIPLE = re.compile(
     rf"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+({'|'.join(_MULTIPLES)})\s*"
 )
+
+
+OF_RECORDS = (
+    Quantity(
+        "start",
+        "dimensionless",
+        "w_0",
+        "w<sub>0</sub>",
+        "place in the gap at the first sample",
+        pooled=False,
+    ),
+    Quantity("offset", "force", "F_0", "F<sub>0</sub>", "offset of the load cell", least=-np.inf),
+)
+"""What a record has, whatever the model and the noise."""
+
+
+def known_quantities() -> dict[str, Quantity]:
+    """Quantities of all models, of records and of all noises, by name."""
+    parts = [model.quantities for model in models.MODELS.values()]
+    parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
+    return {quantity.name: quantity for part in parts for quantity in part}
+
+
+def quantities_of_fit(model: Model, noise: Noise, *, sampled_start: bool) -> list[Quantity]:
+    """Quantities of a fit that have priors, in the order in which they are sampled."""
+    has_start = model.has_gap and sampled_start
+    record = [quantity for quantity in OF_RECORDS if quantity.name != "start" or has_start]
+    return [q for q in (*model.quantities, *record, *noise.quantities) if q.sampled]
+
+
+def sampled_quantities() -> dict[str, Quantity]:
+    """Those that may have a prior, by name."""
+    return {name: q for name, q in known_quantities().items() if q.sampled}
+
+
+def units() -> dict[str, str]:
+    """Internal unit of every quantity, by name."""
+    return {name: quantity.unit for name, quantity in known_quantities().items()}
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import psis, tempering
-from mfd_bayes.calibration.least_squares import least_squares
+from mfd_bayes.calibration.modes import Density, Mode, least_squares
 from mfd_bayes.errors import FitError
 
 Array = NDArray[np.float64]
-Density = Callable[[Array], Array]
 
 SHRINKAGE = 2.0
 """Draws for each dimension that shrink a component's scale to that of all components."""
@@ -245,6 +244,24 @@ def learn(
     warp = Warp.of(draws)
     fitted = fit_mixture(warp.normal(draws)[0], rng, parts=parts, warped=True)
     return Proposal((1.0 - ANCHORED, ANCHORED), (replace(fitted, warp=warp), anchors))
+
+
+def around_modes(modes: Sequence[Mode], power: float = 1.0) -> Mixture:
+    """Laplace's approximation to a power of the density, at every mode that may matter.
+
+    Laplace's masses are rough, so each mode's weight is the cube root of its mass. Modes whose
+    log mass is more than 20 below the best are left out.
+    """
+    best = max(mode.log_evidence for mode in modes)
+    kept = [mode for mode in modes if mode.log_evidence > best - 20.0]
+    weights = np.exp([(mode.log_evidence - best) / 3.0 for mode in kept])
+    covariances = np.array([mode.covariance / power for mode in kept])
+    return Mixture(
+        weights / weights.sum(),
+        np.array([mode.q for mode in kept]),
+        np.asarray(np.linalg.cholesky(covariances)),
+        np.full(len(kept), 6.0),
+    )
 
 
 class Adaptive:

@@ -1,29 +1,461 @@
-"""Posterior draws of one test, by independent ensembles of walkers that run until they converge."""
+"""Posterior draws of one test, by independent ensembles of walkers that run until they converge.
+
+emcee takes long to import: other files import this one where a test is sampled.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
 
+import emcee
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.effort import Effort, find_effort
-from mfd_bayes.calibration.modes import Mode, find_modes, mode_shares, nearest_modes
+from mfd_bayes.calibration.diagnostics import (
+    Convergence,
+    Effort,
+    autocorrelation_time,
+    find_effort,
+    interval_rows,
+    intervals_of,
+    measure,
+)
+from mfd_bayes.calibration.modes import Density, Mode, find_modes
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.quantities import interval_rows, intervals_of
+from mfd_bayes.calibration.proposal import Mixture, Proposal, around_modes, learn
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.store.cards import counted, grid
 
-if TYPE_CHECKING:
-    from mfd_bayes.calibration.ensembles import Chains
-
 Array = NDArray[np.float64]
+BoundedDensity = Callable[[Array, float], Array]
+"""Log density of points (n, dim), (n,). What is surely below the number may be −inf instead."""
+
+STORED = 3000
+"""Largest number of steps stored for each walker; beyond it, every second one is dropped."""
+
+ROUND = 20
+"""Steps after which the proposal is learned again during the warm-up."""
+
+ROUNDS = 12
+"""Largest number of such rounds at full power; fewer where they no longer help."""
+
+HEAT = (0.3, 0.35, 0.5, 0.65, 0.8)
+"""Powers of the density in the first rounds, so that walkers reach its tails and other modes."""
+
+BROAD = 0.5
+"""The proposal learned at this power stays part of all later ones."""
+
+FIRST = 80
+"""Largest number of kept steps after which convergence is measured first."""
+
+SLOW = 40.0
+"""Autocorrelation time, steps, above which the proposal is learned again."""
+
+LEAST = 16.0
+"""Least autocorrelation time, steps, that is used for the length of a run: far tails are visited
+more rarely than the estimate shows."""
+
+PARTS = 6
+"""Largest number of Student-t components of a learned proposal, besides the wide one."""
+
+REQUIRED = 200
+"""Correlated draws per dimension that each component needs."""
+
+NEVER = 1000.0
+"""A proposal whose log density is this far below that of every walker is never accepted."""
+
+SILENT = 5.0
+"""Seconds after which R̂ and effective sample size are reported, even of a run that is too short."""
+
+JUMPS = 0.7
+"""Share of independence proposals among the steps; the others are differential evolution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Draws of a density; each ensemble is a chain.
+
+    Attributes
+    ----------
+    q : (chain, draw, dim)
+        A chain's draws are ordered by walker and, within a walker, by step, so that the
+        autocorrelation of a chain is that of its walkers.
+    log_prob : (chain, draw)
+    walkers : int
+    steps, thin, discarded : int
+        Steps of each ensemble; the interval of steps between kept draws; steps of the warm-up,
+        in which the proposal was fitted and no draw is kept.
+    acceptance : (chain,)
+    autocorrelation : (dim,)
+        Integrated autocorrelation time, steps.
+    watched : (ensemble, step, walker, m)
+        Kept draws of all that must converge: coordinates, log density, derived quantities.
+    """
+
+    q: Array
+    log_prob: Array
+    walkers: int
+    steps: int
+    thin: int
+    discarded: int
+    acceptance: Array
+    autocorrelation: Array
+    watched: Array
+
+    @property
+    def slowest(self) -> float:
+        """Largest autocorrelation time of a coordinate, steps."""
+        return float(np.max(self.autocorrelation))
+
+    @cached_property
+    def convergence(self) -> Convergence:
+        """Of all that is watched, in that order; to measure it takes as long as some ten steps."""
+        return measure(self.watched)
+
+
+def sample_density(
+    density: BoundedDensity,
+    modes: Sequence[Mode],
+    effort: Effort,
+    rng: np.random.Generator,
+    *,
+    derived: Callable[[Array], Array] | None = None,
+    report: Callable[[Progress], None] | None = None,
+) -> Chains:
+    """Draws of a density, from ensembles started around its modes.
+
+    In the warm-up, walkers sample a power of the density, raised in rounds to 1, and a mixture
+    of Student-t densities is learned from their positions. The mixture is then frozen, and
+    draws are kept: from independence proposals of the mixture and differential evolution. If
+    the chains mix slowly, or are far from the effort's target, the mixture is learned again
+    from the kept draws, which are then discarded: not in the second half of the effort's limit.
+
+    Parameters
+    ----------
+    density : callable
+        Log density of points (n, dim), (n,). What is surely below the number may be −inf instead.
+    derived : callable, optional
+        Other quantities that must converge too, (n, dim) -> (n, m).
+    report : callable, optional
+        Called with a `Progress` after every block of steps.
+    """
+    walk = _Walk(density, modes, effort, rng, derived)
+    walk.warm_up()
+    wait = min(FIRST, math.ceil(effort.length * LEAST))
+    while True:
+        walk.run(max(1, min(wait, effort.limit - walk.steps)))
+        chains = walk.chains()
+        if report is not None:
+            report(walk.progress(chains))
+        if walk.reached(chains) or walk.steps >= effort.limit:
+            return chains
+        if walk.is_slow(chains) and 2 * walk.steps <= effort.limit:
+            walk.learn_again()
+        longest = max(FIRST // 2, walk.fresh // 2)
+        wait = max(ROUND, walk.fresh // 4, math.ceil(min(1.1 * walk.left(chains), longest)))
+
+
+class _Walk:
+    """The walkers of all ensembles, which move together, their proposal and stored steps."""
+
+    def __init__(
+        self,
+        density: BoundedDensity,
+        modes: Sequence[Mode],
+        effort: Effort,
+        rng: np.random.Generator,
+        derived: Callable[[Array], Array] | None = None,
+    ) -> None:
+        dim = len(modes[0].q)
+        self._derived = derived
+        self._effort, self._rng = effort, rng
+        self._began = self._told = time.perf_counter()
+        self._walkers = 2 * max(effort.walkers // 2, dim + 3)
+        self._power = HEAT[0]
+        self._state = emcee.State(np.empty((0, dim)))
+
+        def powered(q: Array) -> Array:
+            return self._power * density(q, self._least)
+
+        self._anchors: Mixture | Proposal = around_modes(modes, self._power)
+        self._independent = Independent(self._anchors)
+        self._sampler = emcee.EnsembleSampler(
+            effort.ensembles * self._walkers,
+            dim,
+            powered,
+            moves=[(self._independent, JUMPS), *evolution(dim, effort.ensembles, 1.0 - JUMPS)],
+            vectorize=True,
+        )
+        # emcee takes a RandomState's state and silently ignores anything else
+        twister = np.random.RandomState(int(rng.integers(2**32)))
+        begin = disperse(powered, self._anchors, self._sampler.nwalkers, twister)
+        self._state = emcee.State(begin, random_state=twister.get_state())
+        self.steps = self._learned = 0
+        self._freeze()
+
+    def warm_up(self) -> None:
+        """Learn the proposal in rounds, until another one would cost more than it saves.
+
+        A round costs its steps; a better acceptance rate shortens what is kept in proportion.
+        """
+        for power in HEAT:
+            if self.steps >= self._effort.limit // 4:
+                break
+            self._raise(power)
+            self.run(ROUND)
+            self._learn(0.75)
+            if power == BROAD:
+                self._anchors = Proposal((0.3, 0.7), (self._anchors, self._independent.source))
+        self._raise(1.0)
+        worth = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0)
+        best = 0.0
+        for _ in range(ROUNDS):
+            self._independent.forget()
+            self.run(ROUND)
+            accepted = self._independent.acceptance
+            self._learn(0.5)
+            if accepted < worth * best or self.steps >= self._effort.limit // 4:
+                break
+            best = accepted
+        self._freeze()
+
+    @property
+    def _least(self) -> float:
+        """Log density, of power 1, below which no proposal is accepted."""
+        known = self._state.log_prob
+        return -math.inf if known is None else float(np.min(known) - NEVER) / self._power
+
+    def _raise(self, power: float) -> None:
+        """Continue at a new power of the density, without the steps stored before."""
+        state = emcee.State(self._state, copy=True)
+        if state.log_prob is not None:  # None before the first step
+            state.log_prob *= power / self._power
+        self._state, self._power = state, power
+        self._freeze()
+
+    def learn_again(self) -> None:
+        """Learn the proposal from the kept steps, if there are enough, and start keeping anew."""
+        if len(self._coords) * self._stride >= 4 * self._learned:
+            self._learn(0.75)
+            self._freeze()
+
+    def _learn(self, share: float) -> None:
+        """Learn the proposal from the last share of the stored steps."""
+        late = self._coords[-math.ceil(share * len(self._coords)) :]
+        self._learned = len(late) * self._stride
+        draws = np.concatenate(late)
+        parts = int(np.clip(len(draws) // (REQUIRED * draws.shape[1]), 1, PARTS))
+        self._independent.source = learn(draws, parts, self._rng, self._anchors)
+
+    def _freeze(self) -> None:
+        """Drop the stored steps: all kept draws must come from one proposal."""
+        self.fresh, self._stride = 0, 1
+        self._coords: list[Array] = []
+        self._log_prob: list[Array] = []
+        self._moved = np.zeros(self._sampler.nwalkers)
+
+    def run(self, steps: int) -> None:
+        """Continue for some steps, and store every stride-th of them."""
+        for state in self._sampler.sample(
+            self._state, iterations=steps, store=False, skip_initial_state_check=True
+        ):
+            self._moved += np.any(state.coords != self._state.coords, axis=1)
+            self._state = emcee.State(state, copy=True)
+            self.fresh += 1
+            if self.fresh % self._stride == 0:
+                self._coords.append(self._state.coords)
+                self._log_prob.append(self._state.log_prob)
+            if len(self._coords) >= STORED:
+                self._coords, self._log_prob = self._coords[1::2], self._log_prob[1::2]
+                self._stride *= 2
+        self.steps += steps
+
+    def _length(self, chains: Chains) -> float:
+        """Number of kept steps over the number that the effort requires."""
+        asked = self._effort.length * max(chains.slowest, LEAST)
+        return self.fresh / asked if asked > 0.0 else math.inf
+
+    def reached(self, chains: Chains) -> bool:
+        """Whether the effort's targets are met: its length first, which is known at once."""
+        effort = self._effort
+        long = self._length(chains) >= 1.0
+        return long and chains.convergence.reached(effort.r_hat, effort.ess)
+
+    def is_slow(self, chains: Chains) -> bool:
+        """Whether the walkers mix slowly, or are far from the effort's effective sample size."""
+        size = self._sampler.nwalkers * self.fresh / max(chains.slowest, 1.0)
+        return size < 0.5 * self._effort.ess or chains.slowest > SLOW
+
+    def left(self, chains: Chains) -> float:
+        """Estimated number of steps still to be kept until the effort's targets are met."""
+        effort, done = self._effort, self._length(chains)
+        if done >= 1.0:
+            done = chains.convergence.share(effort.r_hat, effort.ess)
+        return self.fresh * (1.0 / done - 1.0) if done > 0.0 else math.inf
+
+    def progress(self, chains: Chains) -> Progress:
+        """Progress of the sampling; without R̂ and ESS while the run is too short, see `SILENT`."""
+        effort, left, lacking = self._effort, self.left(chains), []
+        share = self.steps / max(self.steps, min(self.steps + left, effort.limit))
+        worst, now = (math.nan, math.nan), time.perf_counter()
+        length = self._length(chains)
+        if length < 1.0:
+            lacking.append(f"{self.fresh} of {math.ceil(self.fresh / length)} kept steps")
+        if length >= 1.0 or now - self._told > SILENT:
+            found, self._told = chains.convergence, now
+            worst = found.worst_r_hat, found.worst_ess
+            if not worst[0] <= effort.r_hat:
+                lacking.append(f"R-hat {effort.r_hat:g}")
+            if not worst[1] >= effort.ess:
+                lacking.append(f"ESS {effort.ess:g}")
+        seconds, missing = now - self._began, " and ".join(lacking)
+        return Progress(self.steps, effort.limit, *worst, seconds, share, missing)
+
+    def chains(self) -> Chains:
+        """Thinned draws since the proposal was frozen."""
+        ensembles, walkers = self._effort.ensembles, self._walkers
+        shape = (len(self._coords), ensembles, walkers)
+        full = np.swapaxes(np.reshape(self._coords, (*shape, -1)), 0, 1)
+        log_prob = np.swapaxes(np.reshape(self._log_prob, shape), 0, 1)
+        thin = max(1, len(self._coords) * walkers // self._effort.kept)
+        kept, kept_log_prob = full[:, thin - 1 :: thin], log_prob[:, thin - 1 :: thin]
+        watched = [kept, kept_log_prob[..., None]]
+        if self._derived is not None:
+            others = self._derived(kept.reshape(-1, kept.shape[-1]))
+            watched.append(others.reshape(*kept.shape[:-1], -1))
+        return Chains(
+            q=np.swapaxes(kept, 1, 2).reshape(ensembles, -1, full.shape[-1]),
+            log_prob=np.swapaxes(kept_log_prob, 1, 2).reshape(ensembles, -1),
+            walkers=walkers,
+            steps=self.steps,
+            thin=thin * self._stride,
+            discarded=self.steps - self.fresh,
+            acceptance=np.reshape(self._moved, (ensembles, walkers)).mean(axis=1) / self.fresh,
+            autocorrelation=self._stride * autocorrelation_time(full),
+            watched=np.concatenate(watched, axis=-1),
+        )
+
+
+class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
+    """An emcee move applied within each of several independent ensembles.
+
+    The walkers of a sampler form `ensembles` blocks. Each block is split at random in two
+    halves, and each half is proposed from the other half of its own block alone, as emcee's
+    red–blue moves do. Only the density is evaluated for all blocks in one batch.
+    """
+
+    def __init__(self, move: emcee.moves.RedBlueMove, ensembles: int) -> None:
+        self.move = move
+        self.ensembles = ensembles
+
+    def propose(
+        self, model: emcee.model.Model, state: emcee.State
+    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+        """New state, and which walkers moved, (ensembles · walkers,)."""
+        self.move.setup(state.coords)
+        total = len(state.coords)
+        walkers = total // self.ensembles
+        order = np.argsort(model.random.rand(self.ensembles, walkers), axis=1)
+        order += walkers * np.arange(self.ensembles)[:, None]
+        halves = order[:, : walkers // 2], order[:, walkers // 2 :]
+        accepted = np.zeros(total, dtype=bool)
+        for moving, still in (halves, halves[::-1]):
+            proposals, factors = zip(
+                *(
+                    self.move.get_proposal(state.coords[m], [state.coords[s]], model.random)
+                    for m, s in zip(moving, still, strict=True)
+                ),
+                strict=True,
+            )
+            proposal = np.concatenate(proposals)
+            log_prob, _ = model.compute_log_prob_fn(proposal)
+            index = moving.reshape(-1)
+            gain = np.concatenate(factors) + log_prob - state.log_prob[index]
+            taken = np.log(model.random.rand(index.size)) < gain
+            moved = index[taken]
+            state.coords[moved] = proposal[taken]
+            state.log_prob[moved] = np.asarray(log_prob)[taken]
+            accepted[moved] = True
+        return state, accepted
+
+
+class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
+    """Metropolis–Hastings with proposals that do not depend on a walker's position.
+
+    Walkers are independent here, so that all move in one batch. The target stays invariant
+    as long as the proposal is unchanged; draws from which it was learned must be discarded.
+    """
+
+    def __init__(self, proposal: Mixture | Proposal) -> None:
+        self.source = proposal
+        self.forget()
+
+    def forget(self) -> None:
+        """Reset the acceptance rate."""
+        self._proposed = self._accepted = 0
+
+    @property
+    def acceptance(self) -> float:
+        """Acceptance rate since the last `forget`."""
+        return self._accepted / max(self._proposed, 1)
+
+    def propose(
+        self, model: emcee.model.Model, state: emcee.State
+    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+        """New state, and which walkers moved, (walkers,)."""
+        proposal = self.source.draw(model.random, len(state.coords))
+        log_prob, _ = model.compute_log_prob_fn(proposal)
+        gain = np.asarray(log_prob) - state.log_prob
+        gain += self.source.log_density(state.coords) - self.source.log_density(proposal)
+        moved = np.log(model.random.rand(gain.size)) < gain
+        state.coords[moved] = proposal[moved]
+        state.log_prob[moved] = np.asarray(log_prob)[moved]
+        self._proposed += moved.size
+        self._accepted += int(moved.sum())
+        return state, moved
+
+
+def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves.Move, float]]:
+    """Differential evolution moves within each ensemble, with their weights.
+
+    One step in five moves by the full difference of two walkers, so that it can jump between
+    modes.
+
+    emcee 3.1.6's DESnookerMove does not sample the target and is not used.
+    """
+    usual = 2.38 / np.sqrt(2 * dim)
+    return [
+        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=usual), ensembles), 0.8 * weight),
+        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), ensembles), 0.2 * weight),
+    ]
+
+
+def disperse(
+    density: Density, anchors: Mixture | Proposal, walkers: int, random: np.random.RandomState
+) -> Array:
+    """Starting points (walkers, dim): draws around the modes, chosen by importance weights.
+
+    Raises
+    ------
+    FitError
+        When the density is zero at all draws.
+    """
+    draws = anchors.draw(random, 4 * walkers)
+    ratio = density(draws) - anchors.log_density(draws)
+    top = np.sort(ratio)[-max(10, len(ratio) // 100)]
+    if not np.isfinite(top):
+        raise FitError("no density around the modes: the posterior cannot be sampled")
+    weights = np.exp(np.minimum(ratio - top, 0.0))
+    near = np.flatnonzero(weights)
+    chosen = random.choice(near, size=walkers, p=weights[near] / weights[near].sum())
+    begin: Array = draws[chosen]
+    return begin
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +543,6 @@ def sample(
     FitError
         When the prior has no mass at any start, or an argument is none of those above.
     """
-    from mfd_bayes.calibration.ensembles import sample_density  # emcee takes long to import
-
     began = time.perf_counter()
     if not isinstance(posterior, Posterior):
         raise FitError(f"posterior must be a Posterior, got {type(posterior).__name__}")
@@ -155,3 +585,23 @@ def generator_of(seed: int | Sequence[int]) -> np.random.Generator:
         raise FitError("seed must be a whole number, 0 or more, or some of them, got none")
     zeros = len(words) - 1 - max((i for i, word in enumerate(words) if word), default=0)
     return np.random.default_rng(np.random.SeedSequence(words, spawn_key=(zeros,) if zeros else ()))
+
+
+def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
+    """Number of the mode whose Laplace approximation is densest at each draw, (chain, draw).
+
+    Parameters
+    ----------
+    q : (chain, draw, dim)
+    """
+    flat = q.reshape(-1, q.shape[-1])
+    heights = [around_modes([mode]).log_density(flat) for mode in modes]
+    nearest: NDArray[np.intp] = np.argmax(heights, axis=0).reshape(q.shape[:2])
+    return nearest
+
+
+def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
+    """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
+    belongs = nearest_modes(modes, q)[..., None] == np.arange(len(modes))
+    shares: Array = belongs.mean(axis=1)
+    return shares

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.predictive import PredictiveCheck, Replicas, check_predictive
 from mfd_bayes.calibration.result import TestResult

@@ -14,7 +14,7 @@ from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import Identifiability, identify
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
-from mfd_bayes.calibration.quantities import units
+from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.evaluation.bands import fan_of, score_of, spread_of
 from mfd_bayes.evaluation.checks import (

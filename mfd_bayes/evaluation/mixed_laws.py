@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.quantities import units
+from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.evaluation.bands import spread_of
 from mfd_bayes.evaluation.views import Row
 from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit

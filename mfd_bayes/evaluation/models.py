@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.calibration.task import Task
+from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.evaluation.cycles import find_cycles
 from mfd_bayes.evaluation.loo import (

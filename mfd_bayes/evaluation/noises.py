@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.noise_sensitivity import HALF, Bounds, moves, quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.quantities import units
+from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.evaluation.views import NOISE, Check, NoiseRow, Row, TestView
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.verdict import Verdict

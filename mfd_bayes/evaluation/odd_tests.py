@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.quantities import units
+from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.population.design import Design
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import pooled_of

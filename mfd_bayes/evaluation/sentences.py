@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.prior_files import SCALED
 from mfd_bayes.evaluation.checks import CALIBRATION, INFORMED, SAMPLING
 from mfd_bayes.evaluation.fits import SCALE_NOTE

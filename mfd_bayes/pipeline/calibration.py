@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.quantities import units
-from mfd_bayes.calibration.result import TestResult, load_result
-from mfd_bayes.calibration.task import Task
+from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.dispatch import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step

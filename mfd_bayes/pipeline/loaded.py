@@ -5,7 +5,7 @@ from mfd_bayes.jobs.processes import importing
 with importing():
     from scipy import stats  # noqa: F401
 
-    from mfd_bayes.calibration import task  # noqa: F401
+    from mfd_bayes.calibration import result  # noqa: F401
     from mfd_bayes.reporting import publication  # noqa: F401
     from mfd_bayes.store.arviz import import_arviz
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.effort import find_effort
+from mfd_bayes.calibration.diagnostics import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.calibration.task import Task
+from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.file import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import NoiseName
 from mfd_bayes.errors import CampaignError, FitError

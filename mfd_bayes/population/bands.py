@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.calibration.extras import Extras, needed
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
+from mfd_bayes.calibration.result import Extras, needed
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Design

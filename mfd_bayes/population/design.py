@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.quantities import known_quantities
+from mfd_bayes.calibration.prior_files import PriorFile, known_quantities
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.laws import (

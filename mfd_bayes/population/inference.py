@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.effort import find_effort
+from mfd_bayes.calibration.diagnostics import Convergence, find_effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.calibration.quantities import intervals_of
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress

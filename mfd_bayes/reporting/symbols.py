@@ -7,7 +7,7 @@ import unicodedata
 
 from markupsafe import Markup, escape
 
-from mfd_bayes.calibration.quantities import known_quantities
+from mfd_bayes.calibration.prior_files import known_quantities
 
 # Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mfd_bayes.calibration.extras import Extras
+from mfd_bayes.calibration.result import Extras
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.trace import Trace

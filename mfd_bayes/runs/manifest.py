@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.law_scores import DependenceScore, LawScore

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.calibration.result import Extras, TestResult
 from mfd_bayes.errors import FitError
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal

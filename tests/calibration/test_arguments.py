@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mfd_bayes.calibration.effort import Effort, find_effort
+from mfd_bayes.calibration.diagnostics import Effort, find_effort
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.sampling import generator_of, sample

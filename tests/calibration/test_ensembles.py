@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration import ensembles
-from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.ensembles import sample_density
+from mfd_bayes.calibration import sampling
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.modes import climb
+from mfd_bayes.calibration.sampling import sample_density
 
 
 def funnel(q):
@@ -45,7 +45,7 @@ def test_proposals_that_are_surely_rejected_need_no_density(monkeypatch):
     expected, found = draws(every), draws(bounded)
     assert sum(spared) > 0
     np.testing.assert_array_equal(found, expected)
-    monkeypatch.setattr(ensembles, "NEVER", -1.0)  # the control: what may be accepted is left out
+    monkeypatch.setattr(sampling, "NEVER", -1.0)  # the control: what may be accepted is left out
     assert not np.array_equal(draws(bounded), expected)
 
 
@@ -61,16 +61,16 @@ def test_convergence_is_measured_only_once_the_run_is_long_enough(monkeypatch):
         return found.q, len(calls)
 
     calls, told = [], []
-    plain = ensembles.measure
-    monkeypatch.setattr(ensembles, "measure", lambda kept: calls.append(1) or plain(kept))
-    monkeypatch.setattr(ensembles, "SILENT", np.inf)  # however slow the machine is
+    plain = sampling.measure
+    monkeypatch.setattr(sampling, "measure", lambda kept: calls.append(1) or plain(kept))
+    monkeypatch.setattr(sampling, "SILENT", np.inf)  # however slow the machine is
     draws, times = measured(20.0)
     assert times == 1
     heard, times = measured(20.0, told.append)
     assert times == 1
     assert [progress.measured for progress in told] == [False] * (len(told) - 1) + [True]
     assert len(told) > 3
-    monkeypatch.setattr(ensembles, "SILENT", -1.0)  # those who wait long are told
+    monkeypatch.setattr(sampling, "SILENT", -1.0)  # those who wait long are told
     told.clear()
     patient, times = measured(20.0, told.append)
     assert times == len(told)

@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import autocorrelation_time
-from mfd_bayes.calibration.ensembles import JUMPS, Apart, Independent, evolution
 from mfd_bayes.calibration.proposal import Mixture, learn
+from mfd_bayes.calibration.sampling import JUMPS, Apart, Independent, evolution
 
 DIM, ENSEMBLES, WALKERS, STEPS = 5, 4, 40, 3000
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration import noise_sensitivity
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.noise_sensitivity import (
     AT_ONCE,
@@ -20,7 +20,7 @@ from mfd_bayes.calibration.noise_sensitivity import (
     quantiles_of,
 )
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.calibration.task import Task, calibrate_test
+from mfd_bayes.calibration.result import Task, calibrate_test
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.records.trace import Trace

@@ -9,9 +9,8 @@ from mfd_bayes.calibration import noise as noises
 from mfd_bayes.calibration import priors as families
 from mfd_bayes.calibration.noise import SD, Noise
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.prior_files import load_priors, units
 from mfd_bayes.calibration.priors import WIDTH, Family
-from mfd_bayes.calibration.quantities import units
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.models import check_models

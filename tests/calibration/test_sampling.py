@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.ensembles import sample_density
-from mfd_bayes.calibration.least_squares import least_squares
-from mfd_bayes.calibration.modes import around_modes, climb, mode_shares
-from mfd_bayes.calibration.proposal import Adaptive, Mixture, Proposal, fit_mixture
+from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.modes import climb, least_squares
+from mfd_bayes.calibration.proposal import Adaptive, Mixture, Proposal, around_modes, fit_mixture
+from mfd_bayes.calibration.sampling import mode_shares, sample_density
 
 DIM = 5
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])

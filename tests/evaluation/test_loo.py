@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.diagnostics import psis
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort, psis
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.sampling import sample

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli.commands import app

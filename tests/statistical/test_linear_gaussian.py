@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import PredictiveCheck, check_predictive, replicate
 from mfd_bayes.calibration.sampling import sample

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.effort import Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.priors import Prior

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.effort import EFFORTS
+from mfd_bayes.calibration.diagnostics import EFFORTS
 from mfd_bayes.records.trace import Trace
 
 SAMPLED = ("Fc_fwd", "d2", "start", "offset", "noise_sd", "noise_time")

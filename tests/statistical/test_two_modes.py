@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.effort import Effort
-from mfd_bayes.calibration.ensembles import sample_density
-from mfd_bayes.calibration.modes import climb, mode_shares
+from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.modes import climb
+from mfd_bayes.calibration.sampling import mode_shares, sample_density
 
 pytestmark = pytest.mark.slow
 
