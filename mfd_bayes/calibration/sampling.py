@@ -175,7 +175,7 @@ class _Walk:
         dim = len(modes[0].q)
         self._derived = derived
         self._effort, self._rng = effort, rng
-        self._began = self._told = time.perf_counter()
+        self._began = self._reported = time.perf_counter()
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
         self._power = HEAT[0]
         self._state = emcee.State(np.empty((0, dim)))
@@ -278,14 +278,14 @@ class _Walk:
 
     def _length(self, chains: Chains) -> float:
         """Number of kept steps over the number that the effort requires."""
-        asked = self._effort.length * max(chains.slowest, LEAST)
-        return self.fresh / asked if asked > 0.0 else math.inf
+        required = self._effort.length * max(chains.slowest, LEAST)
+        return self.fresh / required if required > 0.0 else math.inf
 
     def reached(self, chains: Chains) -> bool:
         """Whether the effort's targets are met: its length first, which is known at once."""
         effort = self._effort
-        long = self._length(chains) >= 1.0
-        return long and chains.convergence.reached(effort.r_hat, effort.ess)
+        long_enough = self._length(chains) >= 1.0
+        return long_enough and chains.convergence.reached(effort.r_hat, effort.ess)
 
     def is_slow(self, chains: Chains) -> bool:
         """Whether the walkers mix slowly, or are far from the effort's effective sample size."""
@@ -301,21 +301,21 @@ class _Walk:
 
     def progress(self, chains: Chains) -> Progress:
         """Progress of the sampling; without R̂ and ESS while the run is too short, see `SILENT`."""
-        effort, left, lacking = self._effort, self.left(chains), []
-        share = self.steps / max(self.steps, min(self.steps + left, effort.limit))
-        worst, now = (math.nan, math.nan), time.perf_counter()
+        effort, missing = self._effort, []
+        share = self.steps / max(self.steps, min(self.steps + self.left(chains), effort.limit))
+        r_hat, ess, now = math.nan, math.nan, time.perf_counter()
         length = self._length(chains)
         if length < 1.0:
-            lacking.append(f"{self.fresh} of {math.ceil(self.fresh / length)} kept steps")
-        if length >= 1.0 or now - self._told > SILENT:
-            found, self._told = chains.convergence, now
-            worst = found.worst_r_hat, found.worst_ess
-            if not worst[0] <= effort.r_hat:
-                lacking.append(f"R-hat {effort.r_hat:g}")
-            if not worst[1] >= effort.ess:
-                lacking.append(f"ESS {effort.ess:g}")
-        seconds, missing = now - self._began, " and ".join(lacking)
-        return Progress(self.steps, effort.limit, *worst, seconds, share, missing)
+            missing.append(f"{self.fresh} of {math.ceil(self.fresh / length)} kept steps")
+        if length >= 1.0 or now - self._reported > SILENT:
+            self._reported = now
+            r_hat, ess = chains.convergence.worst_r_hat, chains.convergence.worst_ess
+            if not r_hat <= effort.r_hat:
+                missing.append(f"R-hat {effort.r_hat:g}")
+            if not ess >= effort.ess:
+                missing.append(f"ESS {effort.ess:g}")
+        seconds, lacking = now - self._began, " and ".join(missing)
+        return Progress(self.steps, effort.limit, r_hat, ess, seconds, share, lacking)
 
     def chains(self) -> Chains:
         """Thinned draws since the proposal was frozen."""
@@ -590,18 +590,14 @@ def generator_of(seed: int | Sequence[int]) -> np.random.Generator:
 def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
     """Number of the mode whose Laplace approximation is densest at each draw, (chain, draw).
 
-    Parameters
-    ----------
-    q : (chain, draw, dim)
+    The draws q are (chain, draw, dim).
     """
     flat = q.reshape(-1, q.shape[-1])
     heights = [around_modes([mode]).log_density(flat) for mode in modes]
-    nearest: NDArray[np.intp] = np.argmax(heights, axis=0).reshape(q.shape[:2])
-    return nearest
+    return np.asarray(np.argmax(heights, axis=0).reshape(q.shape[:2]))
 
 
 def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
     """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
-    belongs = nearest_modes(modes, q)[..., None] == np.arange(len(modes))
-    shares: Array = belongs.mean(axis=1)
-    return shares
+    nearest = nearest_modes(modes, q)[..., None] == np.arange(len(modes))
+    return np.asarray(nearest.mean(axis=1))

@@ -69,7 +69,7 @@ def advice_sentence(advice: Advice, system: System, unit: str) -> str:
 
 def in_percent(found: Row | Together) -> str:
     """Expected reduction with its 95 % interval: "18 % (14 to 22)"."""
-    gain = found.gain
+    gain = found
     low = max(0.0, gain.reduction - _SURE * gain.error)
     high = min(1.0, gain.reduction + _SURE * gain.error)
     digits = 0 if gain.reduction >= 0.1 else 1
@@ -79,7 +79,7 @@ def in_percent(found: Row | Together) -> str:
 
 def _enough(advice: Advice) -> str:
     """After how many tests nothing on the list gains much any more."""
-    steps = [t.gain.reduction for t in advice.together]
+    steps = [t.reduction for t in advice.together]
     if len(steps) <= TOGETHER:
         return ""
     after = max(100 * (steps[TOGETHER] - steps[TOGETHER - 1]), 0.0)
@@ -157,9 +157,9 @@ def advice_content(advice: Advice, system: System, unit: str) -> dict[str, Any]:
 def _content(together: Together, system: System, unit: str) -> dict[str, Any]:
     return {
         "candidates": [candidate_words(c, system, unit) for c in together.candidates],
-        "expected_reduction": together.gain.reduction,
-        "error": together.gain.error,
-        "information_nat": together.gain.information,
+        "expected_reduction": together.reduction,
+        "error": together.error,
+        "information_nat": together.information,
         "cost_h": sum(c.cost for c in together.candidates),
     }
 

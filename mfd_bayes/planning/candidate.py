@@ -289,7 +289,7 @@ def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
 
 
 def _measured(text: str) -> str:
-    """What the unit of a text measures; "" where it has none that is known."""
+    """What the unit of a text measures; "" where it has none."""
     match = _NUMBER.fullmatch(text)
     return (measure(match[2]) if match else None) or ""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import overload
 
 import numpy as np
@@ -67,33 +67,12 @@ shorter one for one with zeros at its end."""
 COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
 
 
-@dataclass(frozen=True)
-class Row:
+@dataclass(frozen=True, kw_only=True)
+class Row(Gain):
     """A candidate, what is expected of it, and whether it is like a test that was made."""
 
     candidate: Candidate
-    gain: Gain
     repeat: bool
-
-    @property
-    def reduction(self) -> float:
-        """Expected reduction of the goal's width, as a share of it."""
-        return self.gain.reduction
-
-    @property
-    def error(self) -> float:
-        """Standard error of the reduction."""
-        return self.gain.error
-
-    @property
-    def information(self) -> float:
-        """Expected information about the goal, nat."""
-        return self.gain.information
-
-    @property
-    def information_error(self) -> float:
-        """Standard error of the information."""
-        return self.gain.information_error
 
     @property
     def cost(self) -> float:
@@ -106,12 +85,11 @@ class Row:
         return self.reduction / self.cost if self.cost > 0.0 else np.inf
 
 
-@dataclass(frozen=True)
-class Together:
+@dataclass(frozen=True, kw_only=True)
+class Together(Gain):
     """Tests that are good together, and what is expected of them."""
 
     candidates: tuple[Candidate, ...]
-    gain: Gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +134,7 @@ class Advice(Sequence[Row]):
     @property
     def curve(self) -> Array:
         """Expected width after 0, 1, 2, … further tests, in `unit`."""
-        return self.width * np.array([1.0, *(1.0 - t.gain.reduction for t in self.together)])
+        return self.width * np.array([1.0, *(1.0 - t.reduction for t in self.together)])
 
     def __len__(self) -> int:
         """Number of candidates."""
@@ -326,8 +304,7 @@ class _Study:
 
 def _mean(gains: Sequence[Gain]) -> Gain:
     """Mean of gains, and of their errors: each is that of one copy."""
-    names = [field.name for field in fields(Gain)]
-    return Gain(*(float(np.mean([getattr(gain, name) for gain in gains])) for name in names))
+    return Gain(*np.mean([list(vars(gain).values()) for gain in gains], axis=0).tolist())
 
 
 def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
@@ -381,14 +358,20 @@ def advise(
     chosen = greedy(study.goals, [directions for _, directions in tests], CURVE)
     sets = [tuple(tests[k][0] for k in one) for one in chosen]
     tested = situation.tests
-    rows = [Row(allowed[n], gain, repeats(allowed[n], tested)) for n, gain in gains.items()]
+    rows = [
+        Row(**vars(gain), candidate=allowed[n], repeat=repeats(allowed[n], tested))
+        for n, gain in gains.items()
+    ]
     return Advice(
         goal=goal,
         unit=goal.unit(situation.population.actuation_unit),
         width=study.goals.width,
         rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
         together=tuple(
-            Together(tuple(allowed[n] for n in numbers), study.gain_of_set(numbers))
+            Together(
+                **vars(study.gain_of_set(numbers)),
+                candidates=tuple(allowed[n] for n in numbers),
+            )
             for numbers in sets
         ),
         ruled_out=tuple((one, ruled_out[one]) for one in every if one in ruled_out),

@@ -34,7 +34,7 @@ def test_a_copy_of_a_test_has_a_scatter_of_its_own(make_situation):
     """With n copies the scatter is less by √n."""
     advice = ask(make_situation(level=0.05, scatter=0.05), SLIP)
     closed = [1.0 - 1.0 / np.sqrt(1.0 + n) for n in (1, 2, 3)]
-    np.testing.assert_allclose([t.gain.reduction for t in advice.together], closed, atol=0.04)
+    np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.04)
     assert [len(t.candidates) for t in advice.together] == [1, 2, 3]
     np.testing.assert_allclose(advice.curve[0], advice.width)
     assert np.all(np.diff(advice.curve) < 0.0)
@@ -45,7 +45,7 @@ def test_tests_of_the_next_session_have_its_effect_in_common(make_situation):
     situation = make_situation(effect=0.1, levels=(1.0, 1.0, 1.0), sessions=("a", "a", "b"))
     advice = ask(situation, SLIP)
     closed = [1.0 - np.sqrt(1.0 - 0.05**2 / (0.05**2 * (1 + 1 / n) + 0.1**2)) for n in (1, 2, 3)]
-    np.testing.assert_allclose([t.gain.reduction for t in advice.together], closed, atol=0.03)
+    np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.03)
 
 
 def test_a_test_at_a_new_level_tells_how_that_level_lies_off_the_law(make_situation):
@@ -96,11 +96,11 @@ def test_six_tests_that_tell_nothing_promise_nothing(make_situation, draws):
     for seed in range(3):
         advice = ask(situation, goal, *nothing, effort=Effort(draws, seed))
         assert len(advice.together) == 6
-        assert max(t.gain.reduction for t in advice.together) <= 0.005
-        assert max(t.gain.information for t in advice.together) <= 0.01
+        assert max(t.reduction for t in advice.together) <= 0.005
+        assert max(t.information for t in advice.together) <= 0.01
         assert advice[0].reduction <= 0.005 * 1600 / draws
     tell = [*nothing, Candidate(1.5, 0.5, 1.0)]  # the control
-    assert ask(situation, goal, *tell, effort=Effort(draws)).together[0].gain.reduction > 0.3
+    assert ask(situation, goal, *tell, effort=Effort(draws)).together[0].reduction > 0.3
 
 
 def test_scatter_of_a_single_test_is_not_reduced(make_situation):

@@ -71,7 +71,7 @@ def _draw_candidates(figure: Figure, axes: Axes, advice: Advice, units: tuple[Sy
 def _draw_curve(axes: Axes, advice: Advice, system: System) -> None:
     """Expected width against the number of further tests, with 95 % intervals."""
     curve = advice.curve * system.factor(advice.unit)
-    errors = [0.0, *(1.96 * t.gain.error for t in advice.together)]
+    errors = [0.0, *(1.96 * t.error for t in advice.together)]
     arms = curve[0] * np.array(errors)
     axes.errorbar(
         np.arange(curve.size), curve, arms, fmt="o-", color=colours.DATA, markersize=4, capsize=2
