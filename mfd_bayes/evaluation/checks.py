@@ -12,7 +12,7 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.predictive import PredictiveCheck, Replicas, check_predictive
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.campaign.tolerances import complete_tolerances
+from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.noises import noise_checks
 from mfd_bayes.evaluation.read_off import reading_check
 from mfd_bayes.evaluation.views import (

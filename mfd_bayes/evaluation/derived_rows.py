@@ -20,8 +20,8 @@ from mfd_bayes.evaluation.views import DerivedRow
 from mfd_bayes.population.bands import Band
 from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.average import ModelAverage
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]

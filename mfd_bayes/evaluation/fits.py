@@ -31,7 +31,7 @@ from mfd_bayes.population.bands import Forecast
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import US
+from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.netcdf import StoredTest
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
     session = run.session(name)
-    before = run.order.before(name, trace, Forecast(draws=800, session=session))
+    before = run.sequence.before(name, trace, Forecast(draws=800, session=session))
     asked: dict[str, Any] = {"draws": 800, "session": session, "after": before or ""}
     band = run.predict(trace, "observation", explain=True, **asked)
     damper = run.predict(trace, kind="new_test", **asked)

@@ -8,8 +8,7 @@ import numpy as np
 
 from mfd_bayes.evaluation.checks import CALIBRATION, MODES, SAMPLING, SHOWN
 from mfd_bayes.evaluation.views import COVERAGE, NOISE, PREDICTIVE, READING, Check, Judgement
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 MILD = 3.0
 """Doubt, in tolerances, that a fault of a record gives which does not spoil it."""

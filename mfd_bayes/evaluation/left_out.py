@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 
 from mfd_bayes.evaluation.views import LeftOutRow, LeftOutView
-from mfd_bayes.runs.results import CampaignCrossValidation, Prediction
+from mfd_bayes.runs.scores import CampaignCrossValidation, Prediction
 
 
 def left_out_view(found: CampaignCrossValidation | None) -> LeftOutView | None:

@@ -12,7 +12,7 @@ from mfd_bayes.evaluation.bands import spread_of
 from mfd_bayes.evaluation.views import Row
 from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit
 from mfd_bayes.population.population import Population
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 

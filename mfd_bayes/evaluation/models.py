@@ -23,8 +23,8 @@ from mfd_bayes.evaluation.loo import (
     join,
 )
 from mfd_bayes.friction import models
-from mfd_bayes.runs.results import Comparison, ComparisonRow
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.scores import Comparison, ComparisonRow
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,7 @@ from mfd_bayes.calibration.noise_sensitivity import HALF, Bounds, moves, quantil
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.evaluation.views import NOISE, Check, NoiseRow, Row, TestView
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.verdict import Finding, Verdict
 
 Array = NDArray[np.float64]
 

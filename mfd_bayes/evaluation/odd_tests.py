@@ -10,9 +10,9 @@ from scipy import special
 
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.population.design import Design
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.folder import pooled_of
+from mfd_bayes.runs.paths import pooled_of
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.store.netcdf import load_arrays
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.campaign.tolerances import complete_tolerances
+from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.views import READING, Check, ReadingRow
 from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.runs.verdict import Verdict

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.predictive import COVERAGES
-from mfd_bayes.runs.results import Score
+from mfd_bayes.runs.scores import Score
 
 Array = NDArray[np.float64]
 

@@ -108,11 +108,6 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[str, ...]:
             "The tests are synthetic: they were computed from known parameters with known noise. "
             "Where a record was low-passed for the fit, the true noise of that record is not known."
         )
-    if not run.hashed:
-        found.append(
-            "An older version of this program wrote the run, without hashes of its files: it is "
-            "not known whether they have changed since."
-        )
     if SCALED in run.priors.title:
         found.append(
             "The scales of the priors were read off the records of this campaign: the data are "

@@ -24,11 +24,10 @@ from mfd_bayes.evaluation.views import (
     TruthRow,
 )
 from mfd_bayes.jobs.likelihoods import meanwhile
-from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, systems_beside
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.unit_system import SI, both_systems
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 
 def assess(run: Run, jobs: int = 1) -> CampaignView:
@@ -80,7 +79,7 @@ def put_together(
         judgements=judged,
         warnings=warnings,
         metric=run.system.name == SI.name,
-        systems=systems_beside(run.system),
+        systems=both_systems(run.system),
         tested=run.tested,
     )
 
@@ -170,7 +169,7 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
         "seed": str(manifest.seed),
         "effort": f"{effort.name}: {effort.ensembles} ensembles, at most {effort.limit} steps each",
         "model and noise": f"{manifest.settings.model}, {manifest.settings.noise}",
-        "priors": manifest.settings.priors,
+        "priors": manifest.priors,
         "platform": manifest.platform,
         "versions": ", ".join(f"{k} {v}" for k, v in manifest.versions.items()),
     }

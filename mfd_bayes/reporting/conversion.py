@@ -23,8 +23,8 @@ from mfd_bayes.evaluation.views import (
     TruthRow,
 )
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import US, System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import US, System
 
 _FIGURES = (
     *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),

@@ -10,11 +10,10 @@ from mfd_bayes.evaluation.views.judgement import Judgement
 from mfd_bayes.evaluation.views.law import LawChoice, LawView
 from mfd_bayes.evaluation.views.test import Row, ScoreRow, TestView
 from mfd_bayes.planning.study import Advice
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.systems import SYSTEMS, System
-from mfd_bayes.runs.tested import Span
-from mfd_bayes.runs.verdict import Use
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import SYSTEMS, System
+from mfd_bayes.runs.verdict import Finding, Use
 
 
 @dataclass(frozen=True)
