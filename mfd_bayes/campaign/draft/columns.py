@@ -46,51 +46,10 @@ _WORDS: Mapping[str, Mapping[str, int]] = {
 """Score of a word in a column's name for each role."""
 
 _UNIT_ALONE = 1.0  # score of a unit for a role where no word has a score
-_NOT_MEASURED = frozenset(
-    ["command", "cmd", "setpoint", "target", "ref", "reference", "desired", "error", "nominal"]
-)
-_COUNTERS = frozenset(
-    [
-        "scan",
-        "scans",
-        "sample",
-        "samples",
-        "index",
-        "idx",
-        "no",
-        "nr",
-        "num",
-        "number",
-        "#",
-        "n",
-        "count",
-        "counter",
-        "counts",
-        "record",
-        "rec",
-        "point",
-        "points",
-        "pt",
-        "pts",
-        "row",
-        "line",
-        "frame",
-        "reading",
-        "step",
-        "lfd",
-        "i",
-        "k",
-        "id",
-        "seq",
-        "sequence",
-        "datapoint",
-        "tick",
-        "ticks",
-        "block",
-        "set",
-        "obs",
-        "observation",
-    ]
+_NOT_MEASURED = re.compile(r"command|cmd|setpoint|target|ref|reference|desired|error|nominal")
+_COUNTER = re.compile(
+    r"#|n|i|k|no|nr|num|number|id|idx|index|seq|sequence|counts?|counter|scans?|samples?|rec|record"
+    r"|pts?|points?|datapoint|row|line|lfd|frame|reading|step|ticks?|block|set|obs|observation"
 )
 """Words in the name of a column that counts samples."""
 
@@ -257,7 +216,7 @@ def _score(table: Table, name: str, role: str) -> float:
     own = max((_WORDS[role].get(word, 0) for word in words), default=0)
     others = (scores for other, scores in _WORDS.items() if other != role)
     other = max((scores.get(word, 0) for scores in others for word in words), default=0)
-    if own and _NOT_MEASURED & set(words):
+    if own and any(map(_NOT_MEASURED.fullmatch, words)):
         own = 1
     unit = unit_of(table, name, role)
     if not own:
@@ -390,9 +349,9 @@ def _unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> dic
                 }
         return {"lacking": "it begins at a number too large for a time: what does it count?"}
     name, steps = own_name(guess.name), np.diff(values)
-    words = set(re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower()))
+    words = re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower())
     is_whole = bool(np.all(values == np.round(values)))
-    if is_whole and (words & _COUNTERS or np.all(steps == 1.0)):
+    if is_whole and (any(map(_COUNTER.fullmatch, words)) or np.all(steps == 1.0)):
         return {
             "lacking": f"{name or 'this column'!r} counts samples and is no time: at which rate? "
             'Write it in place of the column, time = { rate = "100 Hz" }'

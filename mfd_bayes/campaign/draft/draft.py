@@ -179,9 +179,9 @@ def _read_file(path: Path, folder: Path) -> TestFile:
         if guess and not _is_utf8(guess.name):
             raise RecordError(f"the name of its column {guess.name!a} is not UTF-8: rename it")
     header, named = level_in_header(table.head, table.names), levels_in(path.stem)
-    if column is not None and column.unit and (header or named):
-        if actuation_factor(column.unit)[1] not in ("ksi", "kip"):
-            column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
+    other = column and column.unit and actuation_factor(column.unit)[1] not in ("ksi", "kip")
+    if other and (header or named):
+        column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
     return TestFile(path, table, columns, column, header, named)
 
 
