@@ -29,6 +29,7 @@ from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.channels import Source
 from mfd_bayes.records.cross_checks import Tested
 from mfd_bayes.records.data_quality import Fault
+from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
@@ -264,6 +265,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
         derived=record.derived,
+        measured=measured.to_content() if (measured := measured_cycles(record)) else {},
     )
     return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 

@@ -18,6 +18,7 @@ from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.prior_check import MOST, most_wrong, prior_fan, share_inside
+from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.findings import findings_together, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.cross_checks import Tested
@@ -129,14 +130,14 @@ def inspect(
 
 def _reworded(inspection: Inspection, record: Record, system: System) -> Inspection:
     """The inspection of a record, its sentences in the units of a system."""
-    say = system.reworded
-    kept = ("file", "columns", "columns not used")  # and what a signal is made of, are names
     facts = {
-        name: text if name in kept or name.endswith("made of") else say(text)
-        for name, text in inspection.facts.items()
+        name: Message("{text}", {"text": fact.to_text(system.words)})
+        for name, fact in inspection.facts.items()
     }
+    say = system.reworded
     if record.actuation_unit is not None:  # of the value itself: a rounded one is not 7 bar
-        facts["actuation"] = system.actuation(inspection.trace, record.actuation_unit)
+        level = system.actuation(inspection.trace, record.actuation_unit)
+        facts["actuation"] = Message("{text}", {"text": level})
     return replace(
         inspection,
         facts=facts,
@@ -176,8 +177,10 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
 
 def _followed(inspection: Inspection, after: str) -> Inspection:
     """The inspection of a test with the test that it follows, if it does."""
-    told = {"follows": f"test {after}, without a reset"} if after else {}
-    return replace(inspection, facts={**inspection.facts, **told})
+    if not after:
+        return inspection
+    follows = Message("test {after}, without a reset", {"after": after})
+    return replace(inspection, facts={**inspection.facts, "follows": follows})
 
 
 @dataclass(frozen=True)

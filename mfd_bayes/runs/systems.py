@@ -78,7 +78,7 @@ class System:
         if actuation:
             by, unit = self.of_actuation(internal)
         shown = dict.fromkeys(in_digits(value * by, digits) for value in values)
-        return f"{' to '.join(shown)} {unit}"
+        return f"{' to '.join(shown)} {unit.replace('*', '·')}"
 
     def of_actuation(self, internal: str) -> tuple[float, str]:
         """Factor from an internal unit, and the unit, in which an actuation is said."""
