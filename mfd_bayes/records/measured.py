@@ -83,6 +83,8 @@ class MeasuredCycles:
         Correction that would make the mean force of both directions equal; it is not applied.
     largest_fwd, largest_bwd : float, kip
         Peak force of all samples, also of those in no full cycle.
+    total_energy : float, kip*in
+        Of all samples, likewise.
     """
 
     time: Array
@@ -101,6 +103,7 @@ class MeasuredCycles:
     offset: Array
     largest_fwd: float
     largest_bwd: float
+    total_energy: float
 
     def of_test(self) -> dict[str, float]:
         """One value of each quantity: the largest peak, and of others the mean at full stroke.
@@ -123,7 +126,7 @@ class MeasuredCycles:
         """The values from `to_content`."""
         values: dict[str, Any] = {f.name: np.array(content[f.name]) for f in fields(cls)}
         values["full_stroke"] = values["full_stroke"] > 0.0
-        for name in ("largest_fwd", "largest_bwd"):
+        for name in ("largest_fwd", "largest_bwd", "total_energy"):
             values[name] = float(values[name][0])
         return cls(**values)
 
@@ -146,6 +149,7 @@ def measured_cycles(record: Record | Trace) -> MeasuredCycles | None:
         offset=np.asarray(loops.offset),
         largest_fwd=float(force.max()),
         largest_bwd=float(-force.min()),
+        total_energy=float(np.trapezoid(force[0], trace.displacement)),
         **values,
     )
 
