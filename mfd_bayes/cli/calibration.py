@@ -58,7 +58,7 @@ def calibrate(
             console.print_plan(plan)
             return
         if not quiet:
-            console.print_warnings(console.warnings_of(plan))
+            console.print_warnings(plan.manifest.warnings, plan.system)
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)

@@ -95,11 +95,12 @@ def _usual(records: Iterable[Record], role: str) -> str:
 
 def inspect(
     path: Path, folder: Path, *, force: bool = False, units: str = ""
-) -> list[tuple[Inspection, Path]]:
+) -> tuple[list[tuple[Inspection, Path]], System]:
     """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
 
-    Its sentences are in the units of a system, "us" or "si"; by default the records' own. With
-    `force`, a PNG that exists is replaced.
+    Its facts are in the units of a system, "us" or "si"; by default the records' own. That system
+    is returned too: in it the messages of faults are written. With `force`, a PNG that exists is
+    replaced.
 
     Raises
     ------
@@ -125,24 +126,19 @@ def inspect(
         figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
         write_bytes(picture, to_png(figure))
         pictures.append((inspection, picture))
-    return pictures
+    return pictures, system
 
 
 def _reworded(inspection: Inspection, record: Record, system: System) -> Inspection:
-    """The inspection of a record, its sentences in the units of a system."""
+    """The inspection of a record, its facts in the units of a system."""
     facts = {
         name: Message("{text}", {"text": fact.to_text(system.words)})
         for name, fact in inspection.facts.items()
     }
-    say = system.reworded
     if record.actuation_unit is not None:  # of the value itself: a rounded one is not 7 bar
         level = system.actuation(inspection.trace, record.actuation_unit)
         facts["actuation"] = Message("{text}", {"text": level})
-    return replace(
-        inspection,
-        facts=facts,
-        faults=tuple(replace(fault, sentence=say(fault.sentence)) for fault in inspection.faults),
-    )
+    return replace(inspection, facts=facts)
 
 
 def system_of_records(records: Iterable[Record], units: str = "") -> System:

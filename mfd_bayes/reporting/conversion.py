@@ -22,7 +22,9 @@ from mfd_bayes.evaluation.views import (
     TestView,
     TruthRow,
 )
+from mfd_bayes.messages import Message
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.systems import US, System
 from mfd_bayes.runs.tested import Span
 
@@ -70,11 +72,17 @@ def in_words(view: CampaignView) -> CampaignView:
         sentence=say(view.sentence),
         remarks=tuple(map(say, view.remarks)),
         checks=tuple(_check(check, system) for check in view.checks),
-        warnings=tuple(replace(f, sentence=say(f.sentence)) for f in view.warnings),
+        warnings=tuple(_finding(finding, system) for finding in view.warnings),
         judgements=tuple(
             replace(j, sentence=say(j.sentence), notes=say(j.notes)) for j in view.judgements
         ),
     )
+
+
+def _finding(finding: Finding, system: System) -> Finding:
+    """A finding whose message is a text in the units of a system."""
+    text = system.reworded(finding.message.to_text(system.words))
+    return replace(finding, message=Message("{text}", {"text": text}))
 
 
 def _check(check: Check, system: System) -> Check:
