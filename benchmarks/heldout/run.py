@@ -35,7 +35,7 @@ import numpy as np
 
 from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
-from mfd_bayes.evaluation.folds import folds_of, run_folds
+from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.evaluation.scores import score
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign

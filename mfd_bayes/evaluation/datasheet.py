@@ -244,23 +244,13 @@ def _predicted(
         for side, factor in peaks.items():
             middle[f"peak_{side}"] *= factor.expected
         nominal.append(middle)
-        values = cycles_of(trace, seen.draws)
         with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
-        largest = cycles_of(trace, with_offset, peaks)
-        bounded.append(values | {f"peak_{side}": largest[f"peak_{side}"] for side in peaks})
-    full = _full_strokes(trace)
-    return _together(nominal, full), _together(bounded, full)
+        bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
+    return _together(nominal), _together(bounded)
 
 
-def _full_strokes(trace: Trace) -> NDArray[np.bool_]:
-    from mfd_bayes.records.loops import find_loops
-
-    return find_loops(trace).strong
-
-
-def _together(parts: Iterable[Mapping[str, Array]], full: NDArray[np.bool_]) -> dict[str, Array]:
-    several = list(parts)
-    return {name: np.concatenate([part[name][:, full] for part in several]) for name in UNITS}
+def _together(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
 
 
 def _measured(

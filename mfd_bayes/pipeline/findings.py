@@ -8,7 +8,7 @@ import numpy as np
 
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.file import Test
-from mfd_bayes.evaluation.zeros import zero_sentences
+from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
@@ -71,7 +71,7 @@ def findings_of(
     found = [Finding(name, fault.name, fault.message) for name, fault in every]
     told = [
         Finding("laws", "zero actuation", Message("{text}", {"text": sentence}))
-        for sentence in zero_sentences(design, [*calibrated])
+        for sentence in zero_pressure_sentences(design, [*calibrated])
     ]
     return (*found, *told)
 

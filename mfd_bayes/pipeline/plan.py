@@ -20,8 +20,8 @@ from mfd_bayes.campaign.file import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import NoiseName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
-from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.population.laws import default_laws

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.bands import Compared, compare
-from mfd_bayes.evaluation.derived_rows import measured_rows, predicted_rows
-from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, draws_of
+from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings
+from mfd_bayes.evaluation.scores import Compared, compare
+from mfd_bayes.evaluation.test_summary import measured_rows, predicted_rows
 from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
 from mfd_bayes.population.bands import DRAWS, Band

@@ -12,8 +12,8 @@ from mfd_bayes.evaluation.views import (
     CampaignView,
     LeftOutView,
 )
-from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.ready import get_ready
 from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
 from mfd_bayes.reporting.forms import PLAIN, Forms

@@ -57,7 +57,7 @@ class Notebook:
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
-        from mfd_bayes.evaluation.bands import fan_of
+        from mfd_bayes.evaluation.scores import fan_of
         from mfd_bayes.reporting.conversion import convert_fan, convert_trace
         from mfd_bayes.reporting.figures import axes as drawn
         from mfd_bayes.store.netcdf import load_groups
@@ -108,7 +108,7 @@ def _of_cycles(test: TestResult) -> Any:
     """Log density of each cycle given all others, (chain, draw, cycle)."""
     import xarray as xr
 
-    from mfd_bayes.evaluation.cycles import cycle_log_likelihood, find_cycles
+    from mfd_bayes.evaluation.compare import cycle_log_likelihood, find_cycles
 
     stored, posterior = test.stored, test.posterior
     shape = stored.stats["lp"].shape

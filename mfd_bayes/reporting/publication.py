@@ -11,8 +11,8 @@ from typing import Any
 
 from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.parallel import meanwhile
 from mfd_bayes.jobs.local import run_in_processes
+from mfd_bayes.jobs.parallel import meanwhile
 from mfd_bayes.reporting.conversion import convert_test, in_tables, shown_in
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.figure_data import shared_tables, table_of, tables_of_test

@@ -10,8 +10,8 @@ class Verdict(StrEnum):
 
     PASS = "pass", "The value is within its limit."
     NOTE = "note", "The reader must know of it, but it is no fault of the run."
-    CARE = (
-        "care",
+    WARNING = (
+        "warning",
         "The model misses this by more than its tolerance; use what depends on it with care.",
     )
     FAIL = "fail", "The value is beyond its limit; do not use figures that depend on it."
@@ -44,5 +44,5 @@ class Use(StrEnum):
     @property
     def mark(self) -> Verdict:
         """The verdict of a check that looks like it."""
-        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.CARE}
+        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.WARNING}
         return marks.get(self, Verdict.FAIL)

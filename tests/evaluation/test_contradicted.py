@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.contradicted import contradicted_starts
+from mfd_bayes.evaluation.outliers import contradicted_starts
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.opening import open_run
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.evaluation import shown
-from mfd_bayes.evaluation.shown import views_of_tests
+from mfd_bayes.evaluation import summary as shown
+from mfd_bayes.evaluation.summary import views_of_tests
 from mfd_bayes.jobs import parallel
 from mfd_bayes.runs.opening import open_run
 

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
-from mfd_bayes.evaluation.folds import folds_of, run_folds
+from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibration import calibrate

@@ -13,7 +13,7 @@ from types import ModuleType
 import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.folds import Fold, read_predictions
+from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.pipeline.commands import effort_of, report
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored

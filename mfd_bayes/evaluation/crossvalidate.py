@@ -1,7 +1,7 @@
 """Cross-validation of a calibrated campaign: each part is predicted from all others.
 
 The tests' stored posteriors are used; only the population is inferred again without the part
-that is left out.
+that is held out.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
@@ -21,8 +21,9 @@ from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.jobs.local import Workplace, run_jobs
+from mfd_bayes.evaluation.views import LeftOutRow, LeftOutView
 from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.inference import Inference, infer_population
 from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
@@ -30,7 +31,7 @@ from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
 from mfd_bayes.runs.opening import open_run
 from mfd_bayes.runs.order import Order
 from mfd_bayes.runs.predictions import read_predictions_of
-from mfd_bayes.runs.results import PartKind, Prediction, Score
+from mfd_bayes.runs.results import CampaignCrossValidation, PartKind, Prediction, Score
 from mfd_bayes.runs.resumption import population_digest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.systems import US
@@ -288,3 +289,66 @@ def run_folds(
             if outcome.error:
                 raise CampaignError(f"cannot predict {outcome.id}: {outcome.error}")
     return tuple(read_predictions(out, folds))
+
+
+# --- the scores in a report
+
+
+def left_out_view(found: CampaignCrossValidation | None) -> LeftOutView | None:
+    """Scores of a cross-validation that the manifest holds; None without one."""
+    if found is None:
+        return None
+    rows = tuple(map(_row, found.predictions))
+    mean = _mean(rows)
+    by = found.by
+    others = "the others" if by == "test" else f"those of the other {by}s"
+    sentence = (
+        f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
+        f"{100 * mean.coverage_95:.1f} % of the force, the 50 % bands "
+        f"{100 * mean.coverage_50:.1f} %; they are on average {mean.width_ratio:.1f} times as "
+        f"wide as those of the fitted tests.{_whole(rows)}"
+    )
+    return LeftOutView(by, rows, mean, sentence)
+
+
+def _row(prediction: Prediction) -> LeftOutRow:
+    found, fitted = prediction.score, prediction.fitted
+    half, most, nearly = found.coverage
+    return LeftOutRow(
+        part=prediction.part,
+        subject=prediction.test,
+        coverage_50=half,
+        coverage_90=most,
+        coverage_95=nearly,
+        width_95=found.width,
+        interval_score=found.interval_score,
+        crps=found.crps,
+        rrse=found.rrse,
+        fitted_width=fitted.width,
+        fitted_crps=fitted.crps,
+        width_ratio=_ratio(found.width, fitted.width),
+        crps_ratio=_ratio(found.crps, fitted.crps),
+        whole_95=float("nan") if prediction.whole is None else float(prediction.whole),
+    )
+
+
+def _whole(rows: tuple[LeftOutRow, ...]) -> str:
+    """How often the bands of whole histories held; empty where they were not computed."""
+    held = [row.whole_95 for row in rows]
+    if not np.all(np.isfinite(held)):
+        return ""
+    return (
+        " The 95 % bands of whole histories hold the whole force of "
+        f"{sum(held):.0f} of {len(held)} tests."
+    )
+
+
+def _ratio(predicted: float, fitted: float) -> float:
+    return predicted / fitted if fitted > 0 else float("nan")
+
+
+def _mean(rows: tuple[LeftOutRow, ...]) -> LeftOutRow:
+    """Mean of each column."""
+    names = [field.name for field in fields(LeftOutRow)][2:]
+    columns = {name: float(np.mean([getattr(row, name) for row in rows])) for name in names}
+    return LeftOutRow("", "mean", **columns)
