@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mfd_bayes.evaluation.views import CampaignView
 
 from benchmarks.fuzz.mutations import Rng
 from benchmarks.fuzz.seeds import FORCE, MOTION, TIME, priors, texts
@@ -38,11 +37,9 @@ from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
-from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.runs.folder import Existing, hash_stored, prepare_folder
 from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.resumption import Existing, prepare_folder
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import json_text, write_json
 from mfd_bayes.store.netcdf import CalibratedTest, load_trace, save_test, save_trace
 
@@ -170,7 +167,7 @@ def _about(plan: Plan, predictions: list[dict[str, Any]]) -> dict[str, Any]:
         "status": "finished",
         "finished": "2026-01-01T00:01:00+00:00",
         "tests": tests,
-        "verdicts": {"campaign": "fail", "sentence": "Not.", "a": "fail"},
+        "verdicts": {"campaign": "not usable", "sentence": "Not.", "a": "not usable"},
         "truth": {"population": {"scatter_offset": 0.02}, "tests": {"a": {"Fc_fwd": 1.0}}},
         "law_scores": [
             law | {"law": "power", "levels": [1.0, 1.0]},

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.design import DesignRow
     from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.findings import Finding
-    from mfd_bayes.runs.results import Comparison
+    from mfd_bayes.runs.scores import Comparison
+    from mfd_bayes.runs.verdict import Finding
 
 _ESCAPES = re.compile(
     r"""(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]              # colours, movements of the cursor

@@ -12,7 +12,7 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import COVERAGES, Replicas, check_predictive
-from mfd_bayes.campaign.tolerances import complete_tolerances
+from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import measured_properties
 from mfd_bayes.evaluation.views import (
     CONTRACTION,

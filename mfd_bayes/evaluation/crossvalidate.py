@@ -27,14 +27,18 @@ from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.inference import Inference, infer_population
 from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
-from mfd_bayes.runs.folder import CROSSVALIDATED, MANIFEST, check_stored
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.order import Order
-from mfd_bayes.runs.predictions import read_predictions_of
-from mfd_bayes.runs.results import CampaignCrossValidation, PartKind, Prediction, Score
-from mfd_bayes.runs.resumption import population_digest
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import US
+from mfd_bayes.runs.folder import check_stored
+from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST
+from mfd_bayes.runs.test_sequence import TestSequence
+from mfd_bayes.runs.scores import (
+    CampaignCrossValidation,
+    PartKind,
+    Prediction,
+    Score,
+    read_predictions_of,
+)
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.files import read_json, write_json
 
 Array = NDArray[np.float64]
@@ -42,7 +46,7 @@ Array = NDArray[np.float64]
 DRAWS = 800
 """Number of draws of each scored band."""
 
-FOLDER = CROSSVALIDATED
+FOLDER = CROSSVALIDATION
 
 
 @dataclass(frozen=True)
@@ -197,7 +201,7 @@ def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
     """
     settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
     parts = parts_of(settings, by, run.actuation_unit, run.folder)
-    digest = population_digest(run.manifest.content, run.priors)
+    digest = run.manifest.keys[CROSSVALIDATION]
     fold = partial(Fold, effort=effort, seed=run.manifest.seed, rests_on=digest)
     return tuple(
         fold(
@@ -234,7 +238,9 @@ def leave_out(
         posterior = test.posterior
         predictor = Predictor(inference.population, posterior.model, posterior.noise)
         forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=run.session(name))
-        order = Order(run.manifest, others, motions, predictor, partial(_pooled, inference, others))
+        order = TestSequence(
+            run.manifest, others, motions, predictor, partial(_pooled, inference, others)
+        )
         forecast = replace(forecast, before=order.before(name, test.trace, forecast))
         band = predictor.predict(test.trace, forecast)
         force = np.asarray(test.trace.force)

@@ -19,7 +19,7 @@ from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 

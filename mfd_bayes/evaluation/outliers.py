@@ -13,8 +13,8 @@ from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.folder import pooled_of
+from mfd_bayes.runs.verdict import Finding
+from mfd_bayes.runs.paths import pooled_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.netcdf import load_arrays
 
@@ -214,8 +214,8 @@ def _ends(run: Run, name: str) -> tuple[Array, Array]:
     """Draws of the place in the gap where a test begins, and of where the one before ended."""
     test = run.tests[name]
     model, trace = test.posterior.model, test.trace
-    before = run.order.before(name, trace, Forecast(draws=START_DRAWS))
-    values = run.order.values(name)
+    before = run.sequence.before(name, trace, Forecast(draws=START_DRAWS))
+    values = run.sequence.values(name)
     own = values["start"], model.theta(values)
     expected = own[0] if before is None else before.starts(model, own[1], trace, 0)
     # the place of a start is the start of a place: both count along the first direction

@@ -16,8 +16,8 @@ from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval, ScoreRow
 from mfd_bayes.population.bands import Band
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.results import Score
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.scores import Score
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
 
 Array = NDArray[np.float64]

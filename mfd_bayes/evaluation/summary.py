@@ -27,12 +27,12 @@ from mfd_bayes.evaluation.test_summary import (
 )
 from mfd_bayes.evaluation.verdict import judge, remarks, use_of, verdict_sentences
 from mfd_bayes.evaluation.views import CampaignView, Check, LawView, Row, TestView, TruthRow
-from mfd_bayes.jobs.likelihoods import Meanwhile, in_turn, meanwhile, several_processes, when_wanted
+from mfd_bayes.jobs.parallel import Meanwhile, in_turn, meanwhile, several_processes, when_wanted
 from mfd_bayes.messages import Message, join
-from mfd_bayes.runs.findings import Finding
+from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, systems_beside
+from mfd_bayes.runs.unit_system import SI, both_systems
 from mfd_bayes.runs.verdict import Use, Verdict
 
 Given = TypeVar("Given")
@@ -140,7 +140,7 @@ def build_summary(
         judgements=judged,
         warnings=warnings,
         metric=run.system.name == SI.name,
-        systems=systems_beside(run.system),
+        systems=both_systems(run.system),
         tested=run.tested,
     )
 
@@ -236,7 +236,7 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
         "seed": str(manifest.seed),
         "effort": f"{effort.name}: {effort.ensembles} ensembles, at most {effort.limit} steps each",
         "model and noise": f"{manifest.settings.model}, {manifest.settings.noise}",
-        "priors": manifest.settings.priors,
+        "priors": manifest.priors,
         "platform": manifest.platform,
         "versions": ", ".join(f"{k} {v}" for k, v in manifest.versions.items()),
     }

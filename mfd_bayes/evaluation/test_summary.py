@@ -34,10 +34,10 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.average import ModelAverage
+from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import US
+from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.netcdf import StoredTest
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
     session = run.session(name)
-    before = run.order.before(name, trace, Forecast(draws=HELD_OUT_DRAWS, session=session))
+    before = run.sequence.before(name, trace, Forecast(draws=HELD_OUT_DRAWS, session=session))
     how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, "session": session, "after": before or ""}
     seen = run.predict(trace, "observation", explain=True, **how)
     test = run.predict(trace, "new_test", **how)
@@ -285,9 +285,9 @@ def _parameters(
 
 def with_joint(run: Run, view: TestView) -> TestView:
     """A fitted test with each parameter's interval in the joint posterior of all tests."""
-    if not view.rows or not run.order.pooled(view.id):
+    if not view.rows or not run.sequence.pooled(view.id):
         return view
-    values, model = run.order.values(view.id), run.tests[view.id].posterior.model
+    values, model = run.sequence.values(view.id), run.tests[view.id].posterior.model
     joint = values | dict(zip(model.parameters, model.theta(values).T, strict=True))
     rows = []
     for row in view.rows:

@@ -23,7 +23,7 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.design import Design
-from mfd_bayes.runs.findings import Finding
+from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Use, Verdict
@@ -246,11 +246,6 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
         texts.append(
             "The tests are synthetic: they were computed from known parameters with known noise. "
             "Where a record was low-passed for the fit, the true noise of that record is not known."
-        )
-    if not run.hashed:
-        texts.append(
-            "An older version of this program wrote the run, without hashes of its files: it is "
-            "not known whether they have changed since."
         )
     if SCALED in run.priors.title:
         texts.append(

@@ -12,10 +12,10 @@ from mfd_bayes.calibration.identifiability import Identifiability
 from mfd_bayes.messages import Message, Quantity, Writer
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.systems import SYSTEMS, System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.verdict import Finding
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.unit_system import SYSTEMS, System
+from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.verdict import Use, Verdict
 
 Array = NDArray[np.float64]

@@ -18,12 +18,11 @@ from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
-from mfd_bayes.runs.average import ModelAverage
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
-from mfd_bayes.runs.tested import far_sentences
+from mfd_bayes.runs.manifest import unchanged
+from mfd_bayes.runs.model_average import ModelAverage
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 from mfd_bayes.units import actuation_kind, parse_actuation
 
@@ -75,7 +74,7 @@ def predict(out: Path, question: Question) -> Answer:
     trace = replace(told, force=None)
     _check_reach(run, trace, question)
     drawn = told if question.compare else trace
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         band = _band(source, told if question.given else trace, question)
         rows = predicted_rows(source, drawn, band, told, question.after)
         narrow = design_warnings(run) if question.design else ()

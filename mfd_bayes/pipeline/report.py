@@ -22,11 +22,9 @@ from mfd_bayes.reporting.tables import (
 )
 from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, named_system
+from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
 
 Observe = Callable[[Step], None]
@@ -105,7 +103,7 @@ def check(out: Path, units: str = "") -> CampaignView:
     """
     run = open_run(out)
     system = named_system(units, run.system)
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         view = assess(run)
     told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
     return in_words(replace(view, metric=system.name == SI.name, checks=tuple(told)))

@@ -24,9 +24,8 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.systems import US, System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import US, System
 
 _FIGURES = (
     *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),

@@ -13,7 +13,7 @@ import numpy as np
 
 from mfd_bayes.evaluation.views import Array, CampaignView, TestView
 from mfd_bayes.reporting.colours import BANDS, DATA, SKY
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 SAMPLES = 1500
 """Most samples of a test in the plot: a screen cannot show more."""

@@ -11,8 +11,8 @@ from mfd_bayes.evaluation.views import Array, CampaignView, Fan, TestView, Truth
 from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
 from mfd_bayes.reporting.tables import csv_text, next_csv
-from mfd_bayes.runs.systems import US, System
-from mfd_bayes.runs.tested import conditions
+from mfd_bayes.runs.tested_range import conditions
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
 
 DRAWS = 2000

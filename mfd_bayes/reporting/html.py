@@ -39,7 +39,7 @@ from mfd_bayes.reporting.explorer import explore
 from mfd_bayes.reporting.figure_data import table_of
 from mfd_bayes.reporting.forms import ONE_PAGE
 from mfd_bayes.reporting.glossary import read_glossary
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 Pair = tuple[System, System]
 """Customary and metric system of units."""

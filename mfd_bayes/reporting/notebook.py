@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.records.numbers import real_numbers
-from mfd_bayes.runs import opening
+from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.systems import System
+    from mfd_bayes.runs.unit_system import System
 
 
 def open_run(folder: str | Path) -> Run:
@@ -29,10 +29,7 @@ def open_run(folder: str | Path) -> Run:
         When the folder is no finished run, a file in it is not what the run wrote, or another
         process changes it meanwhile.
     """
-    run = opening.open_run(folder)
-    extras = Notebook(run.system)
-    tests = {name: replace(test, extras=extras) for name, test in run.tests.items()}
-    return replace(run, tests=tests, extras=extras)
+    return runs.open_run(folder, Notebook)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from mfd_bayes.reporting.pdf import print_page
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.word import word_tables
 from mfd_bayes.reporting.workbook import excel_tables
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes, write_text
 
 _ALONE = 3

@@ -14,7 +14,7 @@ from mfd_bayes.reporting.response_tables import shown_unit
 from mfd_bayes.reporting.symbols import number, unit_text
 from mfd_bayes.response.result import Passing, Row
 from mfd_bayes.response.variance_shares import Shares
-from mfd_bayes.runs.systems import SYSTEMS
+from mfd_bayes.runs.unit_system import SYSTEMS
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from mfd_bayes.reporting.tables import csv_text
 from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.response.variance_shares import Shares
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text
 from mfd_bayes.units import GRAVITY, percent
 

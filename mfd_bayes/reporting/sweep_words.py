@@ -8,8 +8,8 @@ import numpy as np
 
 from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import System
 
 _WHAT = {
     "mean": "The mean of the largest {}",

@@ -29,9 +29,9 @@ from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.noises import noted
 from mfd_bayes.reporting.symbols import printable
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.systems import US, System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
 
 _DIGITS = 6

@@ -8,7 +8,7 @@ import pytest
 
 from mfd_bayes.evaluation.outliers import contradicted_starts
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
 TIME = np.arange(201) / 50
 

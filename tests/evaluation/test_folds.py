@@ -15,9 +15,10 @@ from mfd_bayes.population.inference import Inference
 from mfd_bayes.population.population import LawDraws
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.storage import save_test_draws
-from mfd_bayes.runs.folder import hash_stored, pooled_of
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.order import StoredPooled
+from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.runs.paths import pooled_of
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.test_sequence import StoredPooled
 
 
 def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):

@@ -10,8 +10,12 @@ from mfd_bayes.evaluation.verdict import judge, least_believed, use_of
 from mfd_bayes.evaluation.verdict import verdict_sentence
 from mfd_bayes.evaluation.views import COVERAGE, READING, Check
 from mfd_bayes.messages import Message
-from mfd_bayes.runs.findings import Finding
+from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.evaluation.judgement import judge, least_believed, use_of
+from mfd_bayes.evaluation.sentences import verdict_sentence
+from mfd_bayes.evaluation.views import COVERAGE, READING, Check
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 NAN = float("nan")
 

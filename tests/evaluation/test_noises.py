@@ -18,7 +18,7 @@ from mfd_bayes.evaluation.test_summary import (
 )
 from mfd_bayes.evaluation.views import NOISE, Row
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import SI
+from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Use, Verdict
 
 TIME = np.arange(0.0, 6.0, 1 / 32)

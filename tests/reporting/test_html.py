@@ -23,9 +23,8 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.digest import is_of_sampler
 from mfd_bayes.reporting.html import ONE_PAGE, render
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))
 HOSTILE = '"><script>alert(1)</script>{{ 7 * 7 }}'

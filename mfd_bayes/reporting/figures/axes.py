@@ -15,7 +15,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import loops
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 
 def new_axes() -> Axes:

@@ -25,7 +25,7 @@ from mfd_bayes.reporting.figures.posteriors import (
 from mfd_bayes.reporting.figures.residuals import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
 from mfd_bayes.reporting.figures.tested import draw_tested
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 _FIGURES_HELD = 8
 _SHEETS = Sheets()  # of this process: each figure is a PNG before the next is drawn

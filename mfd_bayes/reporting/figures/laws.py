@@ -12,7 +12,7 @@ from mfd_bayes.evaluation.views import Fan, LawView
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label, plain
-from mfd_bayes.runs.systems import PRESSURES
+from mfd_bayes.runs.unit_system import PRESSURES
 from mfd_bayes.units import percent
 
 _ACTUATION = {

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 _MAP = "YlGnBu"
 

@@ -11,7 +11,7 @@ from mfd_bayes.evaluation.views import Array, TestView
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 
 STAGES = {2: "stick", 4: "gap", 3: "build-up", 1: "slip"}
 """Stages in their order within a stroke."""

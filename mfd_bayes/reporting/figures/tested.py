@@ -10,8 +10,8 @@ from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.runs.systems import System
-from mfd_bayes.runs.tested import Span, conditions
+from mfd_bayes.runs.tested_range import Span, conditions
+from mfd_bayes.runs.unit_system import System
 
 _FRAME = "#d9efe6"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import actuation_factor, convert, factor, in_digits, split_quantity
-
-_TOKEN = re.compile(r"[A-Za-z]+")
+from mfd_bayes.units import actuation_factor, convert, factor, in_digits
 
 SMALL = 0.2
 """Devices whose largest force, kip, is below this are shown in lbf or N."""
@@ -22,13 +20,20 @@ SMALL = 0.2
 PRESSURES = frozenset({"bar", "kPa"})
 """Metric units of pressure that a report keeps where all actuations are in one of them."""
 
-
-_SET = {"ksi": "psi", "kip": "lbf"}
+_SET = {"ksi": "psi", "kip": "lbf"}  # in which an actuation is set in tests
+_WORD = re.compile(r"[A-Za-z]+")
 
 
 @dataclass(frozen=True)
 class System:
-    """Units of a report; `name` is "us" or "si"."""
+    """Units of a report.
+
+    Attributes
+    ----------
+    name : {"us", "si"}
+    level : (str, str)
+        Internal unit of actuations that are neither pressures nor forces, and the one shown.
+    """
 
     name: str
     title: str
@@ -36,7 +41,6 @@ class System:
     force: str
     pressure: str
     level: tuple[str, str] = ("", "")
-    """Internal unit of actuations that are neither pressures nor forces, and the one shown."""
 
     @property
     def velocity(self) -> str:
@@ -50,10 +54,11 @@ class System:
 
     def unit(self, internal: str) -> str:
         """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
-        own = {"kip": self.force, "in": self.length, "ksi": self.pressure}
+        units = {"kip": self.force, "in": self.length, "ksi": self.pressure}
         level, shown = self.level
-        own |= {level: shown} if level else {}
-        text = _TOKEN.sub(lambda word: own.get(word[0], word[0]), internal)
+        if level:
+            units[level] = shown
+        text = _WORD.sub(lambda word: units.get(word[0], word[0]), internal)
         if "*" not in level:
             return text
         return re.sub(rf"(?<![A-Za-z]){re.escape(level)}(?![A-Za-z])", shown, text)
@@ -62,10 +67,11 @@ class System:
         """Factor from an internal unit to this system's."""
         return _factor(internal, self.unit(internal))
 
-    def actuation(self, trace: Trace, unit: str) -> str:
-        """Actuation of a trace in words; `unit` is the internal one, "ksi" or "kip"."""
-        text = self.words([trace.reference_actuation], unit, actuation=True)
-        return f"{text} (mean of a history)" if trace.varying else text
+    def of_actuation(self, internal: str) -> tuple[float, str]:
+        """Factor from an internal unit, and the unit, in which an actuation is said."""
+        if self.name == "us" and internal in _SET:
+            return 1000.0, _SET[internal]
+        return self.factor(internal), self.unit(internal)
 
     def words(
         self, values: Iterable[float], internal: str, digits: int = 4, *, actuation: bool = False
@@ -80,16 +86,16 @@ class System:
         shown = dict.fromkeys(in_digits(value * by, digits) for value in values)
         return f"{' to '.join(shown)} {unit}"
 
-    def of_actuation(self, internal: str) -> tuple[float, str]:
-        """Factor from an internal unit, and the unit, in which an actuation is said."""
-        if self.name == "us" and internal in _SET:
-            return 1000.0, _SET[internal]
-        return self.factor(internal), self.unit(internal)
+    def actuation(self, trace: Trace, unit: str) -> str:
+        """Actuation of a trace in words; `unit` is the internal one, such as "ksi"."""
+        text = self.words([trace.reference_actuation], unit, actuation=True)
+        return f"{text} (mean of a history)" if trace.varying else text
 
     def reworded(self, text: str) -> str:
         """Text with its quantities in internal units given in this system: "0.2 to 0.3 kip".
 
-        What stands in quotation marks, or without a blank between number and unit, stays.
+        For sentences that are not yet a `Message`. What stands in quotation marks, or without a
+        blank between number and unit, stays.
         """
         if self == US:
             return text
@@ -110,16 +116,15 @@ class System:
 
 
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_ONE = _NUMBER.pattern
+_N = _NUMBER.pattern
 # The preposition in: "3 in the middle"; and what goes on: "3 in/s", "in²".
 _QUANTITY = re.compile(
-    rf"(?<![\w.'])(?P<values>{_ONE}(?: to {_ONE})?(?: \({_ONE} to {_ONE}\)| \[{_ONE}, {_ONE}\])?) "
+    rf"(?<![\w.'])(?P<values>{_N}(?: to {_N})?(?: \({_N} to {_N}\)| \[{_N}, {_N}\])?) "
     r"(?P<unit>kip[·*]in|kip\*s/in|kip/in|in/s|kip|ksi|in(?! (?:an?|the|all|each|one|its|their|"
     r"every|which|this|that|them|\d)\b))(?![\w/*·^²'])"
 )
-
 _OBSERVED = re.compile(
-    rf", (?P<unit>kip·in|kip|in) \(observed (?P<seen>{_ONE}), expected (?P<expected>{_ONE})"
+    rf", (?P<unit>kip·in|kip|in) \(observed (?P<seen>{_N}), expected (?P<expected>{_N})"
 )
 
 
@@ -135,13 +140,12 @@ SI = System("si", "kN and mm", "mm", "kN", "MPa")
 US_SMALL = System("us", "lbf and in", "in", "lbf", "psi")
 SI_SMALL = System("si", "N and mm", "mm", "N", "MPa")
 SYSTEMS = (US, SI)
-SMALL_SYSTEMS = (US_SMALL, SI_SMALL)
 
 
-def systems_beside(own: System) -> tuple[System, System]:
+def both_systems(own: System) -> tuple[System, System]:
     """Customary and metric system for the same device, one of which is `own`."""
-    customary, metric = SMALL_SYSTEMS if own.small else SYSTEMS
-    customary, metric = replace(customary, level=own.level), replace(metric, level=own.level)
+    systems = (US_SMALL, SI_SMALL) if own.small else SYSTEMS
+    customary, metric = (replace(system, level=own.level) for system in systems)
     return (customary, own) if own.name == metric.name else (customary, metric)
 
 
@@ -153,7 +157,7 @@ def named_system(name: str, own: System) -> System:
     UnitError
         When the name is unknown.
     """
-    for system in systems_beside(own):
+    for system in both_systems(own):
         if system.name == name:
             return system
     if name:
@@ -164,7 +168,7 @@ def named_system(name: str, own: System) -> System:
 def system_of(
     lengths: Iterable[str],
     forces: Iterable[ArrayLike | None] = (),
-    actuations: Iterable[object] = (),
+    actuations: Iterable[str] = (),
 ) -> System:
     """System of units that records were measured in, fit for the size of their forces.
 
@@ -173,17 +177,17 @@ def system_of(
     lengths : iterable of str
         Unit of displacement of each record: what most are in decides.
     forces : iterable of array_like, kip, or None
-        Of each record, None where it has none: where no force reaches `SMALL`, they are in lbf
-        or N.
-    actuations : iterable of object
-        Actuation of each test as the campaign gives it, "7 bar" or a mapping with a "unit":
-        metric pressures are in bar or kPa where all are.
+        Of each record, or its peak: where no force reaches `SMALL`, they are in lbf or N.
+    actuations : iterable of str
+        Unit of the actuation of each test, as given: metric pressures are in bar or kPa where
+        all are.
     """
-    peaks = (float(np.max(np.abs(force))) for force in forces if force is not None)
-    small = 0.0 < max(peaks, default=0.0) < SMALL
+    peaks = [float(np.max(np.abs(force))) for force in forces if force is not None]
     metric = sum(1 if _is_metric(unit) else -1 for unit in lengths) > 0
-    system = (SMALL_SYSTEMS if small else SYSTEMS)[metric]
-    units = {_unit_of(actuation) for actuation in actuations}
+    small = 0.0 < max(peaks, default=0.0) < SMALL
+    customary, si = (US_SMALL, SI_SMALL) if small else SYSTEMS
+    system = si if metric else customary
+    units = set(actuations)
     if len(units) != 1:
         return system
     unit = units.pop()
@@ -194,16 +198,6 @@ def system_of(
     except UnitError:
         return system
     return system if internal in _SET else replace(system, level=(internal, unit))
-
-
-def _unit_of(actuation: object) -> str:
-    """Unit of an actuation as a campaign gives it; "" where it gives none."""
-    if isinstance(actuation, Mapping):
-        return str(actuation.get("unit") or "")
-    try:
-        return split_quantity(str(actuation))[1]
-    except UnitError:
-        return ""
 
 
 @cache

@@ -1,15 +1,18 @@
-"""What a run keeps of its validation: scores of predictions, and the comparison of models.
+"""Scores of predictions and the comparison of models, as a run stores them.
 
-These stand here and not in `validation`, which computes them from a run: the run's manifest stores
-them, and a run may not know what is computed from it.
+`evaluation` computes them from a run. They stand here because the manifest holds them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
-from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Three
+from mfd_bayes.errors import StoreError
+from mfd_bayes.store.files import read_json
+from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Part, Three, check
 
 PartKind = Literal["test", "level", "session"]
 """What is left out of a campaign at a time."""
@@ -53,8 +56,7 @@ class Prediction:
     fitted : Score
         Of the test's own posterior.
     whole : bool or None
-        Whether the whole force is inside the 95 % band of whole histories; None where an earlier
-        version left it out.
+        Whether the whole force is inside the 95 % band of whole histories.
     """
 
     part: str
@@ -111,15 +113,31 @@ class ComparisonRow:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Models of one campaign, compared.
+    """Models of one campaign, compared: rows of every test, then of all; best model first.
 
-    Attributes
-    ----------
-    rows : tuple of ComparisonRow
-        Of every test, then of all; best model first.
-    sentence : str
-        Which model the records favour, and whether its check figures speak against it.
+    The sentence says which model the records favour, and whether its check figures speak
+    against it.
     """
 
     rows: tuple[ComparisonRow, ...]
     sentence: str
+
+
+class _StoredPredictions(Part):
+    key: dict[str, Any]
+    predictions: AtLeastOne[Prediction]
+
+
+def read_predictions_of(path: Path, tests: Iterable[str]) -> tuple[Prediction, ...]:
+    """Predictions of the tests of a part that was left out, as they are stored.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing, or does not hold these tests' predictions.
+    """
+    predictions = check(_StoredPredictions, read_json(path), path).predictions
+    stored = [prediction.test for prediction in predictions]
+    if stored != list(tests):
+        raise StoreError(f"{path} holds predictions of {', '.join(stored)[:200]}, not of its part")
+    return predictions

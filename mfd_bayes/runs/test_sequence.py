@@ -16,8 +16,9 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST
 from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import check_stored, pooled_of
+from mfd_bayes.runs.folder import check_stored
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.paths import pooled_of
 from mfd_bayes.store.netcdf import load_arrays
 
 Array = NDArray[np.float64]
@@ -26,21 +27,21 @@ NO_GAP = "after is without effect: the model of the run has no gap in which a mo
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
+class TestSequence:
     """The tests of a run in their order.
 
     Attributes
     ----------
-    manifest : Manifest
     tests : mapping of str to TestResult
         Those whose posteriors may be used.
     motions : mapping of str to Trace
         Those that are predicted: held out, or left out.
-    predictor : Predictor
     pooled : callable
         Quantities of a test with a posterior as pooled with the others, by its id; empty where
         that is not known.
     """
+
+    __test__ = False
 
     manifest: Manifest
     tests: Mapping[str, TestResult]
@@ -52,7 +53,7 @@ class Order:
         """Draws of all quantities of a test with a posterior, (m,) each, with its start.
 
         As pooled with the others: a short motion by itself says little of the gap. What is not
-        sampled is as in the test's own posterior, which is taken where nothing is pooled.
+        pooled has the median of the test's own posterior; where nothing is, its draws are taken.
         """
         test = self.tests[name]
         own, pooled = test.stored.values(), self.pooled(name)
@@ -63,8 +64,7 @@ class Order:
 
     def before(self, test: str, trace: Trace, forecast: Forecast) -> Ending | None:
         """Where a test of the campaign begins; None where nothing is known of that."""
-        after = self.manifest.settings.tests[test].after
-        return self.ending(after, trace, forecast, test)
+        return self.ending(self.manifest.settings.tests[test].after, trace, forecast, test)
 
     def begun(self, forecast: Forecast, trace: Trace, after: str | Ending) -> Forecast:
         """The forecast of a motion that follows a test, or begins where one ended.
@@ -76,10 +76,10 @@ class Order:
         """
         if isinstance(after, Ending):
             return replace(forecast, before=after)
-        known = [*self.tests, *self.motions]
-        if after not in known:
+        names = [*self.tests, *self.motions]
+        if after not in names:
             raise FitError(
-                f"after must be the id of a test of the run, one of {', '.join(known)}, got "
+                f"after must be the id of a test of the run, one of {', '.join(names)}, got "
                 f"{after!r}"
             )
         return replace(forecast, before=self.ending(after, trace, forecast))
@@ -111,16 +111,18 @@ class Order:
         chain, order = [after], self.manifest.settings.order
         while chain[-1] in self.motions and order.get(chain[-1], after) not in chain:
             chain.append(order[chain[-1]])  # back to one with a posterior, or that follows none
-        found: Ending | None = None
+        place: Ending | None = None
         for name, following in zip(reversed(chain), [*reversed(chain[:-1]), ""], strict=True):
-            found = self._ended(name, replace(forecast, before=found))
-            if found is None:
+            place = self._ended(name, replace(forecast, before=place))
+            if place is None:
                 continue
+            done = (self.tests if name in self.tests else self.motions)[name]
+            last = done.trace if isinstance(done, TestResult) else done
             first = self.motions[following] if following else trace
             way = self._between(name, following or test)
-            way = self._trace(name).displacement[-1], *way, first.displacement[0]
-            found = found.moved(self.predictor.model, way)
-        return found
+            way = last.displacement[-1], *way, first.displacement[0]
+            place = place.moved(self.predictor.model, way)
+        return place
 
     def _between(self, name: str, following: str) -> tuple[float, ...]:
         """Ends and turns of the records between the fit windows of two tests, in.
@@ -132,9 +134,6 @@ class Order:
             return rest
         lead, tests = self.manifest.tests[following].before, self.manifest.settings.tests
         return lead if tests[name].file == tests[following].file else (*rest, *lead)
-
-    def _trace(self, name: str) -> Trace:
-        return self.tests[name].trace if name in self.tests else self.motions[name]
 
     def _ended(self, name: str, forecast: Forecast) -> Ending | None:
         """Where a test ended: by its posterior, or as it is predicted after the one before."""
@@ -148,12 +147,11 @@ class Order:
         if name not in self.motions:
             return None  # it could not be calibrated
         kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
-        session = self.manifest.settings.tests[name].session
-        asked, trace = replace(forecast, kind=kind, session=session), self.motions[name]
-        drawn = self.predictor.draw(trace, asked, np.random.default_rng((forecast.seed, 2)))
+        session = self.manifest.settings.sessions[name]
+        own, trace = replace(forecast, kind=kind, session=session), self.motions[name]
+        drawn = self.predictor.draw(trace, own, np.random.default_rng((forecast.seed, 2)))
         values = self.predictor.values(drawn)
-        found = Ending.of(model, name, trace, values, drawn.scales or None)
-        return replace(found, predicted=True)
+        return replace(Ending.of(model, name, trace, values, drawn.scales or None), predicted=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,10 +161,9 @@ class StoredPooled:
     folder: Path
     manifest: Manifest
     population: Population
-    tests: tuple[str, ...]
 
     def __call__(self, name: str) -> Mapping[str, Array]:
-        """Quantities by name, (n,) each; empty where an earlier version has stored none.
+        """Quantities by name, (n,) each; empty where none are stored.
 
         Raises
         ------
@@ -176,10 +173,9 @@ class StoredPooled:
         file, population = pooled_of(name), self.population
         if not (self.folder / file).is_file():
             return {}
-        path = check_stored(self.folder, file, self.manifest.files or {})
+        path = check_stored(self.folder, file, self.manifest.files)
         values, _ = load_arrays(path)
-        known = [k for k in population.design.coordinates.names if k in values]
-        fits = all(values[k].shape == population.shape for k in known)
-        if len(known) < len(population.design.coordinates.names) or not fits:
+        names = population.design.coordinates.names
+        if any(k not in values or values[k].shape != population.shape for k in names):
             raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
-        return {k: np.ravel(values[k]).astype(np.float64) for k in known}
+        return {k: np.ravel(values[k]).astype(np.float64) for k in names}

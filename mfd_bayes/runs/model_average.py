@@ -17,7 +17,7 @@ from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.run import Run
 
-APART = 0.5
+DISAGREEMENT = 0.5
 """Models disagree where their medians are apart by more than this share of half the band's width,
 root mean square."""
 
@@ -45,11 +45,18 @@ class ModelAverage:
     runs: Sequence[Run]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "runs", _checked(self.runs))
-        if len(self.runs) < 2:
-            raise FitError(f"an average of models needs at least two runs, got {len(self.runs)}")
-        for one, other in pairwise(self.runs):
-            _check_same(one, other)
+        given = self.runs
+        several = isinstance(given, Iterable) and not isinstance(given, str | bytes | Mapping)
+        runs = tuple(given) if several else ()
+        wrong = [run for run in runs if not (hasattr(run, "tests") and hasattr(run, "predict"))]
+        if not several or wrong:
+            got = repr(wrong[0]) if wrong else type(given).__name__
+            raise FitError(f"runs must be two or more runs, as open_run opens them, got {got}")
+        object.__setattr__(self, "runs", runs)
+        if len(runs) < 2:
+            raise FitError(f"an average of models needs at least two runs, got {len(runs)}")
+        for first, second in pairwise(runs):
+            _check_same_records(first, second)
         twice = [name for name in self.models if self.models.count(name) > 1]
         if twice:
             raise FitError(
@@ -60,10 +67,10 @@ class ModelAverage:
     def models(self) -> tuple[str, ...]:
         """Model of each run, with its noise where two of them have the same model."""
         settings = [run.manifest.settings for run in self.runs]
-        names = [one.model for one in settings]
+        names = [own.model for own in settings]
         if len(set(names)) == len(names):
             return tuple(names)
-        return tuple(f"{one.model} ({one.noise})" for one in settings)
+        return tuple(f"{own.model} ({own.noise})" for own in settings)
 
     def predict(
         self,
@@ -101,78 +108,49 @@ class ModelAverage:
         if kind == THIS_TEST:
             raise FitError("an average of models predicts a new test, not the kind this_test")
         check_trace("trace", trace, FitError)
-        least = FEWEST * len(self.runs)
-        whole_number(
-            f"draws (of {len(self.runs)} runs together)", draws, least, FitError, MOST_DRAWS
-        )
-        forecast = Forecast(kind, probability, draws, seed, session, whole)
-        bands = [
-            run.predict(
-                trace,
-                kind,
-                probability,
-                draws=share,
-                seed=seed,
-                session=session,
-                given=given,
-                after=after,
+        n = len(self.runs)
+        whole_number(f"draws (of {n} runs together)", draws, FEWEST * n, FitError, MOST_DRAWS)
+        options: dict[str, Any] = {"seed": seed, "session": session, "given": given, "after": after}
+        bands = {
+            model: run.predict(
+                trace, kind, probability, draws=draws // n + (i < draws % n), **options
             )
-            for run, share in zip(self.runs, _shares(draws, len(self.runs)), strict=True)
-        ]
-        named = dict(zip(self.models, bands, strict=True))
+            for i, (model, run) in enumerate(zip(self.models, self.runs, strict=True))
+        }
+        forecast = Forecast(kind, probability, draws, seed, session, whole)
+        together = np.concatenate([band.draws for band in bands.values()])
         return replace(
-            Band.of(trace.time, np.concatenate([b.draws for b in bands]), forecast, _source(named)),
-            remarks=_remarks(named),
-            given=_given([band.given for band in bands if band.given]),
+            Band.of(trace.time, together, forecast, _source(bands)),
+            remarks=_remarks(bands),
+            given=_worst_given([band.given for band in bands.values() if band.given]),
             extras=self.runs[0].extras,
         )
 
 
-_NEEDED = ("tests", "manifest", "predict")
-
-
-def _checked(runs: Any) -> tuple[Run, ...]:
-    """The runs, when they are some."""
-    several = isinstance(runs, Iterable) and not isinstance(runs, str | bytes | Mapping)
-    found = tuple(runs) if several else ()
-    wrong = [one for one in found if not all(hasattr(one, name) for name in _NEEDED)]
-    if not several or wrong:
-        got = repr(wrong[0]) if wrong else type(runs).__name__
-        raise FitError(f"runs must be two or more runs, as open_run opens them, got {got}")
-    return found
-
-
-def _check_same(one: Run, other: Run) -> None:
+def _check_same_records(first: Run, second: Run) -> None:
     """Refuse runs that were not calibrated with the same records."""
-    for run, than in ((one, other), (other, one)):
-        missing = [name for name in run.tests if name not in than.tests]
+    for run, other in ((first, second), (second, first)):
+        missing = [name for name in run.tests if name not in other.tests]
         if missing:
             raise FitError(
-                f"test {missing[0]!r} is calibrated in {run.folder} but not in {than.folder}: "
+                f"test {missing[0]!r} is calibrated in {run.folder} but not in {other.folder}: "
                 "an average of models needs runs of the same tests"
             )
-    for name, test in one.tests.items():
-        if not np.array_equal(
-            np.asarray(test.trace.force), np.asarray(other.tests[name].trace.force)
-        ):
+    for name, test in first.tests.items():
+        other_test = second.tests[name]
+        if not np.array_equal(np.asarray(test.trace.force), np.asarray(other_test.trace.force)):
             raise FitError(
-                f"the record of test {name!r} is another in {one.folder} than in {other.folder}: "
-                "an average of models needs runs of the same records"
+                f"the record of test {name!r} is another in {first.folder} than in "
+                f"{second.folder}: an average of models needs runs of the same records"
             )
 
 
-def _shares(draws: int, n: int) -> list[int]:
-    """Draws of each run, whose numbers differ by one at most."""
-    return [draws // n + (i < draws % n) for i in range(n)]
-
-
-def _source(named: Mapping[str, Band]) -> str:
+def _source(bands: Mapping[str, Band]) -> str:
     """Where the parameters come from."""
-    sources = {band.source for band in named.values()}
-    names = _listed(list(named))
+    sources = {band.source for band in bands.values()}
     if len(sources) == 1:
-        return f"{names} in equal parts, {sources.pop()}"
-    return "equal parts of " + _listed([f"{name}, {b.source}" for name, b in named.items()])
+        return f"{_listed(list(bands))} in equal parts, {sources.pop()}"
+    return "equal parts of " + _listed([f"{name}, {b.source}" for name, b in bands.items()])
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -180,23 +158,23 @@ def _listed(words: Sequence[str]) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def _remarks(named: Mapping[str, Band]) -> tuple[str, ...]:
+def _remarks(bands: Mapping[str, Band]) -> tuple[str, ...]:
     """Remarks of all bands, once each, and where the models disagree."""
-    said = tuple(dict.fromkeys(remark for band in named.values() for remark in band.remarks))
-    medians = np.array([band.median for band in named.values()])
-    apart = float(np.sqrt(np.mean(np.var(medians, axis=0)))) * 2.0
-    half = float(np.mean([np.mean(band.upper - band.lower) for band in named.values()])) / 2.0
-    if apart <= APART * half:
-        return said
-    share = 100.0 * apart / half
+    remarks = tuple(dict.fromkeys(remark for band in bands.values() for remark in band.remarks))
+    medians = np.array([band.median for band in bands.values()])
+    distance = float(np.sqrt(np.mean(np.var(medians, axis=0)))) * 2.0
+    half = float(np.mean([np.mean(band.upper - band.lower) for band in bands.values()])) / 2.0
+    if distance <= DISAGREEMENT * half:
+        return remarks
+    share = 100.0 * distance / half
     return (
-        *said,
+        *remarks,
         f"the models disagree: their medians are apart by {share:.0f} % of half the width of "
         "one model's band (root mean square), and tests do not yet tell which one is right here",
     )
 
 
-def _given(parts: Sequence[Conditioned]) -> Conditioned | None:
+def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
     """How all models together took the given part in: by the worst of them."""
     if not parts:
         return None
