@@ -15,11 +15,9 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.ready import get_ready
-from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
-from mfd_bayes.reporting.forms import PLAIN, Forms
-from mfd_bayes.reporting.tables import (
-    CROSSVALIDATION,
-)
+from mfd_bayes.reporting.conversion import convert_scores, in_words, system_of
+from mfd_bayes.reporting.publish import PLAIN, Forms
+from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest
@@ -75,7 +73,7 @@ def write_report(
     run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
 ) -> CampaignView:
     """Write the tables, figures and report of an open run, whose folder must be locked."""
-    from mfd_bayes.reporting.publication import publish
+    from mfd_bayes.reporting.publish import publish
 
     system = named_system(units, run.system)
     observe(Step("report", "checks and bands"))
@@ -94,8 +92,8 @@ def write_report(
 
 def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
     """Scores of what was left out in the units of the campaign, and its unit of force."""
-    system = shown_in(view)
-    return in_tables(view, system).left_out, system.force
+    system, found = system_of(view), view.left_out
+    return found and convert_scores(found, system.factor("kip")), system.force
 
 
 def check(out: Path, units: str = "") -> CampaignView:
