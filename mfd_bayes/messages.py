@@ -57,4 +57,4 @@ class Message:
 
 def _internal(values: Sequence[float], unit: str, digits: int) -> str:
     shown = dict.fromkeys(in_digits(value, digits) for value in values)
-    return f"{' to '.join(shown)} {unit}"
+    return f"{' to '.join(shown)} {unit.replace('*', '·')}"

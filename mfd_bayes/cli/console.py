@@ -7,12 +7,12 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from mfd_bayes.runs.systems import US, System
 from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
@@ -80,16 +80,10 @@ def _add(table: Table, *cells: object) -> None:
     table.add_row(*map(clean, cells))
 
 
-def print_warnings(warnings: Iterable[Finding]) -> None:
-    """Print what was found that a reader must know, a line each."""
-    for found in warnings:
-        say(f"warning: {found.subject}: {found.sentence}")
-
-
-def warnings_of(plan: Plan) -> list[Finding]:
-    """Warnings about the records of a plan, in the units of the campaign."""
-    say_in = plan.system.reworded
-    return [replace(f, sentence=say_in(f.sentence)) for f in plan.manifest.warnings]
+def print_warnings(warnings: Iterable[Finding], system: System = US) -> None:
+    """Print what was found that a reader must know, a line each, in the units of a system."""
+    for finding in warnings:
+        say(f"warning: {finding.subject}: {finding.message.to_text(system.words)}")
 
 
 def print_plan(plan: Plan) -> None:
@@ -102,7 +96,7 @@ def print_plan(plan: Plan) -> None:
     follow = [f"{name} after {other}" for name, other in plan.manifest.settings.order.items()]
     if follow:
         say(f"without a reset: {', '.join(follow)}")
-    print_warnings(warnings_of(plan))
+    print_warnings(plan.manifest.warnings, plan.system)
 
 
 def print_truth(view: CampaignView, *, quiet: bool = False) -> None:

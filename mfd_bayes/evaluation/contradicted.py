@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.messages import Message
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.run import Run
@@ -42,7 +43,11 @@ def contradicted_starts(run: Run) -> list[Finding]:
                 f"[{lowest:.2f}, {highest:.2f}]: check whether the device was reset or moved in "
                 "between"
             )
-            found.append(Finding(name, "start in the gap", sentence, stage="results"))
+            found.append(
+                Finding(
+                    name, "start in the gap", Message("{text}", {"text": sentence}), stage="results"
+                )
+            )
     return found
 
 

@@ -21,7 +21,7 @@ from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.jobs.dispatch import Workplace, run_jobs
+from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.inference import Inference, infer_population

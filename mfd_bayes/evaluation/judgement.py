@@ -41,7 +41,7 @@ def judge(
     for subject in subjects:
         own = [check for check in checks if check.subject == subject]
         told = [f for f in findings if f.subject == subject and f.name != NOISE]
-        aside = [f.sentence for f in findings if f.subject == subject and f.name == NOISE]
+        aside = [str(f.message) for f in findings if f.subject == subject and f.name == NOISE]
         found.append(_judge(subject, own, told, aside))
     return tuple(sorted(found, key=lambda j: -j.doubt))
 
@@ -86,7 +86,7 @@ def _of_record(findings: Sequence[Finding], missed: Sequence[Check]) -> Iterable
     for number, finding in enumerate(sorted(findings, key=lambda f: not f.spoils)):
         shows = finding.spoils and finding.name != "time unit"  # no clock changes an energy
         shown = f"{miss_of(missed[0])}: " if missed and number == 0 and shows else ""
-        yield (_SPOILS if finding.spoils else MILD), f"{shown}{finding.sentence}"
+        yield (_SPOILS if finding.spoils else MILD), f"{shown}{finding.message}"
 
 
 def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, str]]:

@@ -13,6 +13,7 @@ from mfd_bayes.calibration.noise_sensitivity import HALF, Bounds, moves, quantil
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.evaluation.views import NOISE, Check, NoiseRow, Row, TestView
+from mfd_bayes.messages import Message
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.verdict import Verdict
 
@@ -126,7 +127,11 @@ def noise_sentence(rows: Iterable[NoiseRow]) -> str:
 def noise_findings(tests: Iterable[TestView]) -> list[Finding]:
     """A warning for each test of which the noise decides some quantity."""
     told_of = ((test.id, noise_sentence(test.noises)) for test in tests)
-    return [Finding(name, NOISE, words, stage="results") for name, words in told_of if words]
+    return [
+        Finding(name, NOISE, Message("{text}", {"text": words}), stage="results")
+        for name, words in told_of
+        if words
+    ]
 
 
 def unchecked(tests: Iterable[TestView]) -> str:

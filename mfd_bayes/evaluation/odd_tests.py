@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.quantities import units
+from mfd_bayes.messages import Message
 from mfd_bayes.population.design import Design
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import pooled_of
@@ -50,7 +51,11 @@ def odd_tests(run: Run) -> list[Finding]:
             f"{away:.1f} of their standard deviations away; check its displacement, units and "
             "actuation before you use the campaign"
         )
-        found.append(Finding(names[j], "stands apart", sentence, stage="results"))
+        found.append(
+            Finding(
+                names[j], "stands apart", Message("{text}", {"text": sentence}), stage="results"
+            )
+        )
     return found
 
 

@@ -13,7 +13,7 @@ from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation.checks import SHOWN
 from mfd_bayes.evaluation.fits import calibrated_view, held_out_view, sharing_priors
 from mfd_bayes.evaluation.views import CampaignView, Check, TestView
-from mfd_bayes.jobs.likelihoods import Meanwhile, in_turn, several_processes, when_wanted
+from mfd_bayes.jobs.parallel import Meanwhile, in_turn, several_processes, when_wanted
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Verdict
 

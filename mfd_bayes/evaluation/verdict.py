@@ -23,7 +23,7 @@ from mfd_bayes.evaluation.views import (
     TestView,
     TruthRow,
 )
-from mfd_bayes.jobs.likelihoods import meanwhile
+from mfd_bayes.jobs.parallel import meanwhile
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run

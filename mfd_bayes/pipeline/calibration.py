@@ -15,7 +15,7 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.jobs.dispatch import check_workers, run_jobs
+from mfd_bayes.jobs.local import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.pipeline.plan import Plan
 from mfd_bayes.population.inference import infer_population

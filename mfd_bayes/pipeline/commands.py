@@ -14,7 +14,7 @@ from mfd_bayes.evaluation import fails, is_whole
 from mfd_bayes.evaluation.views import (
     CampaignView,
 )
-from mfd_bayes.jobs.dispatch import check_workers
+from mfd_bayes.jobs.local import check_workers
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibration import calibrate_locked, check_dry, working_in
 from mfd_bayes.pipeline.comparison import compare

@@ -1,6 +1,6 @@
 """What the processes of a run need: a module for the server that they are forked from."""
 
-from mfd_bayes.jobs.processes import importing
+from mfd_bayes.jobs.local import importing
 
 with importing():
     from scipy import stats  # noqa: F401

@@ -20,7 +20,7 @@ from mfd_bayes.campaign.file import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import NoiseName
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
-from mfd_bayes.jobs.dispatch import Workplace
+from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.jobs.job import State
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.design import Design, design_of
@@ -29,6 +29,7 @@ from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.channels import Source
 from mfd_bayes.records.cross_checks import Tested
 from mfd_bayes.records.data_quality import Fault
+from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
@@ -264,6 +265,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
         derived=record.derived,
+        measured=measured.to_content() if (measured := measured_cycles(record)) else {},
     )
     return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 

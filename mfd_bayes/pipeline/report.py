@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.evaluation import assess, verdicts
+from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
 from mfd_bayes.evaluation.views import (
     IDENTIFIABILITY,
     CampaignView,
     LeftOutView,
 )
-from mfd_bayes.jobs.dispatch import Workplace
+from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.ready import get_ready
 from mfd_bayes.reporting.conversion import convert_scores, in_words, system_of
@@ -82,11 +83,14 @@ def write_report(
     if forms.next_test:
         observe(Step("report", "which test next"))
         view = replace(view, next_test=run.next_test())
-    run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
+    run = run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
+    observe(Step("report", "data sheet"))
+    at = [parse_condition(text, run.actuation_unit) for text in forms.at]
+    sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
     view = in_words(view)
-    publish(view, run.folder, processes, observe, forms)
+    publish(view, run.folder, processes, observe, forms, sheet)
     return view
 
 

@@ -153,7 +153,6 @@ def in_words(view: CampaignView) -> CampaignView:
         sentence=say(view.sentence),
         remarks=tuple(map(say, view.remarks)),
         checks=tuple(_check(check, system) for check in view.checks),
-        warnings=tuple(replace(f, sentence=say(f.sentence)) for f in view.warnings),
         judgements=tuple(
             replace(j, sentence=say(j.sentence), notes=say(j.notes)) for j in view.judgements
         ),

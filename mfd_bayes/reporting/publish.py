@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.likelihoods import meanwhile
-from mfd_bayes.jobs.workers import run_in_processes
+from mfd_bayes.jobs.local import run_in_processes
+from mfd_bayes.jobs.parallel import meanwhile
 from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.page import render
 from mfd_bayes.reporting.tables import (

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mfd_bayes.messages import Message
+
 SPOILING = frozenset(
     {
         *("no force", "force sign", "both signs", "channels", "time unit", "duplicate"),
@@ -25,7 +27,7 @@ class Finding:
         A test's id, or "laws".
     name : str
         Name of the fault, as `records.data_quality` and `records.cross_checks` have them.
-    sentence : str
+    message : Message
         What was found, with figures and the likely cause.
     stage : {"records", "results"}
         Whether the records showed it before anything was fitted, or the results.
@@ -33,7 +35,7 @@ class Finding:
 
     subject: str
     name: str
-    sentence: str
+    message: Message
     stage: str = "records"
 
     @property

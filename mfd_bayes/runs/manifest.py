@@ -54,6 +54,8 @@ class Entry(Part):
     before: tuple[Figure, ...] = ()
     after: tuple[Figure, ...] = ()
     """Displacements, in, at the ends and turns of the record before and after its fit window."""
+    measured: Mapping[str, tuple[Figure, ...]] = Field(default_factory=dict)
+    """Values of each cycle as recorded, `MeasuredCycles.to_content`; of earlier versions, none."""
     seconds: Figure = 0.0
     error: str = ""
     key: str = ""

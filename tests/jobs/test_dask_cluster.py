@@ -23,7 +23,7 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.evaluation.folds import folds_of, run_folds
 from mfd_bayes.jobs.job import Outcome, Progress
-from mfd_bayes.jobs.workers import run_in_processes
+from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import posterior_of
@@ -182,7 +182,7 @@ def refused(outcome, *words):
 
 
 def on_cluster(*arguments):
-    from mfd_bayes.jobs.cluster.client import run_on_cluster
+    from mfd_bayes.jobs.dask_cluster import run_on_cluster
 
     return run_on_cluster(*arguments)
 
@@ -300,37 +300,29 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     assert stored(out) == stored(whole)
 
 
-def test_a_cluster_without_workers_is_reported_once_each_time(tmp_path):
-    from mfd_bayes.jobs.cluster.client import _Cluster
+def test_a_cluster_without_workers_is_reported_once_each_time():
+    from mfd_bayes.jobs.dask_cluster import _tell_idle
 
-    alone, seen = {"tcp://w:1": 1}, []
-    client = SimpleNamespace(status="running", nthreads=lambda: alone)
-    cluster = _Cluster(client, "tcp://host:1", tmp_path, seen.append)
-    assert cluster.receive() is None
-    assert seen == []
-    for times in (1, 2):
-        alone.clear()
-        assert cluster.receive() is cluster.receive() is None
-        assert [step.stage for step in seen].count("waits for a worker:") == times
-        assert seen[-1].message == "start one with: dask worker tcp://host:1"
-        alone["tcp://w:2"] = 1
-        cluster.messages.put({"key": "of a test that is done"})
-        assert cluster.receive() is None
-        assert seen[-1].stage == "done"
+    seen, idle = [], False
+    for workers in ({"tcp://w:1": 1}, {}, {}, {"tcp://w:2": 1}, {}):
+        client = SimpleNamespace(nthreads=lambda there=workers: there)
+        idle = _tell_idle(client, "tcp://host:1", seen.append, idle=idle)
+    assert [step.stage for step in seen] == ["waits for a worker:", "done", "waits for a worker:"]
+    assert seen[0].message == "start one with: dask worker tcp://host:1"
 
 
 def test_a_worker_that_is_lost_during_the_check_is_not_refused(monkeypatch):
     from distributed.comm import CommClosedError
 
-    from mfd_bayes.jobs.cluster import client as cluster
+    from mfd_bayes.jobs import dask_cluster
 
     answers = {"tcp://w:1": "", "tcp://w:2": CommClosedError("in <TCP>: Stream is closed")}
     client = SimpleNamespace(run=lambda *_, **__: answers)
-    monkeypatch.setattr(cluster, "connected", lambda address: nullcontext(client))
-    cluster.check_cluster("tcp://host:1")
+    monkeypatch.setattr(dask_cluster, "_connected", lambda address: nullcontext(client))
+    dask_cluster.check_cluster("tcp://host:1")
     answers["tcp://w:1"] = ModuleNotFoundError("No module named 'mfd_bayes'")
     with pytest.raises(FitError, match=r"tcp://w:1 cannot run mfd_bayes: .*No module named"):
-        cluster.check_cluster("tcp://host:1")
+        dask_cluster.check_cluster("tcp://host:1")
 
 
 def test_ctrl_c_cancels_the_jobs_that_have_not_ended(address, campaign, tmp_path):
@@ -385,15 +377,16 @@ def test_a_run_takes_either_a_cluster_or_processes_of_this_machine(campaign, tmp
     refused(outcome, "either --jobs", "or --scheduler")
 
 
-@pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "scipy", "emcee", "Python"])
+@pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "Python"])
 def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeypatch, name):
-    from mfd_bayes.jobs.cluster import client as cluster
+    from mfd_bayes.jobs import dask_cluster
 
-    ours = cluster.versions()
-    monkeypatch.setattr(cluster, "versions", lambda: ours | {name: "0.0.1"})
+    dask_cluster.check_cluster(address)  # the same versions
+    ours = dask_cluster.versions()
+    monkeypatch.setattr(dask_cluster, "versions", lambda: ours | {name: "0.0.1"})
     words = f"^the worker tcp://127.* has {name} {ours[name]} and not 0.0.1"
     with pytest.raises(FitError, match=words):
-        cluster.check_cluster(address)
+        dask_cluster.check_cluster(address)
     with (
         pytest.raises(FitError, match=words),
         closing(on_cluster(tasks, tmp_path, address, lambda _: None)) as outcomes,
@@ -402,51 +395,29 @@ def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
-def test_a_cluster_of_the_same_versions_is_accepted(address):
-    from mfd_bayes.jobs.cluster.client import check_cluster
-
-    check_cluster(address)
-
-
 def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
-    from mfd_bayes.jobs.cluster import worker
+    from mfd_bayes.jobs import dask_cluster
 
     pools = [{"num_threads": 1, "filepath": "libone.so"}]
-    monkeypatch.setattr(worker, "threadpool_limits", lambda limits: None)
-    monkeypatch.setattr(worker, "threadpool_info", lambda: pools)
-    monkeypatch.setattr(worker, "get_worker", lambda: SimpleNamespace(address="tcp://w:1"))
-    assert worker._limit_threads() == ""
+    monkeypatch.setattr(dask_cluster, "threadpool_limits", lambda limits: None)
+    monkeypatch.setattr(dask_cluster, "threadpool_info", lambda: pools)
+    monkeypatch.setattr(dask_cluster, "get_worker", lambda: SimpleNamespace(address="tcp://w:1"))
+    assert dask_cluster.limit_threads() == ""
     pools.append({"num_threads": 4, "filepath": "libmany.so"})
-    assert "tcp://w:1" in worker._limit_threads()
-    assert "libmany.so cannot be told" in worker._limit_threads()
-    assert "OPENBLAS_NUM_THREADS=1" in worker._limit_threads()
-
-
-def test_libraries_that_a_job_loads_later_have_one_thread_too():
-    code = (
-        "from mfd_bayes.jobs.cluster.worker import _limit_threads\n"
-        "from threadpoolctl import threadpool_info\n"
-        "assert _limit_threads() == ''\n"
-        "import mfd_bayes.pipeline.loaded\n"
-        "print(*sorted({pool['num_threads'] for pool in threadpool_info()}))"
-    )
-    words = [sys.executable, "-c", code]
-    printed = subprocess.run(words, env=os.environ | THREADS, capture_output=True, text=True)
-    assert printed.stdout == "1\n", printed.stderr
+    for word in ("tcp://w:1", "libmany.so cannot be told", "OPENBLAS_NUM_THREADS=1"):
+        assert word in dask_cluster.limit_threads()
 
 
 def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
-    from mfd_bayes.jobs.cluster.client import _Cluster, _Submitted
+    from mfd_bayes.jobs.dask_cluster import _store
 
     answer = {"refused": "", "status": "done", "seconds": 1.0, "error": "", "steps": []}
     future = SimpleNamespace(
         status="finished",
         exception=lambda: None,
         result=lambda: answer | {"files": {"../beyond": b""}},
-        release=lambda: None,
     )
-    cluster = _Cluster(None, "tcp://host:1", tmp_path / "out", lambda _: None)
-    outcome = cluster._store(_Submitted(tasks[1], future))
+    outcome = _store(future, tasks[1], tmp_path / "out", "tcp://host:1", lambda _: None)
     sentence = "its worker sent files that are not this test's"
     assert outcome == Outcome(tasks[1].id, "failed", 0.0, sentence)
     assert not list(tmp_path.rglob("*"))
