@@ -13,7 +13,7 @@ import json
 import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from mfd_bayes.evaluation.checks import INFORMED
+from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.evaluation.width import width_sentence
@@ -40,6 +40,7 @@ from mfd_bayes.reporting.tables import (
 )
 from mfd_bayes.runs.systems import US, System
 from mfd_bayes.runs.verdict import Use
+from mfd_bayes.units import in_digits
 
 if TYPE_CHECKING:
     from mfd_bayes.evaluation.datasheet import Datasheet
@@ -50,6 +51,14 @@ Pair = tuple[System, System]
 NEXT = 10
 """Candidates for the next test that the page shows."""
 
+ELSEWHERE = frozenset(
+    {
+        *("gamma1", "gamma2", "start", "offset", "static_excess_fwd", "static_excess_bwd"),
+        *(q.name for noise in NOISES.values() for q in noise.quantities),
+    }
+)
+"""Quantities that the tests' own pages show: those of a record, and those without a meaning."""
+
 WORDS = (
     *("95 % interval", "Mean property (band of kind device)", "Coverage", "CRPS"),
     "This device tested again (band of kind new_test)",
@@ -59,7 +68,7 @@ WORDS = (
 )
 """Words of the glossary that the page explains."""
 
-CONDITIONS = 10
+CONDITIONS = 12
 """Most columns of the data sheet side by side on its page."""
 
 
@@ -128,14 +137,16 @@ class Units:
         self.used[unit] = of
         return of[self.systems[self.metric].name]
 
-    def number(self, value: float, unit: str, digits: int = 3) -> Markup:
-        """A number that is stored in an internal unit."""
+    def number(self, value: float, unit: str, digits: int = 3, *, short: bool = False) -> Markup:
+        """A number that is stored in an internal unit; a short one without zeros at its end."""
         by, _ = self._own(unit)
         text = symbols.number(value * by, digits)
         if not math.isfinite(value):
             return Markup(escape(text))
-        span = Markup('<span data-value="{:.7g}" data-unit="{}" data-digits="{}">{}</span>')
-        return span.format(value, unit, digits, text)
+        if short:
+            text = in_digits(value * by, digits).replace("-", "−")
+        span = Markup('<span data-value="{:.7g}" data-unit="{}" data-digits="{}"{}>{}</span>')
+        return span.format(value, unit, digits, Markup(" data-short" * short), text)
 
     def name(self, unit: str) -> Markup:
         """The name of an internal unit; empty for none."""
@@ -144,7 +155,11 @@ class Units:
 
     def values(self, values: Sequence[float], unit: str, digits: int = 3) -> Markup:
         """One value, or the ends of a range, with their unit: "500 to 1500 psi"."""
-        shown = Markup(" to ").join(self.number(v, unit, digits) for v in dict.fromkeys(values))
+        by, _ = self._own(unit)
+        texts = {
+            in_digits(v * by, digits): self.number(v, unit, digits, short=True) for v in values
+        }
+        shown = Markup(" to ").join(texts.values())
         return Markup("{} {}").format(shown, self.name(unit)) if self._own(unit)[1] else shown
 
     def line(self, line: Line, unit: str) -> Markup:
@@ -223,10 +238,7 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
     names = {test.id for test in held_out}
     explorer = explore(view) if view.tests else None
     parameters, laws = paper_sheets(view, US)
-    weak: dict[str, list[str]] = {}
-    for row in (row for test in view.tests for row in test.rows):
-        if row.contraction < INFORMED:
-            weak.setdefault(row.name, []).append(row.subject)
+    shown = tuple(row for row in parameters.rows if row.name not in ELSEWHERE)
     missed = [judged for judged in view.judgements if judged.use != Use.USABLE]
     terms = (term for subject in read_glossary().values() for term in subject.items())
     system, unit, advice = system_of(view), view.actuation_unit, view.next_test
@@ -245,14 +257,12 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
             if not key.startswith("tests/")
         },
         explorer=explorer,
-        parameters=parameters,
+        parameters=replace(parameters, rows=shown),
         laws=laws,
         scores=score_sheet([row for row in view.scores if row.subject in names]),
         left_out=score_sheet([*view.left_out.rows, view.left_out.mean]) if view.left_out else None,
         width=width_sentence(shares_of(view.tests)),
         exponents=[check for check in view.checks if check.name == FREE_EXPONENT],
-        weak=weak,
-        limit=INFORMED,
         advice=None
         if advice is None
         else {

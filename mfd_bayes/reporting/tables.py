@@ -352,7 +352,7 @@ def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: No
     return Sheet(title, tuple(heads.values()), tuple(rows))
 
 
-_PROPERTY_LINES = ("measured", "its cycles", "nominal", "bounds", "λ")
+_PROPERTY_LINES = ("measured", "cycles", "nominal", "bounds", "λ")
 _PROPERTY_NUMBERS = (
     *("measured", "smallest cycle", "largest cycle"),
     *("nominal", "lower", "upper", "λ min", "λ max"),
@@ -381,22 +381,30 @@ def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
         words = (system.words([value], of, 3) for value, of in conditions[-1][1:])
         heads[row["condition"]] = ", ".join((level, *words))
     made = []
-    for (name, direction, cycle, unit), group in rows.groupby(
-        ["quantity", "direction", "cycle", "unit"], sort=False, dropna=False
-    ):
+    order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
+    keys = ["quantity", "direction", "cycle", "unit"]
+    ordered = rows.sort_values("quantity", key=lambda names: names.map(order), kind="stable")
+    for (name, direction, cycle, unit), group in ordered.groupby(keys, sort=False):
         by, cells = system.factor(unit), {}
         for row in group.to_dict("records"):
+            several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
+            ends = by * row["measured_low"], by * row["measured_high"]
             lines = (
-                Line("{}", (by * row["measured"],), marked=row["n_outside"] > 0),
-                Line("{} to {}", (by * row["measured_low"], by * row["measured_high"])),
+                Line("{}", (by * row["measured"],), marked=outside and not several),
+                Line("{}–{}", ends if several else (math.nan, math.nan), marked=outside),
                 Line("{}", (by * row["nominal"],)),
-                Line("{} to {}", (by * row["lower"], by * row["upper"])),
-                Line("{} to {}", (row["lambda_min"], row["lambda_max"]), ratio=True),
+                Line("{}–{}", (by * row["lower"], by * row["upper"])),
+                Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
             )
             cells[row["condition"]] = Cell(lines, row["note"])
         detail = ", ".join(filter(None, (direction, f"cycle {cycle:g}" if cycle else "")))
         made.append(
-            SheetRow(str(name), system.unit(unit), tuple(cells.get(key) for key in heads), detail)
+            SheetRow(
+                str(name).replace("_", " ").replace("gap", "gap width"),
+                system.unit(unit),
+                tuple(cells.get(key) for key in heads),
+                detail,
+            )
         )
     return Sheet(
         f"{title}: data sheet",

@@ -6,7 +6,11 @@ const STAGES = ["–", "1, slip", "2, stick", "3, build-up", "in the gap"];
 const chosenUnits = () => document.querySelector('input[name="units"]:checked').value;
 
 // As `symbols.number` writes it.
-const written = (value, digits) => {
+const written = (value, digits, short) => {
+  if (short) {
+    const rounded = Number(value.toPrecision(digits));
+    return String(rounded).replaceAll("-", "−");
+  }
   const power = value === 0 ? 0 : Number(value.toExponential(digits - 1).split("e")[1]);
   let text;
   if (power < -4 || power >= 6) text = value.toExponential(digits - 1).replace("e+", "e");
@@ -19,8 +23,9 @@ const writeUnits = () => {
   const system = chosenUnits();
   for (const element of document.querySelectorAll("[data-unit]")) {
     const [by, name] = UNITS[element.dataset.unit][system];
-    const {value, digits} = element.dataset;
-    element.textContent = value === undefined ? name : written(value * by, Number(digits));
+    const {value, digits, short} = element.dataset;
+    element.textContent =
+      value === undefined ? name : written(value * by, Number(digits), short !== undefined);
   }
   for (const element of document.querySelectorAll("[data-system]")) {
     element.hidden = element.dataset.system !== system;
