@@ -114,6 +114,10 @@ def report(
     all_tests: Annotated[
         bool, typer.Option("--all-tests", help="Draw the pictures of every test of such a run.")
     ] = False,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
+    ] = None,
     units: arguments.Units = None,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
@@ -135,7 +139,8 @@ def report(
 
         with progress.watch(quiet=quiet) as observe:
             drawn = tuple(tests or ())
-            forms = pipeline.Forms(pdf, word, excel, next_test, drawn, all_tests)
+            conditions = tuple(at or ())
+            forms = pipeline.Forms(pdf, word, excel, next_test, drawn, all_tests, conditions)
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):

@@ -33,7 +33,7 @@ from mfd_bayes.pipeline.preparation import (
 from mfd_bayes.pipeline.question import Question
 from mfd_bayes.pipeline.ready import get_ready
 from mfd_bayes.pipeline.report import check, left_out_shown, report, write_report
-from mfd_bayes.reporting.forms import Forms
+from mfd_bayes.reporting.publish import Forms
 from mfd_bayes.runs.folder import check_links, discard
 from mfd_bayes.runs.lock import OWNER, alone_in
 from mfd_bayes.runs.manifest import Truth, read_begun

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.evaluation import assess, verdicts
+from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
 from mfd_bayes.evaluation.views import (
     IDENTIFIABILITY,
     CampaignView,
@@ -15,11 +16,9 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.ready import get_ready
-from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
-from mfd_bayes.reporting.forms import PLAIN, Forms
-from mfd_bayes.reporting.tables import (
-    CROSSVALIDATION,
-)
+from mfd_bayes.reporting.conversion import convert_scores, in_words, system_of
+from mfd_bayes.reporting.publish import PLAIN, Forms
+from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest, unchanged
@@ -73,7 +72,7 @@ def write_report(
     run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
 ) -> CampaignView:
     """Write the tables, figures and report of an open run, whose folder must be locked."""
-    from mfd_bayes.reporting.publication import publish
+    from mfd_bayes.reporting.publish import publish
 
     system = named_system(units, run.system)
     observe(Step("report", "checks and bands"))
@@ -82,18 +81,21 @@ def write_report(
     if forms.next_test:
         observe(Step("report", "which test next"))
         view = replace(view, next_test=run.next_test())
-    run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
+    run = run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
+    observe(Step("report", "data sheet"))
+    at = [parse_condition(text, run.actuation_unit) for text in forms.at]
+    sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
     view = in_words(view)
-    publish(view, run.folder, processes, observe, forms)
+    publish(view, run.folder, processes, observe, forms, sheet)
     return view
 
 
 def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
     """Scores of what was left out in the units of the campaign, and its unit of force."""
-    system = shown_in(view)
-    return in_tables(view, system).left_out, system.force
+    system, found = system_of(view), view.left_out
+    return found and convert_scores(found, system.factor("kip")), system.force
 
 
 def check(out: Path, units: str = "") -> CampaignView:

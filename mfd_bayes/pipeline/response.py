@@ -15,8 +15,7 @@ from mfd_bayes.errors import BuildingError, MfdError, UnitError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.pipeline.response_files import write_response
-from mfd_bayes.reporting.response_page import ResponseView
-from mfd_bayes.reporting.sweep_words import sweep_sentence
+from mfd_bayes.reporting.response import ResponseView, sweep_sentence
 from mfd_bayes.response.building import Building, example_building, read_building
 from mfd_bayes.response.ground import Ground, example_ground, parse_acceleration
 from mfd_bayes.response.result import Response

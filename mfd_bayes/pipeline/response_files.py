@@ -6,12 +6,13 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.reporting.response_page import ResponseView, render_response
-from mfd_bayes.reporting.response_tables import (
+from mfd_bayes.reporting.response import (
+    ResponseView,
     draws_csv,
     limits_csv,
     peaks_csv,
     peaks_tex,
+    render_response,
     response_json,
     shares_csv,
     sweep_csv,
