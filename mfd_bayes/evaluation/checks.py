@@ -31,7 +31,6 @@ from mfd_bayes.evaluation.views import (
     Row,
     ScoreRow,
 )
-from mfd_bayes.records.loop_features import stroke_estimates
 from mfd_bayes.records.measured import MeasuredCycles
 from mfd_bayes.runs.verdict import Verdict
 
@@ -76,7 +75,7 @@ _FEATURES = {
     "peak_bwd": ("peak force backward", "peak", "kip", PREDICTIVE),
     "slip_fwd": ("slip force forward", "slip_force", "kip", LOOP_ESTIMATE),
     "slip_bwd": ("slip force backward", "slip_force", "kip", LOOP_ESTIMATE),
-    "slope": ("build-up slope", "build_up", "kip/in", LOOP_ESTIMATE),
+    "build_up_slope": ("build-up slope", "build_up", "kip/in", LOOP_ESTIMATE),
     "gap": ("gap", "gap", "in", LOOP_ESTIMATE),
 }
 """Feature in words, kind of its tolerance, unit, and check, by property."""
@@ -129,40 +128,21 @@ def predictive_checks(
     for check in check_predictive(posterior, replicas, gap):
         if check.kind in ("residual", "correlation", "mid_gap"):
             feature, _, unit = check.name.partition(", ")
-            figures = check.observed, check.expected, check.size, check.p_value
-            found.append(
-                feature_check(test, feature, unit or "1", *figures, allowed.get(check.kind, np.inf))
-            )
-    seen = measured_properties(measured) | {"slope": loop_slope(posterior, posterior.trace.force)}
-    drawn = {**properties, "slope": loop_slope(posterior, replicas.observed)}
-    seen["slope"] = float(seen["slope"][0])
+            sizes = check.observed, check.expected, check.size, check.p_value
+            found.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
+    seen = measured_properties(measured)
     for name, (feature, kind, unit, check_name) in _FEATURES.items():
-        values = drawn[name][np.isfinite(drawn[name])]
+        values = properties[name][np.isfinite(properties[name])]
         if not values.size or not np.isfinite(seen[name]):
             continue
         if name == "energy_in_all" and measured.full_stroke.all() and measured.full_stroke.size:
             continue  # it says the same as the energy of a cycle
-        expected = float(values.mean())
-        figures = (
-            seen[name],
-            expected,
-            (expected - seen[name]) / max(abs(seen[name]), 1e-12),
-            float(np.mean(values > seen[name]) + 0.5 * np.mean(values == seen[name])),
-        )
-        found.append(feature_check(test, feature, unit, *figures, allowed[kind], check_name))
+        expected, own = float(values.mean()), seen[name]
+        difference = (expected - own) / max(abs(own), 1e-12)
+        p_value = float(np.mean(values > own) + 0.5 * np.mean(values == own))
+        figures = unit, own, expected, difference, p_value, allowed[kind], check_name
+        found.append(feature_check(test, feature, *figures))
     return found
-
-
-def loop_slope(posterior: Posterior, force: Any) -> Array:
-    """Slope of the build-up of forces (n, T) or (T,), kip/in, (n,): median over full strokes."""
-    strokes = stroke_estimates(posterior.trace, np.atleast_2d(force))
-    slope = strokes.slope[:, strokes.full]
-    known = np.ma.masked_invalid(slope)
-    return (
-        np.asarray(np.ma.median(known, axis=1).filled(np.nan))
-        if slope.size
-        else np.full(len(slope), np.nan)
-    )
 
 
 def feature_check(
@@ -233,20 +213,20 @@ def slip_checks(
     for name, slip in zip(posterior.model.slip_forces, sides, strict=False):
         middle = float(np.median(values[name]))
         if slip > 0.0 and not slip / FAR <= middle <= FAR * slip:
-            sizes = {"unit": "kip", "difference": middle / slip - 1.0, "tolerance": FAR - 1.0}
-            checks.append(Check(test, LOOP_ESTIMATE, name, slip, middle, Verdict.FAIL, **sizes))
+            sizes = "kip", middle / slip - 1.0, FAR - 1.0
+            checks.append(Check(test, LOOP_ESTIMATE, name, slip, middle, Verdict.FAIL, *sizes))
     return checks
 
 
 def loop_estimates(
-    checks: Iterable[Check], properties: Mapping[str, Array], slope: Array
+    checks: Iterable[Check], properties: Mapping[str, Array]
 ) -> tuple[LoopEstimate, ...]:
     """What is read off the loop of a test, beside the figures of replicated records."""
     names = {feature: name for name, (feature, *_) in _FEATURES.items()}
-    drawn, found = {**properties, "slope": slope}, []
+    found = []
     for check in checks:
         if check.check == LOOP_ESTIMATE and check.feature in names:
-            values = drawn[names[check.feature]]
+            values = properties[names[check.feature]]
             low, middle, high = np.nanquantile(values, [0.025, 0.5, 0.975]).tolist()
             figures = check.unit, check.observed, low, middle, high, check.tolerance
             missed = check.status != Verdict.PASS

@@ -29,7 +29,7 @@ from mfd_bayes.population.inference import Inference, infer_population
 from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.runs.folder import check_stored
 from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST
-from mfd_bayes.runs.test_sequence import TestSequence
+from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.scores import (
     CampaignCrossValidation,
     PartKind,
@@ -37,7 +37,7 @@ from mfd_bayes.runs.scores import (
     Score,
     read_predictions_of,
 )
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.test_sequence import TestSequence
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.files import read_json, write_json
 

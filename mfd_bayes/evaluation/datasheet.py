@@ -300,12 +300,10 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     tested = rows[(rows["cycle"] == 0) & rows["tested"]]
     cycles, outside = int(tested["n_cycles"].sum()), int(tested["n_outside"].sum())
     share = outside / cycles if cycles else 0.0
-    worst = tested.loc[tested["n_outside"].idxmax()] if outside else None
-    most = (
-        f", most of them {worst['quantity'].replace('_', ' ')} at {worst['condition']}"
-        if worst is not None
-        else ""
-    )
+    most = ""
+    if outside:
+        worst = tested.sort_values("n_outside").to_dict("records")[-1]
+        most = f", most of them {worst['quantity'].replace('_', ' ')} at {worst['condition']}"
     second = Message(
         f"{outside} of {cycles} measured values ({100 * share:.1f} %) lie outside their 95 % "
         "bounds{most}.",

@@ -13,9 +13,9 @@ from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.paths import pooled_of
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.store.netcdf import load_arrays
 
 Array = NDArray[np.float64]
@@ -56,11 +56,9 @@ def outlying_tests(run: Run) -> list[Finding]:
         others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
         subject, unit = _subject(design, k)
         values = {
-            "own": Quantity.of(np.exp(places[j, k]), unit=unit),
-            "others": Quantity.of(np.exp(others), unit=unit),
+            key: Quantity.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
+            for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(others)))
         }
-        if unit == "1":
-            values = {key: f"{value.values[0]:.3g}" for key, value in values.items()}
         message = Message(
             f"{{test}} stands apart from the other tests: {subject} {{own}}, where the others "
             f"suggest {{others}}, {away:.1f} of their standard deviations away; check its "
@@ -118,14 +116,20 @@ def _places(run: Run) -> tuple[Array, Array]:
 
 
 def _mean_property(
-    run: Run, setting: Setting, index: NDArray[np.intp], rng: np.random.Generator
+    run: Run,
+    setting: Setting,
+    index: NDArray[np.intp],
+    rng: np.random.Generator,
+    *,
+    scatter: bool = False,
 ) -> Array:
-    """Coordinates of the device at a setting: law and level effect, without scatter, (n, d)."""
+    """Coordinates of the device at a setting, by law and level effect, and of a test, (n, d)."""
     population = run.population
     numbers = population.draw_numbers(index.size, 1, rng)
     effects = population.level_effects(index, setting.session, [setting.actuation], numbers.level)
     here = {n: effect[:, 0] for n, effect in effects.items()}
-    return np.asarray(population.parts(setting, index, numbers, here, scatter=False).mean)
+    parts = population.parts(setting, index, numbers, here, scatter=scatter)
+    return np.asarray(parts.mean + parts.scatter if scatter else parts.mean)
 
 
 def _subject(design: Design, k: int) -> tuple[str, str]:
@@ -136,52 +140,47 @@ def _subject(design: Design, k: int) -> tuple[str, str]:
 
 
 def uncommon_device_values(run: Run) -> list[Finding]:
-    """A warning for each quantity of which most tests alone are outside the device's values.
+    """A warning for each quantity whose device value is outside of most of its tests.
 
-    The values are the 95 % interval of one more test at the test's own setting, scatter included,
-    and a test is outside where the 95 % interval of its own posterior does not overlap it.
+    That is the interval of one more test at the setting of each, 95 %, scatter included; a test is
+    outside where the 95 % interval of its own posterior does not overlap it.
     """
     if len(run.tests) < FEWEST:
         return []
-    population, design = run.population, run.population.design
-    rng, outside = np.random.default_rng(0), {}
-    model = next(iter(run.tests.values())).posterior.model
-    for test, setting in zip(run.tests.values(), design.settings, strict=True):
-        index = population.draw_index(DRAWS, setting.actuation, rng) % population.size
-        numbers = population.draw_numbers(DRAWS, 1, rng)
-        at = [setting.actuation]
-        effects = population.level_effects(index, setting.session, at, numbers.level)
-        here = {name: effect[:, 0] for name, effect in effects.items()}
-        parts = population.parts(setting, index, numbers, here)
-        drawn = population.values(parts.mean + parts.scatter)
-        compared = {name: name for name in (*model.slip_forces, "sigma0") if name in drawn}
-        for name in compared:
-            low, high = np.quantile(drawn[name], [0.025, 0.975])
-            middle, lower, upper = test.intervals[name]
-            outside.setdefault(name, []).append((lower > high or upper < low, middle, low, high))
+    found: dict[str, list[tuple[float, float, float, bool]]] = {}
+    rng = np.random.default_rng(0)
+    for test, setting in zip(run.tests.values(), run.population.design.settings, strict=True):
+        index = run.population.draw_index(DRAWS, setting.actuation, rng) % run.population.size
+        coordinates = _mean_property(run, setting, index, rng, scatter=True)
+        drawn, own = run.population.values(coordinates), dict(test.intervals)
         if "d2" in drawn and "d3" in drawn:
-            low, high = np.quantile(drawn["d2"] + drawn["d3"], [0.025, 0.975])
-            middle, lower, upper = (
-                test.intervals["d2"][k] + test.intervals["d3"][k] for k in range(3)
-            )
-            outside.setdefault("gap", []).append((lower > high or upper < low, middle, low, high))
+            drawn["gap"] = drawn["d2"] + drawn["d3"]
+            middle, lower, upper = (own["d2"][k] + own["d3"][k] for k in range(3))
+            own["gap"] = middle, lower, upper
+        for name in (*test.posterior.model.slip_forces, "sigma0", "gap"):
+            if name in drawn:
+                low, high = np.quantile(drawn[name], [0.025, 0.975]).tolist()
+                middle, lower, upper = own[name]
+                rows = found.setdefault(name, [])
+                rows.append((low, high, middle, lower > high or upper < low))
     findings = []
-    for name, rows in outside.items():
-        count = sum(row[0] for row in rows)
-        if count > MOST_OUTSIDE * len(rows):
-            unit = "in" if name == "gap" else units()[name]
-            own = [row[1] for row in rows]
-            message = Message(
-                f"{name} of the device, {{device}}, is outside of {count} of its {len(rows)} "
-                "tests, which have {tests} each by itself",
-                {
-                    "device": Quantity.of(
-                        min(row[2] for row in rows), max(row[3] for row in rows), unit=unit
-                    ),
-                    "tests": Quantity.of(min(own), max(own), unit=unit),
-                },
-            )
-            findings.append(Finding("laws", "device value", message, stage="results"))
+    for name, rows in found.items():
+        count = sum(row[3] for row in rows)
+        if count <= MOST_OUTSIDE * len(rows):
+            continue
+        unit = "in" if name == "gap" else units()[name]
+        low, high = min(row[0] for row in rows), max(row[1] for row in rows)
+        own_values = [row[2] for row in rows]
+        values = {
+            "device": Quantity.of(low, high, unit=unit),
+            "tests": Quantity.of(min(own_values), max(own_values), unit=unit),
+        }
+        message = Message(
+            f"{name} of the device, {{device}}, is outside of {count} of its {len(rows)} tests, "
+            "which have {tests} each by itself",
+            values,
+        )
+        findings.append(Finding("laws", "device value", message, stage="results"))
     return findings
 
 

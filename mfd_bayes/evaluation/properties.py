@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +15,7 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.measured import (
     MeasuredCycles,
     cycle_values,
-    mean_at_full_stroke,
+    mean_of,
     measured_cycles,
 )
 from mfd_bayes.records.trace import Trace
@@ -35,6 +35,7 @@ UNITS: Mapping[str, str] = {
     "energy_of_ramps": "kip*in",
     "energy_in_all": "kip*in",
     "c_eq": "kip*s/in",
+    "build_up_slope": "kip/in",
     "gap": "in",
     "gap_width": "in",
     "C_fwd": "1",
@@ -43,7 +44,10 @@ UNITS: Mapping[str, str] = {
 """Internal unit of every property of a test, in the order of tables."""
 
 _SIGNS = {"fwd": 1.0, "bwd": -1.0}
-_OF_CYCLES = ("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq", "gap")
+_OF_CYCLES = (
+    *("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq"),
+    *("build_up_slope", "gap"),
+)
 
 
 def measured_of(manifest: Manifest, name: str, trace: Trace) -> MeasuredCycles:
@@ -100,7 +104,8 @@ class PeakFactor:
             return np.ones((n, cycles))
         t = rng.standard_t(max(self.tests - 1, 3), (n, 1))
         away = self.between * np.sqrt(1.0 + 1.0 / self.tests) * t
-        return np.exp(self.mean + away + self.within * rng.standard_normal((n, cycles)))
+        within = self.within * rng.standard_normal((n, cycles))
+        return np.asarray(np.exp(self.mean + away + within))
 
     @classmethod
     def of(cls, ratios: Iterable[Array]) -> PeakFactor:
@@ -148,8 +153,19 @@ def _median_force(posterior: Posterior, test: TestResult) -> Array:
 
 
 def peaks_of(run: Run) -> Peaks:
-    """The factors of a run's calibrated tests."""
+    """The factors of a run's calibrated tests, as its report has stored them, else computed."""
+    stored = run.manifest.peak_factors
+    if stored:
+        return {
+            side: PeakFactor(mean, between, within, int(tests))
+            for side, (mean, between, within, tests) in stored.items()
+        }
     return peak_factors(run.manifest, run.tests)
+
+
+def stored_peaks(run: Run) -> dict[str, tuple[float, ...]]:
+    """The factors of a run's calibrated tests as its manifest keeps them."""
+    return {side: astuple(factor) for side, factor in peak_factors(run.manifest, run.tests).items()}
 
 
 def properties_of(
@@ -167,10 +183,10 @@ def properties_of(
     """
     loops = find_loops(trace)
     values, full = cycle_values(trace, force), loops.strong
-    found = {name: mean_at_full_stroke(values[name], full) for name in _OF_CYCLES}
-    found["energy_per_cycle"] = mean_at_full_stroke(values["energy"], full)
-    found["energy_of_ramps"] = mean_at_full_stroke(values["energy"], ~full)
-    found["energy_in_all"] = np.trapezoid(force, trace.displacement, axis=1)
+    found = {name: mean_of(values[name], full) for name in _OF_CYCLES}
+    found["energy_per_cycle"] = mean_of(values["energy"], full)
+    found["energy_of_ramps"] = mean_of(values["energy"], ~full)
+    found["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
     parts = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
     rng = np.random.default_rng(seed)
     smooth = force if smooth is None else smooth

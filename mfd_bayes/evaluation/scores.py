@@ -94,18 +94,18 @@ class Compared:
         """Whether most measured values are outside, or far more samples than the band allows."""
         worst = np.nanmin([self.coverage, self.full])
         missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
-        known = sum(np.isfinite(row.measured) for row in rows)
+        known = len(_held(rows))
         return (missed and self.kind == "observation") or 2 * len(outside(rows)) > known
 
     def judged(self, rows: Sequence[DerivedRow]) -> str:
         """What measured values outside their intervals, and a low coverage, say; "" for nothing.
 
-        `rows` are those of `measured_rows`.
+        `rows` are those of `predicted_rows`.
         """
         out, promised = outside(rows), f"{percent(self.probability)} %"
         parts = []
         if out:
-            known = sum(np.isfinite(row.measured) for row in rows)
+            known = len(_held(rows))
             counted = ", offset and noise included" if self.kind == "observation" else ""
             parts = [
                 f"{len(out)} of {known} measured values lie outside their {promised} "
@@ -126,8 +126,17 @@ class Compared:
 
 def outside(rows: Sequence[DerivedRow]) -> list[str]:
     """Names of quantities whose measured value lies outside its interval."""
-    known = (row for row in rows if np.isfinite(row.measured))
-    return [row.name for row in known if not row.lower <= row.measured <= row.upper]
+    return [row.name for row in _held(rows) if not row.lower <= row.measured <= row.upper]
+
+
+def _held(rows: Sequence[DerivedRow]) -> list[DerivedRow]:
+    """Rows whose measured value can be held to them: only a measurement has offset and noise."""
+    offset = ("peak_fwd", "peak_bwd", "slip_fwd", "slip_bwd")
+    return [
+        row
+        for row in rows
+        if np.isfinite(row.measured) and (row.role == "observation" or row.name not in offset)
+    ]
 
 
 def compare(band: Band, trace: Trace) -> Compared:
@@ -200,7 +209,8 @@ def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> Sc
     """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
     found = score(draws[:, first:], np.asarray(trace.force)[first:])
     scales = found.width, found.interval_score, found.crps
-    return ScoreRow(name, role, *found.coverage, *scales, found.rrse)
+    half, most, nearly = found.coverage
+    return ScoreRow(name, role, half, most, nearly, *scales, found.rrse)
 
 
 def score(draws: Array, observed: Array) -> Score:

@@ -29,11 +29,10 @@ from mfd_bayes.evaluation.verdict import judge, remarks, use_of, verdict_sentenc
 from mfd_bayes.evaluation.views import CampaignView, Check, LawView, Row, TestView, TruthRow
 from mfd_bayes.jobs.parallel import Meanwhile, in_turn, meanwhile, several_processes, when_wanted
 from mfd_bayes.messages import Message, join
-from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 Given = TypeVar("Given")
 

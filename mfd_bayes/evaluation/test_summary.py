@@ -34,8 +34,8 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.netcdf import StoredTest
@@ -108,9 +108,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
         score=score,
         identifiability=known,
         derived=_rows(test.id, "calibrate", trace, drawn, measured_properties(measured)),
-        loop_estimates=checks.loop_estimates(
-            predictive, properties, checks.loop_slope(posterior, replicas.observed)
-        ),
+        loop_estimates=checks.loop_estimates(predictive, properties),
         noises=noises,
         modes=_modes(facts),
         stage=stage,
@@ -288,7 +286,7 @@ def with_joint(run: Run, view: TestView) -> TestView:
     if not view.rows or not run.sequence.pooled(view.id):
         return view
     values, model = run.sequence.values(view.id), run.tests[view.id].posterior.model
-    joint = values | dict(zip(model.parameters, model.theta(values).T, strict=True))
+    joint = {**values} | dict(zip(model.parameters, model.theta(values).T, strict=True))
     rows = []
     for row in view.rows:
         draws = joint.get(row.name)
@@ -297,7 +295,8 @@ def with_joint(run: Run, view: TestView) -> TestView:
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
         apart = row.contraction >= checks.INFORMED and (low > row.upper or high < row.lower)
-        rows.append(replace(row, joint=(low, middle, high), disagrees=apart))
+        joint_row = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
+        rows.append(replace(row, **joint_row, disagrees=apart))
     return replace(view, rows=tuple(rows))
 
 
@@ -386,15 +385,16 @@ def noise_rows(
     own, kinds = quantiles_of(posterior, values), units() | {"gap": "in"}
     first = (*posterior.model.slip_forces, *_FIRST)
     ordered = sorted(own, key=lambda name: first.index(name) if name in first else len(first))
-    return tuple(
-        NoiseRow(
-            *(test, name, kinds[name], posterior.noise.name),
-            *own[name],
-            fit["noise"],
-            *fit["quantities"][name],
-            moves(own[name], fit["quantities"][name]),
-        )
-        for fit in fits
-        for name in ordered
-        if name in fit["quantities"] and None not in fit["quantities"][name]
-    )
+    rows = []
+    for fit in fits:
+        for name in ordered:
+            other = fit["quantities"].get(name, [None])
+            if None in other:
+                continue
+            (low, middle, high), (below, there, above) = own[name], other
+            decides = moves(own[name], other)
+            head = test, name, kinds[name], posterior.noise.name
+            rows.append(
+                NoiseRow(*head, low, middle, high, fit["noise"], below, there, above, decides)
+            )
+    return tuple(rows)

@@ -23,10 +23,9 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.design import Design
-from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 MILD = 3.0
 """Misfit, in tolerances, of a fault of a record that does not spoil it."""
@@ -265,7 +264,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
     if apart:
         texts.append(
             "Parameters whose interval in a test alone does not overlap that in the joint "
-            f"posterior of all tests (number of tests): {apart}. Predictions use the joint posterior."
+            f"posterior of all tests, which predictions use (number of tests): {apart}."
         )
     if any(r.name == "gamma1" for view in tests for r in view.rows):
         texts.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")

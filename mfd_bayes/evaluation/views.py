@@ -12,11 +12,10 @@ from mfd_bayes.calibration.identifiability import Identifiability
 from mfd_bayes.messages import Message, Quantity, Writer
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.scores import ComparisonRow
-from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.runs.tested_range import Span
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.unit_system import SYSTEMS, System
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 Array = NDArray[np.float64]
 
@@ -172,9 +171,10 @@ class Row:
 
     `contraction` is the share of the prior's variance that the data removed. `note` is a
     warning to the reader, such as that the data do not inform the quantity. `other_noises` is the
-    quantity under other noises, where the choice of the noise decides it. `joint` has the same
-    three quantiles in the joint posterior of all tests, which predictions use; None where it was
-    not sampled together. `disagrees` says that both intervals do not overlap.
+    quantity under other noises, where the choice of the noise decides it. `joint_lower`,
+    `joint_median` and `joint_upper` are the same three quantiles in the joint posterior of all
+    tests, which predictions use; NaN where it has none. `disagrees` says that both
+    intervals do not overlap.
     """
 
     subject: str
@@ -191,7 +191,9 @@ class Row:
     contraction: float
     note: str = ""
     other_noises: tuple[NoiseRow, ...] = ()
-    joint: tuple[float, float, float] | None = None
+    joint_lower: float = float("nan")
+    joint_median: float = float("nan")
+    joint_upper: float = float("nan")
     disagrees: bool = False
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.campaign.campaign import Test
 from mfd_bayes.campaign.schema import CampaignFile
+from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message

@@ -262,7 +262,7 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
         scores=score_sheet([row for row in view.scores if row.subject in names]),
         left_out=score_sheet([*view.left_out.rows, view.left_out.mean]) if view.left_out else None,
         width=width_sentence(shares_of(view.tests)),
-        exponents=[check for check in view.checks if check.name == FREE_EXPONENT],
+        exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
         advice=None
         if advice is None
         else {
