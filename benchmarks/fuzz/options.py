@@ -18,11 +18,10 @@ from benchmarks.fuzz.outputs import PNG
 from benchmarks.fuzz.seeds import priors, texts
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, MfdError
-from mfd_bayes.jobs.dispatch import Workplace, check_workers
+from mfd_bayes.jobs.local import Workplace, check_workers
 from mfd_bayes.pipeline import prediction
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 
 _PREDICT = ("predict", "out", "--motion", "a.csv", "--actuation", "500 psi", "-o", "b.csv")
 COMMANDS: tuple[tuple[str, ...], ...] = (

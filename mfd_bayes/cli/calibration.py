@@ -58,7 +58,7 @@ def calibrate(
             console.print_plan(plan)
             return
         if not quiet:
-            console.print_warnings(console.warnings_of(plan))
+            console.print_warnings(plan.manifest.warnings, plan.system)
         with progress.watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
@@ -89,7 +89,7 @@ def check(
         view = pipeline.check(out, units or "")
     if not quiet:
         console.print_checks(view, every=every)
-    console.say(view.sentence)
+    console.print_sentences(view)
     if pipeline.fails(view):
         raise typer.Exit(1)
 
@@ -114,6 +114,10 @@ def report(
     all_tests: Annotated[
         bool, typer.Option("--all-tests", help="Draw the pictures of every test of such a run.")
     ] = False,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
+    ] = None,
     units: arguments.Units = None,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
@@ -135,7 +139,8 @@ def report(
 
         with progress.watch(quiet=quiet) as observe:
             drawn = tuple(tests or ())
-            forms = pipeline.Forms(pdf, word, excel, next_test, drawn, all_tests)
+            conditions = tuple(at or ())
+            forms = pipeline.Forms(pdf, word, excel, next_test, drawn, all_tests, conditions)
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)
     if not pipeline.is_whole(view):

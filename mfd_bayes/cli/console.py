@@ -7,12 +7,12 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.design import DesignRow
     from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.findings import Finding
-    from mfd_bayes.runs.results import Comparison
+    from mfd_bayes.runs.scores import Comparison
+    from mfd_bayes.runs.verdict import Finding
 
 _ESCAPES = re.compile(
     r"""(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]              # colours, movements of the cursor
@@ -80,16 +80,10 @@ def _add(table: Table, *cells: object) -> None:
     table.add_row(*map(clean, cells))
 
 
-def print_warnings(warnings: Iterable[Finding]) -> None:
-    """Print what was found that a reader must know, a line each."""
-    for found in warnings:
-        say(f"warning: {found.subject}: {found.sentence}")
-
-
-def warnings_of(plan: Plan) -> list[Finding]:
-    """Warnings about the records of a plan, in the units of the campaign."""
-    say_in = plan.system.reworded
-    return [replace(f, sentence=say_in(f.sentence)) for f in plan.manifest.warnings]
+def print_warnings(warnings: Iterable[Finding], system: System = US) -> None:
+    """Print what was found that a reader must know, a line each, in the units of a system."""
+    for finding in warnings:
+        say(f"warning: {finding.subject}: {finding.message.to_text(system.words)}")
 
 
 def print_plan(plan: Plan) -> None:
@@ -102,7 +96,7 @@ def print_plan(plan: Plan) -> None:
     follow = [f"{name} after {other}" for name, other in plan.manifest.settings.order.items()]
     if follow:
         say(f"without a reset: {', '.join(follow)}")
-    print_warnings(warnings_of(plan))
+    print_warnings(plan.manifest.warnings, plan.system)
 
 
 def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
@@ -240,28 +234,37 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
     """Print how many checks of each kind passed, and those that did not; or every check."""
     if not every:
         _print_kinds(view.checks)
-    shown = [c for c in view.checks if every or c.verdict in (Verdict.FAIL, Verdict.CARE)]
+    shown = [c for c in view.checks if every or c.status in (Verdict.FAIL, Verdict.WARNING)]
     if shown:
-        heads = ("subject", "check", "target", "value", "limit", "verdict")
+        heads = ("test", "check", "feature", "observed", "expected", "status")
         table = _table("Checks" if every else "Checks that failed or need care", heads)
         for c in shown:
-            _add(table, c.subject, c.name, c.target, f"{c.value:.4g}", _limit(c), c.verdict)
+            figures = (_figure(view, c.observed, c.unit), _expected(view, c))
+            _add(table, c.test, c.check, c.feature, *figures, c.status)
         open_console().print(table)
-    print_warnings(view.warnings)
+    print_warnings(view.warnings, view.systems[view.metric])
     _print_verdicts(view)
 
 
-def _limit(check: Check) -> str:
-    """Limit of a check, with its tolerance where it has one."""
-    known = math.isfinite(check.tolerance)
-    return f"{check.limit} ({check.tolerance:.0%})" if known else check.limit
+def _figure(view: CampaignView, value: float, unit: str) -> str:
+    """A value in the units of a view."""
+    if unit in ("1", "dimensionless"):
+        return f"{value:.4g}"
+    return view.systems[view.metric].words([value], unit)
+
+
+def _expected(view: CampaignView, check: Check) -> str:
+    """What passes a check, with its tolerance where it has one."""
+    known = check.unit in ("1", "dimensionless")
+    limit = check.limit if known else _figure(view, check.expected, check.unit)
+    return f"{limit} ({check.tolerance:.0%})" if math.isfinite(check.tolerance) else limit
 
 
 def _print_kinds(checks: Iterable[Check]) -> None:
     """Print how many checks of each kind passed, were noted and failed."""
     kinds: dict[str, Counter[str]] = {}
     for check in checks:
-        kinds.setdefault(check.name, Counter())[check.verdict] += 1
+        kinds.setdefault(check.check, Counter())[check.status] += 1
     table = _table("Checks of every test and of the population (--all shows each)", ["check"])
     for verdict in Verdict:
         table.add_column(verdict, justify="right")
@@ -273,12 +276,18 @@ def _print_kinds(checks: Iterable[Check]) -> None:
 def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
     """Print warnings and verdicts of a run, and where to look; quiet: only the run's verdict."""
     if not quiet:
-        print_warnings(view.warnings)
+        print_warnings(view.warnings, view.systems[view.metric])
         _print_verdicts(view)
-    say(f"{view.verdict.upper()}: {view.sentence}")
+    print_sentences(view, f"{view.verdict.upper()}: ")
     if not quiet:
         command = shlex.join(["mfd-bayes", "check", str(out)])
         say(f"look next at {out / 'report.html'}; every check: {command}")
+
+
+def print_sentences(view: CampaignView, lead: str = "") -> None:
+    """Print the verdict on a run, a line for each of its sentences, in the units of a view."""
+    for number, sentence in enumerate(view.sentences):
+        say(f"{'' if number else lead}{sentence.to_text(view.systems[view.metric].words)}")
 
 
 def _print_verdicts(view: CampaignView) -> None:
@@ -291,4 +300,5 @@ def _print_verdicts(view: CampaignView) -> None:
     width = max((len(j.subject) for j in judged), default=0)
     for j in judged:
         if not many or j.use != Use.USABLE:
-            say(f"  {j.subject:{width}}  {j.use}{f': {j.told}' if j.told else ''}")
+            reasons = j.to_text(view.systems[view.metric].words)
+            say(f"  {j.subject:{width}}  {j.use}{f': {reasons}' if reasons else ''}")

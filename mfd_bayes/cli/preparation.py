@@ -105,13 +105,13 @@ def inspect(
     from mfd_bayes.pipeline import commands as pipeline
 
     with mistakes():
-        found = pipeline.inspect(file, folder, force=force, units=units or "")
+        found, system = pipeline.inspect(file, folder, force=force, units=units or "")
     for inspection, picture in found:
         say(inspection.name)
         for key, fact in inspection.facts.items():
             say(f"  {key:21s}{fact}")
         for fault in inspection.faults:
-            say(f"  {'warning':21s}{fault.name}: {fault.sentence}")
+            say(f"  {'warning':21s}{fault.name}: {fault.message.to_text(system.words)}")
         say(f"  {'picture':21s}{picture}")
 
 

@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import psi
 
-from mfd_bayes.friction.banks import State, SteppedModel
 from mfd_bayes.friction.columns import named_columns
 from mfd_bayes.friction.lugre import of_direction
-from mfd_bayes.friction.model import Array, Columns, check_start, through_vertices
+from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
 from mfd_bayes.friction.parameters import BACKLASH_QUANTITIES
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.recurrence import scratch, solve
@@ -547,7 +546,7 @@ def _corner(room: Array, late: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class BacklashLuGre(SteppedModel):
+class BacklashLuGre(Model):
     """LuGre friction in series with a spring that has a gap (model.md section 9).
 
         G(z) = k_f ℓ ln(1 + e^((z − D/2)/ℓ)) − k_b ℓ ln(1 + e^(−(z + D/2)/ℓ)) + k_0 z
@@ -568,29 +567,20 @@ class BacklashLuGre(SteppedModel):
     laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
     slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
 
-    def force(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """Force of every parameter vector, (n, 12), (n, T), kip; see `Model.force`.
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """Force at the samples, (T, n), kip.
 
         Fc_fwd and Fc_bwd follow the actuation. `start` is the place between slip backward, 0,
         and slip forward, 1.
         """
-        damper = Damper(self.columns(theta))
-        force, _ = self._along(damper, trace, check_start(start, damper.size), scales)
-        force += damper.columns["sigma2"] * trace.velocity[:, None]
-        return force.T
+        force, _ = self._along(Damper(c), trace, start, factors)
+        force += c["sigma2"] * trace.velocity[:, None]
+        return force
 
     def _along(
-        self, damper: Damper, trace: Trace, start: Array, scales: Mapping[str, Array] | None
+        self, damper: Damper, trace: Trace, start: Array, factors: Columns
     ) -> tuple[Array, Array]:
         """Spring force at the samples, (T, n), kip, and the deflection z at the last, (n,), in."""
-        factors = self.factors(trace, damper.size, scales)
         time, x, nearest, samples = through_vertices(trace)
         factors = {name: factor.take(nearest, axis=0) for name, factor in factors.items()}
         first, moves = damper.begin(start), np.diff(x)
@@ -604,22 +594,15 @@ class BacklashLuGre(SteppedModel):
             force[1:, rows] = found[samples[1:] - 1]
         return force, last
 
-    def end(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
+    def compute_end(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Place of the deflection z at the last sample in the range of `start`, (n,), 1.
 
         A motion that begins there has the whole state of the device, but for a deflection beyond
         that range, which static friction, or an actuation above the reference, may hold: it is
         taken as the end of the range.
         """
-        damper = Damper(self.columns(theta))
-        return damper.place(self._along(damper, trace, check_start(start, damper.size), scales)[1])
+        damper = Damper(c)
+        return damper.place(self._along(damper, trace, start, factors)[1])
 
     def start_at(
         self,
@@ -687,12 +670,11 @@ class BacklashLuGre(SteppedModel):
         stage = np.select([loads & (share < 0.5), inside, loads], [1, 4, 3], 2)
         return stage.T.astype(np.int8)
 
-    def constants(self, theta: ArrayLike) -> dict[str, Any]:
-        """See `SteppedModel`."""
-        columns = self.columns(theta)
-        damper = Damper(columns)
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """Columns, and what is searched for once."""
+        damper = Damper(c)
         step, window = damper.steps
-        return columns | {"onset": damper.onset, "step": step, "window": window}
+        return c | {"onset": damper.onset, "step": step, "window": window}
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """A deflection in its range; no direction has to be known before the motion."""

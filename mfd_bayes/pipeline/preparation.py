@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.calibration.prior_files import WRITTEN, load_priors
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import (
     Draft,
     campaign_text,
@@ -15,9 +16,9 @@ from mfd_bayes.campaign.draft import (
     own_priors,
 )
 from mfd_bayes.campaign.draft.priors import Units, priors_text
-from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.prior_check import MOST, most_wrong, prior_fan, share_inside
+from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.findings import findings_together, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.cross_checks import Tested
@@ -26,8 +27,9 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.summary import Inspection, inspect_record
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
-from mfd_bayes.runs.systems import System, named_system, system_of
+from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes, write_text
+from mfd_bayes.units import split_quantity
 
 
 def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
@@ -94,11 +96,12 @@ def _usual(records: Iterable[Record], role: str) -> str:
 
 def inspect(
     path: Path, folder: Path, *, force: bool = False, units: str = ""
-) -> list[tuple[Inspection, Path]]:
+) -> tuple[list[tuple[Inspection, Path]], System]:
     """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
 
-    Its sentences are in the units of a system, "us" or "si"; by default the records' own. With
-    `force`, a PNG that exists is replaced.
+    Its facts are in the units of a system, "us" or "si"; by default the records' own. That system
+    is returned too: in it the messages of faults are written. With `force`, a PNG that exists is
+    replaced.
 
     Raises
     ------
@@ -124,34 +127,33 @@ def inspect(
         figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
         write_bytes(picture, to_png(figure))
         pictures.append((inspection, picture))
-    return pictures
+    return pictures, system
 
 
 def _reworded(inspection: Inspection, record: Record, system: System) -> Inspection:
-    """The inspection of a record, its sentences in the units of a system."""
-    say = system.reworded
-    kept = ("file", "columns", "columns not used")  # and what a signal is made of, are names
+    """The inspection of a record, its facts in the units of a system."""
     facts = {
-        name: text if name in kept or name.endswith("made of") else say(text)
-        for name, text in inspection.facts.items()
+        name: Message("{text}", {"text": fact.to_text(system.words)})
+        for name, fact in inspection.facts.items()
     }
     if record.actuation_unit is not None:  # of the value itself: a rounded one is not 7 bar
-        facts["actuation"] = system.actuation(inspection.trace, record.actuation_unit)
-    return replace(
-        inspection,
-        facts=facts,
-        faults=tuple(replace(fault, sentence=say(fault.sentence)) for fault in inspection.faults),
-    )
+        level = system.actuation(inspection.trace, record.actuation_unit)
+        facts["actuation"] = Message("{text}", {"text": level})
+    return replace(inspection, facts=facts)
 
 
 def system_of_records(records: Iterable[Record], units: str = "") -> System:
     """System of units of a name, else the one that fits the records' own units and sizes."""
     known = list(records)
-    measured = [r.columns.get("actuation", ("", "")) for r in known]
     own = system_of(
         (r.columns["displacement"][1] for r in known),
         (r.force for r in known),
-        (r.given_actuation or {"unit": m[1]} for r, m in zip(known, measured, strict=True)),
+        (
+            split_quantity(r.given_actuation)[1]
+            if r.given_actuation
+            else r.columns.get("actuation", ("", ""))[1]
+            for r in known
+        ),
     )
     return named_system(units, own)
 
@@ -176,8 +178,10 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
 
 def _followed(inspection: Inspection, after: str) -> Inspection:
     """The inspection of a test with the test that it follows, if it does."""
-    told = {"follows": f"test {after}, without a reset"} if after else {}
-    return replace(inspection, facts={**inspection.facts, **told})
+    if not after:
+        return inspection
+    follows = Message("test {after}, without a reset", {"after": after})
+    return replace(inspection, facts={**inspection.facts, "follows": follows})
 
 
 @dataclass(frozen=True)

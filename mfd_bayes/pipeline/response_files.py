@@ -6,19 +6,20 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.reporting.response_page import ResponseView, render_response
-from mfd_bayes.reporting.response_tables import (
+from mfd_bayes.reporting.response import (
+    ResponseView,
     draws_csv,
     limits_csv,
     peaks_csv,
     peaks_tex,
+    render_response,
     response_json,
     shares_csv,
     sweep_csv,
 )
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import SYSTEMS, US, System
+from mfd_bayes.runs.unit_system import SYSTEMS, US, System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 
 MARKER = "response.json"

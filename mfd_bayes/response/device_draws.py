@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.friction.banks import PlasticBank, bank_of
+from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.population.population import Numbers, Population
@@ -62,7 +62,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
-    """The model's discrepancy as a force of q dampers; a state as those of `friction.banks`.
+    """The model's discrepancy as a force of q dampers; a state as `friction.model.State`.
 
     A turn would let the force jump from one side to the other. It goes there over the first
     `SETTLE` of the longest stroke instead, so that the force is continuous in time.
@@ -199,9 +199,11 @@ class Dampers:
         """The n m dampers at rest, about to move in the directions `way`, (m,) of ±1."""
         if self.model is None:
             slip = self.slip.ravel()
-            return PlasticBank.at_rest(slip / RIGID, slip)
+            return ElastoPlastic.at_rest(slip / RIGID, slip)
         theta = self.theta.reshape(-1, self.theta.shape[2])
-        return bank_of(self.model, theta, self.start.ravel(), np.tile(way, self.draws))
+        direction, zero = np.tile(way, self.draws), np.zeros(len(theta))
+        state = self.model.start(theta, self.start.ravel(), direction=direction)
+        return state.step(zero, zero, 0.0)
 
 
 def no_dampers(draws: int = 1) -> Dampers:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.fits import _rows, held_out_view
+from mfd_bayes.evaluation.test_summary import _rows, held_out_view
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.netcdf import Group, StoredTest
 
 TRACE = Trace.from_arrays([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], 1.0, [0.0, 1.0, 2.0])

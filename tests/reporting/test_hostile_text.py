@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft.toml import commented, quoted
-from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.reporting import html, tables

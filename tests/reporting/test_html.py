@@ -8,6 +8,8 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+
+from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.evaluation.views import (
     COVERAGE,
     DIRECTIONS,
@@ -16,15 +18,13 @@ from mfd_bayes.evaluation.views import (
     Judgement,
     ReadingRow,
 )
-
-from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
+from mfd_bayes.messages import Message
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.digest import is_of_sampler
 from mfd_bayes.reporting.html import ONE_PAGE, render
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))
 HOSTILE = '"><script>alert(1)</script>{{ 7 * 7 }}'
@@ -163,7 +163,10 @@ def test_the_verdict_is_worded(campaign, images, text):
 
 
 def test_every_warning_is_on_the_first_screen(campaign, images):
-    told = (Finding("a", "force sign", "the force does negative work"), Finding("b", "lag", "late"))
+    told = (
+        Finding("a", "force sign", Message("the force does negative work")),
+        Finding("b", "lag", Message("late")),
+    )
     page = first(replace(campaign, warnings=told), images)
     screen = page[: page.index('<nav aria-label="Contents">')]
     assert "<li>a: the force does negative work</li>" in screen

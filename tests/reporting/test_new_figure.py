@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from mfd_bayes.reporting import publication
 from mfd_bayes.reporting.figures import campaign as figures
 from mfd_bayes.reporting.publication import Drawing
-from mfd_bayes.runs.systems import US
+from mfd_bayes.runs.unit_system import US
 
 
 def draw_velocity(test, system):

@@ -6,8 +6,8 @@ import json
 from dataclasses import replace
 
 import pytest
-from mfd_bayes.evaluation.views import NoiseRow, Row
 
+from mfd_bayes.evaluation.views import NoiseRow, Row
 from mfd_bayes.reporting.conversion import convert_row
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.html import render
@@ -15,7 +15,7 @@ from mfd_bayes.reporting.latex import parameters_tex
 from mfd_bayes.reporting.paper_tables import paper_tables
 from mfd_bayes.reporting.tables import noises_csv, parameters_csv
 from mfd_bayes.reporting.word import value_lines
-from mfd_bayes.runs.systems import SI
+from mfd_bayes.runs.unit_system import SI
 
 OTHER = NoiseRow(
     *("p800_f0.25", "k3", "kip/in", "ou", 23.9, 26.0, 29.0),

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from mfd_bayes.evaluation.views import ReadingRow
 
 from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.views import ReadingRow
 from mfd_bayes.reporting import word
 from mfd_bayes.reporting.conversion import in_tables
 from mfd_bayes.reporting.exports import export_tables
@@ -20,7 +20,7 @@ from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
 from mfd_bayes.reporting.paper_tables import check_library, paper_tables, symbol_of
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.reporting.workbook import excel_tables
-from mfd_bayes.runs.systems import SI
+from mfd_bayes.runs.unit_system import SI
 
 STIFFNESS = 4.4482216 / 25.4  # kN/mm of a kip/in
 

@@ -11,7 +11,7 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.reporting import publication
 from mfd_bayes.reporting.forms import Forms
 from mfd_bayes.reporting.publication import Drawing, publish
-from mfd_bayes.runs.systems import SI, US
+from mfd_bayes.runs.unit_system import SI, US
 
 
 def files(folder):

@@ -10,7 +10,7 @@ import pytest
 from mfd_bayes.reporting.response_tables import peaks_csv, response_json, sweep_csv
 from mfd_bayes.response.result import Passing, Row
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import SI, US
+from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.units import GRAVITY
 
 UNITS = ("1", "in", "in/s^2", "kip", "kip*in")

@@ -7,8 +7,8 @@ import pytest
 
 from mfd_bayes.reporting.sweep_words import sweep_sentence
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import SI, US
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import SI, US
 
 TESTED = (Span("stroke", "in", 1.0, 2.0), Span("actuation", "ksi", 0.5, 1.5))
 
