@@ -18,9 +18,7 @@ def run(benchmark_module, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "out"
     benchmark_module("fuzz.runs").write_run(folder)
     run = open_run(folder)
-    tests = dict(run.manifest.settings.tests)
-    tests["b"] = tests["b"].model_copy(update={"after": "a"})
-    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    settings = run.manifest.settings.with_test("b", after="a")
     return replace(run, manifest=run.manifest.changed(settings=settings))
 
 
@@ -66,7 +64,5 @@ def test_a_start_that_was_not_sampled_contradicts_nothing(run):
 
 
 def test_tests_that_follow_none_are_not_compared(run):
-    settings = run.manifest.settings
-    tests = {n: t.model_copy(update={"after": ""}) for n, t in settings.tests.items()}
-    free = run.manifest.changed(settings=settings.model_copy(update={"tests": tests}))
+    free = run.manifest.changed(settings=run.manifest.settings.with_test("b", after=""))
     assert contradicted_starts(replace(with_start(run, 0.2), manifest=free)) == []

@@ -6,6 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+
+from mfd_bayes.calibration.identifiability import (
+    Directions,
+    Identifiability,
+    Pair,
+    Sensitivity,
+)
 from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
@@ -23,13 +30,6 @@ from mfd_bayes.evaluation.views import (
     ScoreRow,
     TestView,
     TruthRow,
-)
-
-from mfd_bayes.calibration.identifiability import (
-    Directions,
-    Identifiability,
-    Pair,
-    Sensitivity,
 )
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace

@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from mfd_bayes.evaluation.views import Check, NoiseRow, ReadingRow
 
+from mfd_bayes.evaluation.views import Check
 from mfd_bayes.reporting import tables
 from mfd_bayes.reporting.symbols import parts_of
 from mfd_bayes.reporting.tables import (
