@@ -37,9 +37,10 @@ def peaks_csv(rows: Iterable[Row], system: System) -> str:
     for row in rows:
         unit, by = shown_unit(row.unit, system)
         ends = [end for band in row.bands for end in band]
-        figures = [row.median, row.mean, *ends, row.bare, row.plain]
+        figures = [row.median, row.mean, *ends, row.bare, row.plain, row.lower, row.upper]
         lines.append([row.quantity, row.ground, row.place, unit, *(by * f for f in figures)])
-    return csv_text([*head, "without_dampers", "plain_friction"], lines)
+    head += ["without_dampers", "plain_friction", "all_at_lower_bound", "all_at_upper_bound"]
+    return csv_text(head, lines)
 
 
 def limits_csv(found: Iterable[Passing], system: System) -> str:
@@ -118,7 +119,10 @@ def response_json(
             {
                 **{key: getattr(row, key) for key in ("quantity", "ground", "place")},
                 "unit": unit,
-                **{key: by * getattr(row, key) for key in ("median", "mean", "bare", "plain")},
+                **{
+                    key: by * getattr(row, key)
+                    for key in ("median", "mean", "bare", "plain", "lower", "upper")
+                },
                 "bands": {
                     percent(p): [by * end for end in band]
                     for p, band in zip(PROBABILITIES, row.bands, strict=True)

@@ -17,7 +17,7 @@ from mfd_bayes.records.numbers import real_number, whole_number
 from mfd_bayes.records.regular import path_of
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.device_draws import Choice, draw_dampers
+from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.step_refinement import Accuracy
@@ -90,7 +90,13 @@ def respond_of_run(
     moved = grounds_of(grounds)
     check_actuation(source, built)
     dampers = draw_dampers(source.population, source.model, built, choice)
-    found = Analysis(built, moved, dampers, Accuracy(tolerance=tolerance)).respond(jobs, observe)
+    bounds = (
+        bound_dampers(source.population, source.model, built, dampers, choice)
+        if dampers.count and source.model.slip_forces
+        else {}
+    )
+    accuracy = Accuracy(tolerance=tolerance)
+    found = Analysis(built, moved, dampers, accuracy, bounds).respond(jobs, observe)
     beyond = beyond_tests(source.tested, source.system, source.actuation_unit, found)
     remarks = [
         *chain.from_iterable(beyond),
