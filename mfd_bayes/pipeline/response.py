@@ -293,13 +293,15 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
             found.append(f"{ground.name}: every draw diverged.")
             continue
         by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
+        scale = by / response.building.heights if ratios else by
         low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
-        bare = response.bare.drift[0, g]
-        without = by * float(np.max(bare / response.building.heights if ratios else bare))
+        without = float(np.max(response.bare.drift[0, g] * scale))
         found.append(
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
             f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
         )
+        found += _bounds(response, g, scale, unit)
+        found += _matters(response, g)
         found += [f"{sentence}." for sentence in (beyond[g] if response.dampers.count else [])]
     found += [f"{sentence}." for sentence in beyond[-1]]
     found += [use] if use else []
@@ -309,3 +311,27 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
             f"{100 * one.probability:.3g} % (standard error {100 * one.error:.2g} %)."
         )
     return found
+
+
+def _bounds(response: Response, ground: int, scale: Array | float, unit: str) -> list[str]:
+    """The largest drift with all dampers at one of their design values, in a sentence."""
+    at = {name: response.references.get(name) for name in ("lower", "upper")}
+    parts = [
+        f"{name} {float(np.max(bound.drift[0, ground] * scale)):.3g} {unit}"
+        for name, bound in at.items()
+        if bound is not None and not bound.unstable[0, ground]
+    ]
+    name = response.grounds[ground].name
+    return [f"{name}: with all dampers at their bound, {', '.join(parts)}."] if parts else []
+
+
+def _matters(response: Response, ground: int) -> list[str]:
+    """What makes the band of the largest drift wide, in a sentence."""
+    shares = variance_shares(response, "drift", ground)
+    if not shares:
+        return []
+    source = max(shares, key=lambda name: shares[name])
+    return [
+        f"{response.grounds[ground].name}: {100 * shares[source]:.0f} % of the variance of the "
+        f"largest drift is {source}."
+    ]
