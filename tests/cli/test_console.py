@@ -3,9 +3,9 @@
 from types import SimpleNamespace
 
 import pytest
-from mfd_bayes.evaluation.views import Judgement
 
 from mfd_bayes.cli.console import LISTED, clean, open_console, print_checks, print_end, say
+from mfd_bayes.evaluation.views import Judgement
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.verdict import Use
 

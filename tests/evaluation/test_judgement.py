@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import COVERAGE, READING, Check
 
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.predictive import PredictiveCheck
 from mfd_bayes.evaluation.checks import GROSS, predictive_check
 from mfd_bayes.evaluation.judgement import judge, least_believed, use_of
 from mfd_bayes.evaluation.sentences import verdict_sentence
+from mfd_bayes.evaluation.views import COVERAGE, READING, Check
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.verdict import Use, Verdict
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import NOISE, Row
 
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
@@ -17,6 +16,7 @@ from mfd_bayes.evaluation.noises import (
     unchecked,
     with_others,
 )
+from mfd_bayes.evaluation.views import NOISE, Row
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.systems import SI
 from mfd_bayes.runs.verdict import Use, Verdict

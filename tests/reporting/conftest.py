@@ -5,6 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from mfd_bayes.calibration.identifiability import (
+    Directions,
+    Identifiability,
+    Pair,
+    Sensitivity,
+)
 from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
@@ -22,13 +29,6 @@ from mfd_bayes.evaluation.views import (
     ScoreRow,
     TestView,
     TruthRow,
-)
-
-from mfd_bayes.calibration.identifiability import (
-    Directions,
-    Identifiability,
-    Pair,
-    Sensitivity,
 )
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace

@@ -4,8 +4,8 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import Marginal
 
+from mfd_bayes.evaluation.views import Marginal
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.reporting.conversion import convert_test, shown_in

@@ -8,6 +8,8 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+
+from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.evaluation.views import (
     COVERAGE,
     DIRECTIONS,
@@ -16,8 +18,6 @@ from mfd_bayes.evaluation.views import (
     Judgement,
     ReadingRow,
 )
-
-from mfd_bayes.calibration.identifiability import CONFLICT, Pair, Sensitivity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.digest import is_of_sampler

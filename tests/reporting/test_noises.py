@@ -6,8 +6,8 @@ import json
 from dataclasses import replace
 
 import pytest
-from mfd_bayes.evaluation.views import NoiseRow, Row
 
+from mfd_bayes.evaluation.views import NoiseRow, Row
 from mfd_bayes.reporting.conversion import convert_row
 from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.html import render

@@ -4,8 +4,8 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import Marginal
 
+from mfd_bayes.evaluation.views import Marginal
 from mfd_bayes.reporting.figures import panels
 from mfd_bayes.reporting.figures.panels import Sheets
 from mfd_bayes.reporting.figures.posteriors import draw_chains, draw_corner, draw_marginals

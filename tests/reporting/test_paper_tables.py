@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from mfd_bayes.evaluation.views import ReadingRow
 
 from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.views import ReadingRow
 from mfd_bayes.reporting import word
 from mfd_bayes.reporting.conversion import in_tables
 from mfd_bayes.reporting.exports import export_tables

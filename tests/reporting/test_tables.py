@@ -3,8 +3,8 @@ import io
 from dataclasses import replace
 
 import pytest
-from mfd_bayes.evaluation.views import Check
 
+from mfd_bayes.evaluation.views import Check
 from mfd_bayes.reporting import tables
 from mfd_bayes.reporting.tables import (
     checks_csv,

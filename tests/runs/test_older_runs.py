@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline.commands import check, effort_of, report
+from mfd_bayes.pipeline.plan import effort_of
+from mfd_bayes.pipeline.report import check, report
 from mfd_bayes.runs.manifest import FORMAT
 from mfd_bayes.runs.opening import open_run
 
